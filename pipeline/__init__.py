@@ -1,0 +1,1 @@
+"""Files, clocks, screens and the command line; everything with a side effect lives here."""

@@ -1,0 +1,1 @@
+"""Which learned objects stand where in a recording, what rests on what, and how sure we are."""

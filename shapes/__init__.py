@@ -1,0 +1,1 @@
+"""Geometry that all the mathematics shares, the sensor density, and the learning of shapes."""

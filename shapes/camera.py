@@ -1,0 +1,47 @@
+"""The pinhole camera inside kernels: pixel centres are integers, +z looks forward, y points down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from recordings.types import CameraIntrinsics
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole parameters in pixels as traced scalars, so that another lens compiles nothing anew."""
+
+    fx: jax.Array
+    fy: jax.Array
+    cx: jax.Array
+    cy: jax.Array
+
+    @classmethod
+    def from_intrinsics(cls, intrinsics: CameraIntrinsics) -> Camera:
+        """The camera of a recording, in float32."""
+        values = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
+        return cls(*(jnp.asarray(value, jnp.float32) for value in values))
+
+
+def project(camera: Camera, point_m: jax.Array) -> jax.Array:
+    """Pixel coordinates (u, v) of a point (3,) in the camera frame; meaningful for z > 0."""
+    x, y, z = point_m
+    return jnp.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+
+
+def pixel_rays(camera: Camera, height: int, width: int) -> jax.Array:
+    """Directions (H, W, 3) through the pixel centres, scaled to z = 1."""
+    x = (jnp.arange(width, dtype=camera.fx.dtype) - camera.cx) / camera.fx
+    y = (jnp.arange(height, dtype=camera.fy.dtype) - camera.cy) / camera.fy
+    grid_x, grid_y = jnp.meshgrid(x, y)
+    return jnp.stack([grid_x, grid_y, jnp.ones_like(grid_x)], axis=-1)
+
+
+def unproject(camera: Camera, depth_m: jax.Array) -> jax.Array:
+    """Points (H, W, 3) in the camera frame seen by a depth image (H, W); no return gives the origin."""
+    height, width = depth_m.shape
+    return pixel_rays(camera, height, width) * depth_m[..., None]

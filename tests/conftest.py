@@ -1,0 +1,39 @@
+"""Every test runs on the CPU, seeded by its own name, with JAX's strictest checks."""
+
+import os
+import zlib
+from pathlib import Path
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("CI", "1")  # silences Rerun's usage statistics
+
+import jax
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+jax.config.update("jax_debug_key_reuse", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+@pytest.fixture
+def seed(request: pytest.FixtureRequest) -> int:
+    """A seed that depends on the test's name alone."""
+    return zlib.crc32(request.node.nodeid.encode())
+
+
+@pytest.fixture
+def key(seed: int) -> jax.Array:
+    """A typed key seeded from the test's name."""
+    return jax.random.key(seed)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder with real recordings, from VOXSCENE_DATA; tests that use it skip where it is missing."""
+    folder = Path(os.environ.get("VOXSCENE_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no real data at {folder}; set VOXSCENE_DATA to its folder")
+    return folder
