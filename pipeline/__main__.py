@@ -1,0 +1,5 @@
+"""`python -m pipeline` is `voxscene`."""
+
+from pipeline.cli import main
+
+main()
