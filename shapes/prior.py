@@ -1,0 +1,144 @@
+"""The learned shape: a probability of occupancy for every voxel, and what was seen of it.
+
+The variational family of 3DP3, supplement I, equation 2: independent Bernoulli voxels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from shapes.archive import load_arrays, save_arrays
+from shapes.surface import SurfaceMesh, level_surface
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShapePrior:
+    """Independent occupancy probabilities on a voxel grid, whose frame is the object's frame.
+
+    The centre of voxel (i, j, k) is ((i, j, k) + 0.5) pitch in the grid frame. Where the object stood on
+    a plane, the k axis is the plane's normal and layer k = 0 starts on the plane. The three masks are
+    disjoint; a voxel in none of them was never seen and keeps the prior.
+
+    Attributes:
+        phi: (I, J, K) float32, p(occupied) of each voxel.
+        pitch_m: edge of a voxel.
+        reference_from_grid: (4, 4) float64 rigid, grid frame to the run's reference frame.
+        seen_free: (I, J, K) bool, some ray reached the voxel and it is more likely free.
+        seen_occupied: (I, J, K) bool, some ray reached the voxel and it is more likely occupied.
+        enclosed: (I, J, K) bool, hidden behind seen surface in every view that had it in its image.
+        rgb: (I, J, K, 3) uint8, colour of the nearest seen surface voxel, or None without colour images.
+
+    Raises:
+        ValueError: shapes disagree, a probability is outside [0, 1], masks overlap, or the pose is not rigid.
+    """
+
+    phi: NDArray[np.float32]
+    pitch_m: float
+    reference_from_grid: NDArray[np.float64]
+    seen_free: NDArray[np.bool_]
+    seen_occupied: NDArray[np.bool_]
+    enclosed: NDArray[np.bool_]
+    rgb: NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        if self.phi.ndim != 3 or self.phi.size == 0:
+            raise ValueError(f"phi has shape {self.phi.shape}, expected (I, J, K)")
+        if not (np.isfinite(self.pitch_m) and self.pitch_m > 0):
+            raise ValueError(f"pitch_m is {self.pitch_m}, expected a positive length in metres")
+        if not (np.isfinite(self.phi).all() and self.phi.min() >= 0 and self.phi.max() <= 1):
+            raise ValueError("phi has values outside [0, 1]")
+        masks = (self.seen_free, self.seen_occupied, self.enclosed)
+        if any(mask.shape != self.phi.shape or mask.dtype != np.bool_ for mask in masks):
+            raise ValueError(f"seen_free, seen_occupied and enclosed must be bool {self.phi.shape}")
+        if np.add.reduce(masks, dtype=np.uint8).max() > 1:
+            raise ValueError("a voxel is in two of seen_free, seen_occupied and enclosed")
+        if self.rgb is not None and (self.rgb.shape != (*self.phi.shape, 3) or self.rgb.dtype != np.uint8):
+            raise ValueError(f"rgb must be uint8 {(*self.phi.shape, 3)}")
+        pose = self.reference_from_grid
+        if pose.shape != (4, 4) or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6):
+            raise ValueError("reference_from_grid is not a rigid 4x4 transform")
+
+    @property
+    def solid(self) -> NDArray[np.bool_]:
+        """Voxels of the solid object (I, J, K): seen occupied, or enclosed and so decided by mask."""
+        return self.seen_occupied | self.enclosed
+
+    @property
+    def bounding_box_m(self) -> NDArray[np.float64]:
+        """Lowest and highest corner (2, 3) of the solid voxels in the grid frame.
+
+        Raises:
+            ValueError: no voxel is solid.
+        """
+        occupied = np.argwhere(self.solid)
+        if len(occupied) == 0:
+            raise ValueError("no voxel is solid: there is no bounding box")
+        return np.stack([occupied.min(axis=0), occupied.max(axis=0) + 1]) * self.pitch_m
+
+    def sample(self, key: jax.Array, count: int) -> jax.Array:
+        """Binary shapes (count, I, J, K) drawn voxel by voxel with probability phi."""
+        return jax.random.bernoulli(key, jnp.asarray(self.phi)[None], (count, *self.phi.shape))
+
+    def surface(self, level: float = 0.5) -> SurfaceMesh:
+        """Closed surface where the probability crosses `level`, enclosed voxels filled, in the grid frame.
+
+        Voxels that were never seen take part only where the level is below their prior.
+
+        Raises:
+            ValueError: no voxel lies above the level.
+        """
+        filled = np.where(self.enclosed, np.float32(1.0), self.phi)
+        return level_surface(filled, level, self.pitch_m, self.rgb)
+
+    def save(self, path: Path) -> None:
+        """Write the npz file that `load` reads; its names are a contract (format_version 1).
+
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        arrays = {
+            "format_version": np.int64(FORMAT_VERSION),
+            "phi": self.phi,
+            "pitch_m": np.float64(self.pitch_m),
+            "reference_from_grid": self.reference_from_grid,
+            "seen_free": self.seen_free,
+            "seen_occupied": self.seen_occupied,
+            "enclosed": self.enclosed,
+        }
+        save_arrays(path, arrays if self.rgb is None else arrays | {"rgb": self.rgb})
+
+    @classmethod
+    def load(cls, path: Path) -> ShapePrior:
+        """Read a shape.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file is damaged, of another format, or holds values that are no shape.
+        """
+        arrays = load_arrays(path)
+        version = arrays.pop("format_version", None)
+        if version is None or version.shape != () or int(version) != FORMAT_VERSION:
+            found = "none" if version is None else version
+            raise ValueError(f"{path} has format_version {found}, this program reads {FORMAT_VERSION}")
+        try:
+            return cls(
+                phi=arrays["phi"].astype(np.float32, copy=False),
+                pitch_m=float(arrays["pitch_m"]),
+                reference_from_grid=arrays["reference_from_grid"].astype(np.float64, copy=False),
+                seen_free=arrays["seen_free"],
+                seen_occupied=arrays["seen_occupied"],
+                enclosed=arrays["enclosed"],
+                rgb=arrays.get("rgb"),
+            )
+        except KeyError as error:
+            raise ValueError(f"{path} is not a learned shape: it has no array {error}") from error
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} is not a learned shape: {error}") from error
