@@ -1,0 +1,110 @@
+"""Lens distortion of depth images: the lookup that makes an unrectified image a pinhole one.
+
+Depth along the optical axis does not change with the pixel that a ray falls on, so undistorting only
+moves pixels. The nearest stored pixel is taken: depths of two surfaces are never mixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.cameras.pinhole import UnusableCamera
+from recordings.types import NO_RETURN, CameraIntrinsics
+
+Points = NDArray[np.float64]
+Distort = Callable[[Points, Points, Sequence[float]], tuple[Points, Points]]
+
+
+class Undistortion:
+    """Moves the pixels of an image to where a pinhole camera of the same intrinsics sees them.
+
+    Args:
+        intrinsics: the camera, of the distorted and of the pinhole image.
+        model: the distortion model as ROS names it.
+        coefficients: its coefficients.
+
+    Raises:
+        UnusableCamera: the model is not known.
+    """
+
+    def __init__(self, intrinsics: CameraIntrinsics, model: str, coefficients: Sequence[float]) -> None:
+        if model not in _MODELS:
+            raise UnusableCamera(
+                f"its camera has the distortion model {model!r}, known are {', '.join(sorted(_MODELS))}; "
+                "record rectified depth or give --intrinsics fx,fy,cx,cy"
+            )
+        width, height = intrinsics.width, intrinsics.height
+        u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+        x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+        distort = _MODELS[model]
+        with np.errstate(all="ignore"):  # a rational model may have poles far outside the image
+            distorted_x, distorted_y = distort(x, y, coefficients)
+            limit = _unfolded_radius(distort, coefficients, float(np.hypot(x, y).max()))
+        column = np.rint(distorted_x * intrinsics.fx + intrinsics.cx)
+        row = np.rint(distorted_y * intrinsics.fy + intrinsics.cy)
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (np.hypot(x, y) < limit)
+        self._source = np.where(inside, row * width + column, 0).astype(np.intp)
+        self._outside = ~inside
+
+    def depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The undistorted depth image (H, W); `NO_RETURN` where the stored one does not reach."""
+        undistorted = np.take(depth_m, self._source)
+        undistorted[self._outside] = NO_RETURN
+        return undistorted
+
+    def colour(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The undistorted colour image (H, W, 3); black where the stored one does not reach."""
+        undistorted = rgb.reshape(-1, 3)[self._source]
+        undistorted[self._outside] = 0
+        return undistorted
+
+
+def is_distorted(coefficients: Sequence[float]) -> bool:
+    """Whether the coefficients do anything."""
+    return any(value != 0 for value in coefficients)
+
+
+def _brown_conrady(x: Points, y: Points, coefficients: Sequence[float]) -> tuple[Points, Points]:
+    """plumb_bob and rational_polynomial: OpenCV's pinhole model with up to 12 coefficients.
+
+    Order k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 (OpenCV, "Camera Calibration and 3D Reconstruction").
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = (*coefficients, *[0.0] * 12)[:12]
+    r2 = x * x + y * y
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    distorted_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)
+    distorted_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
+    return distorted_x, distorted_y
+
+
+def _equidistant(x: Points, y: Points, coefficients: Sequence[float]) -> tuple[Points, Points]:
+    """Fisheye: theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8) (Kannala and Brandt 2006, OpenCV)."""
+    k1, k2, k3, k4 = (*coefficients, *[0.0] * 4)[:4]
+    r = np.hypot(x, y)
+    t = np.arctan(r)
+    t2 = t * t
+    bent = t * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+    scale = np.divide(bent, r, out=np.ones_like(r), where=r > 1e-12)
+    return x * scale, y * scale
+
+
+def _unfolded_radius(distort: Distort, coefficients: Sequence[float], largest: float) -> float:
+    """Up to where the model pushes outer rays outwards; beyond, it folds back over the image."""
+    radii = np.linspace(0.0, largest, 2048)
+    reached, _ = distort(radii, np.zeros_like(radii), coefficients)
+    falling = np.flatnonzero(np.diff(reached) <= 0)
+    return float(radii[falling[0]]) if falling.size else np.inf
+
+
+_MODELS: dict[str, Distort] = {
+    "plumb_bob": _brown_conrady,
+    "brown_conrady": _brown_conrady,
+    "rational_polynomial": _brown_conrady,
+    "equidistant": _equidistant,
+    "fisheye": _equidistant,
+    "kannala_brandt": _equidistant,
+    "kannala_brandt4": _equidistant,
+}

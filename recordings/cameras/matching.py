@@ -1,0 +1,70 @@
+"""The camera topic that belongs to an image topic: by frame_id, else by the nearest namespace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from recordings.cameras.pinhole import UnusableCamera
+from recordings.messages.types import CameraMessage
+
+_TRANSPORTS = {"compressed", "compressedDepth", "theora", "zstd"}
+
+
+def namespace(topic: str) -> tuple[str, ...]:
+    """The parts of a topic's name above its last, transports not counted.
+
+    `/camera/depth/image_raw/compressedDepth` and `/camera/depth/camera_info` share ("camera", "depth").
+    """
+    parts = [part for part in topic.split("/") if part]
+    if parts and parts[-1] in _TRANSPORTS:
+        parts.pop()
+    return tuple(parts[:-1])
+
+
+def is_rectified(topic: str) -> bool:
+    """Whether the images of a topic are rectified, which ROS says in the topic's name alone (image_proc)."""
+    parts = [part for part in topic.split("/") if part and part not in _TRANSPORTS]
+    return bool(parts) and "rect" in parts[-1]
+
+
+def matching_camera(
+    image_topic: str, frame_id: str, size: tuple[int, int], cameras: Mapping[str, CameraMessage]
+) -> tuple[str, CameraMessage] | None:
+    """The camera topic of an image topic and its message, or None without any camera.
+
+    Args:
+        image_topic: the images' topic.
+        frame_id: the frame that the images say they were taken in.
+        size: their width and height, which decides between equally near cameras.
+        cameras: a usable message of each camera topic.
+
+    Raises:
+        UnusableCamera: several cameras with different calibrations are equally near.
+    """
+    same_frame = {topic: c for topic, c in cameras.items() if frame_id and c.frame_id == frame_id}
+    candidates = same_frame or cameras
+
+    def nearness(topic: str) -> tuple[int, bool, int]:
+        camera = candidates[topic]
+        same_size = (camera.width, camera.height) == size
+        return _shared(image_topic, topic), same_size, -len(namespace(topic))
+
+    if not candidates:
+        return None
+    best = max(map(nearness, candidates))
+    nearest = sorted(topic for topic in candidates if nearness(topic) == best)
+    if any(not np.array_equal(candidates[nearest[0]].K, candidates[topic].K) for topic in nearest):
+        raise UnusableCamera(f"its camera could be {' or '.join(nearest)}; give --intrinsics fx,fy,cx,cy")
+    return nearest[0], candidates[nearest[0]]
+
+
+def _shared(image_topic: str, camera_topic: str) -> int:
+    """How many leading parts two namespaces have in common."""
+    count = 0
+    for a, b in zip(namespace(image_topic), namespace(camera_topic), strict=False):
+        if a != b:
+            break
+        count += 1
+    return count

@@ -1,0 +1,60 @@
+"""The pinhole intrinsics of an image as it is stored: region of interest, binning and resizing applied."""
+
+from __future__ import annotations
+
+from recordings.messages.types import CameraMessage
+from recordings.types import CameraIntrinsics
+
+_ASPECT_TOLERANCE_PX = 1.5
+"""Sizes of resized images are rounded to whole pixels."""
+
+
+class UnusableCamera(Exception):  # noqa: N818  (never leaves recordings)
+    """A camera message cannot have been of these images; the text says why."""
+
+
+def is_calibrated(camera: CameraMessage) -> bool:
+    """Whether a camera message holds a calibration; drivers send zeros before they know it."""
+    return bool(camera.K[0, 0] > 0 and camera.K[1, 1] > 0)
+
+
+def stored_intrinsics(camera: CameraMessage, width: int, height: int, *, rectified: bool) -> CameraIntrinsics:
+    """The intrinsics of the stored image of `width` x `height` pixels.
+
+    K and P are given for the whole sensor (sensor_msgs/msg/CameraInfo): the region of interest moves
+    the principal point, binning divides, and where the stored size is still another one, the image was
+    resized. Pixel centres are integers, so cx' = (cx + 0.5) s - 0.5.
+
+    Raises:
+        UnusableCamera: the image has another shape than the camera's.
+    """
+    matrix = camera.P[:, :3] if rectified and camera.P[0, 0] > 0 < camera.P[1, 1] else camera.K
+    x, y, roi_width, roi_height = camera.roi
+    if roi_width <= 0 or roi_height <= 0 or (width, height) == (camera.width, camera.height):
+        x, y, roi_width, roi_height = 0, 0, camera.width, camera.height
+    # A camera message without a size is taken to describe the image as it is stored.
+    roi_width, roi_height = roi_width or width, roi_height or height
+    scale_x, scale_y = width / roi_width, height / roi_height
+    if abs(scale_x * roi_height - height) > _ASPECT_TOLERANCE_PX and not _is_binned(camera, scale_x, scale_y):
+        raise UnusableCamera(
+            f"its camera is for images of {roi_width}x{roi_height}, they are {width}x{height}; "
+            "give --intrinsics fx,fy,cx,cy"
+        )
+    try:
+        region = CameraIntrinsics(
+            width=roi_width,
+            height=roi_height,
+            fx=float(matrix[0, 0]),
+            fy=float(matrix[1, 1]),
+            cx=float(matrix[0, 2]) - x,
+            cy=float(matrix[1, 2]) - y,
+        )
+    except ValueError as error:
+        raise UnusableCamera(f"its camera is unusable: {error}") from error
+    return region.resized(width, height)
+
+
+def _is_binned(camera: CameraMessage, scale_x: float, scale_y: float) -> bool:
+    """Whether the two scales are those of the camera's (unequal) binning, up to a resize."""
+    expected = camera.binning[0] / camera.binning[1]
+    return abs(scale_y / scale_x - expected) < 0.01 * expected

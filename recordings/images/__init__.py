@@ -1,0 +1,1 @@
+"""From stored pixels to depth in metres and to colour."""

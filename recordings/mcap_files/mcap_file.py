@@ -1,0 +1,172 @@
+"""One MCAP file: its channels, its messages in the order of time, and what of it is lost."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.opcode import Opcode
+
+from recordings.errors import RecordingError
+from recordings.mcap_files.chunks import DamagedBlock
+from recordings.mcap_files.framing import MAGIC, MalformedRecord, parse_message, spans
+from recordings.mcap_files.index import NO_CRC, Block, FileIndex, Loss, indexed_message_counts, read_block
+from recordings.mcap_files.recovery import rebuild_index
+from recordings.mcap_files.sources import Source, open_source
+from recordings.mcap_files.summary import index_of_summary, read_summary
+
+_CACHED_BLOCKS = 2
+_MAGIC_BYTES_THAT_MAY_BE_WRONG = 2
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What the messages of a channel are: enough to find their decoder."""
+
+    name: str
+    message_encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema_data: bytes
+
+
+class Message(NamedTuple):
+    """One message of a recording, not decoded."""
+
+    topic: Topic
+    log_time_ns: int
+    data: bytes
+
+
+class McapFile:
+    """An MCAP file, whole or damaged, that is read as often as one likes.
+
+    Chunks that fail their checksum are left out and counted. Where the file's summary cannot be
+    trusted, the whole file is read once to find out what is in it.
+
+    Raises:
+        RecordingError: the file cannot be read or is no MCAP file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with open_source(path) as source:
+            _check_magic(path, source)
+            self.index = _index(source)
+        self._blocks = sorted(self.index.blocks, key=lambda block: (block.start_time_ns, block.offset))
+        self._topics = {
+            channel.id: _topic(self.index, channel.id) for channel in self.index.channels.values()
+        }
+        self._losses = {loss.offset: loss for loss in self.index.losses}
+        self._missing: Counter[int] = Counter()
+        self._unverified = not self.index.definitions_verified
+        self._cache: dict[int, bytes] = {}
+
+    @property
+    def topics(self) -> set[Topic]:
+        """What the file's channels carry."""
+        return set(self._topics.values())
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """The stretches found unusable so far, in the order of the file."""
+        return tuple(self._losses[offset] for offset in sorted(self._losses))
+
+    @property
+    def lost_messages(self) -> int:
+        """Messages known to be lost so far."""
+        in_losses: Counter[int] = Counter()
+        for loss in self._losses.values():
+            in_losses.update(loss.messages)
+        return (in_losses | self._missing).total()
+
+    @property
+    def verified(self) -> bool:
+        """Whether everything read so far stood under a checksum that held."""
+        return not self._unverified
+
+    def expected_count(self, topic: str) -> int | None:
+        """How many messages of a topic the file says it holds, where it says so under a checksum."""
+        if self.index.expected_messages is None:
+            return None
+        return sum(
+            count
+            for channel_id, count in self.index.expected_messages.items()
+            if channel_id in self._topics and self._topics[channel_id].name == topic
+        )
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages of the named topics, or all, chunk by chunk in the order of their log times."""
+        wanted = {id_ for id_, topic in self._topics.items() if topics is None or topic.name in topics}
+        counts: Counter[int] = Counter()
+        with open_source(self.path) as source:
+            for block in self._blocks:
+                if block.channel_ids is not None and wanted.isdisjoint(block.channel_ids):
+                    continue
+                try:
+                    data = self._read(source, block)
+                    for opcode, start, end in spans(data):
+                        if opcode != Opcode.MESSAGE:
+                            continue
+                        message = parse_message(data[start:end])
+                        counts[message.channel_id] += 1
+                        if message.channel_id in wanted:
+                            yield Message(self._topics[message.channel_id], message.log_time_ns, message.data)
+                except (DamagedBlock, MalformedRecord) as error:
+                    counted = indexed_message_counts(source, block)
+                    self._losses[block.offset] = Loss(
+                        offset=block.offset, reason=str(error), messages=counted
+                    )
+        self._compare_counts(wanted, counts)
+
+    def _read(self, source: Source, block: Block) -> bytes:
+        """The records of a block; the last few are kept, for readers that go through a file together."""
+        if block.offset in self._cache:
+            return self._cache[block.offset]
+        data, crc = read_block(source, block)
+        if crc == NO_CRC and (block.is_chunk or not self.index.loose_records_verified):
+            self._unverified = True
+        self._cache[block.offset] = data
+        while len(self._cache) > _CACHED_BLOCKS:
+            del self._cache[next(iter(self._cache))]
+        return data
+
+    def _compare_counts(self, wanted: set[int], counts: Counter[int]) -> None:
+        """Hold what a complete pass gave against what the file says it holds."""
+        strangers = set(counts) - set(self._topics)
+        for channel_id in strangers:
+            self._missing[channel_id] = counts[channel_id]
+        for channel_id in wanted:
+            expected = (self.index.expected_messages or {}).get(channel_id, 0)
+            self._missing[channel_id] = max(0, expected - counts[channel_id])
+
+
+def _index(source: Source) -> FileIndex:
+    summary = read_summary(source)
+    index = index_of_summary(source, summary) if summary else None
+    return index or rebuild_index(source, summary)
+
+
+def _topic(index: FileIndex, channel_id: int) -> Topic:
+    channel = index.channels[channel_id]
+    schema = index.schemas.get(channel.schema_id)
+    return Topic(
+        name=channel.topic,
+        message_encoding=channel.message_encoding,
+        schema_name=schema.name if schema else "",
+        schema_encoding=schema.encoding if schema else "",
+        schema_data=schema.data if schema else b"",
+    )
+
+
+def _check_magic(path: Path, source: Source) -> None:
+    """A file is an MCAP file if its first eight bytes say so; two of them may be damaged."""
+    magic = source.read(0, len(MAGIC))
+    if not magic:
+        raise RecordingError(f"{path} is empty")
+    wrong = sum(a != b for a, b in zip(magic, MAGIC, strict=False)) + len(MAGIC) - len(magic)
+    if wrong > _MAGIC_BYTES_THAT_MAY_BE_WRONG:
+        raise RecordingError(f"{path} is not an MCAP file (it starts with {magic!r})")

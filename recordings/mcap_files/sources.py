@@ -1,0 +1,101 @@
+"""Where the bytes of a recording come from: a file, or a zstd-compressed file unpacked as it is read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+import zstandard
+
+from recordings.errors import RecordingError
+
+_STEP = 1 << 20
+_KEPT = 4 * _STEP
+
+
+class Source(Protocol):
+    """Bytes at offsets; `size` is None where it is not known before the end is met."""
+
+    @property
+    def size(self) -> int | None:
+        """Number of bytes."""
+        ...
+
+    def read(self, offset: int, length: int) -> bytes:
+        """At most `length` bytes from `offset`, fewer only at the end."""
+        ...
+
+
+class FileSource:
+    """A plain file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.size = os.fstat(file.fileno()).st_size
+
+    def read(self, offset: int, length: int) -> bytes:
+        """At most `length` bytes from `offset`; a length that the file cannot hold takes no memory."""
+        self._file.seek(offset)
+        return self._file.read(max(0, min(length, self.size - offset)))
+
+
+class ZstdSource:
+    """A `.mcap.zstd` file, unpacked as it is read.
+
+    Reading forward unpacks once. The last few megabytes are kept, so that a step back is free; a
+    longer way back unpacks again from the front.
+    """
+
+    size = None
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._restart()
+
+    def read(self, offset: int, length: int) -> bytes:
+        """At most `length` bytes from `offset`; a damaged stream ends where its damage begins."""
+        if offset < self._position - len(self._kept):
+            self._restart()
+        while self._position < offset:
+            if not self._unpack(min(offset - self._position, _STEP)):
+                return b""
+        pieces = [bytes(self._kept[len(self._kept) - (self._position - offset) :][:length])]
+        missing = length - len(pieces[0])
+        while missing > 0 and (piece := self._unpack(min(missing, _STEP))):
+            pieces.append(piece)
+            missing -= len(piece)
+        return b"".join(pieces)
+
+    def _restart(self) -> None:
+        self._file.seek(0)
+        unpacker = zstandard.ZstdDecompressor()
+        self._stream = unpacker.stream_reader(self._file, read_across_frames=True, closefd=False)
+        self._position = 0
+        self._kept = bytearray()
+
+    def _unpack(self, length: int) -> bytes:
+        try:
+            piece = self._stream.read(length)
+        except zstandard.ZstdError:
+            piece = b""
+        self._position += len(piece)
+        self._kept += piece
+        del self._kept[:-_KEPT]
+        return piece
+
+
+@contextmanager
+def open_source(path: Path) -> Iterator[Source]:
+    """The bytes of the MCAP file at `path`.
+
+    Raises:
+        RecordingError: the file cannot be opened or read.
+    """
+    try:
+        with path.open("rb") as file:
+            yield ZstdSource(file) if path.suffix == ".zstd" else FileSource(file)
+    except OSError as error:
+        raise RecordingError(f"cannot read {path}: {error.strerror}") from error

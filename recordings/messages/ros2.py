@@ -1,0 +1,189 @@
+"""Reading ROS 2 messages in CDR, decoded by mcap_ros2 from the definition in the file.
+
+Where the file's definition is empty or IDL, the standard definition of that name is used instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.records import Schema
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_ros2.decoder import DecoderFactory
+
+from recordings.mcap_files.framing import MAX_BLOCK_SIZE
+from recordings.messages.ros2_standard import standard_definition
+from recordings.messages.types import (
+    CameraMessage,
+    CompressedImageMessage,
+    DecodedMessage,
+    ImageMessage,
+    PointCloudMessage,
+    PointField,
+    PoseMessage,
+    TransformMessage,
+    UndecodableMessage,
+    rigid_matrix,
+)
+
+_POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""sensor_msgs/msg/PointField's datatypes."""
+
+
+def canonical_name(schema_name: str) -> str:
+    """`package/msg/Type` for `package/Type` and `package::msg::dds_::Type_`, which recorders write too."""
+    parts = schema_name.replace("::", "/").split("/")
+    parts = [part for part in parts if part not in {"msg", "dds_"}]
+    return f"{parts[0]}/msg/{parts[-1].removesuffix('_')}" if len(parts) == 2 else schema_name
+
+
+def decoder(
+    schema_name: str, schema_encoding: str, schema_data: bytes
+) -> Callable[[bytes], DecodedMessage] | None:
+    """The decoder of a schema, or None where its messages say nothing that a recording needs."""
+    name = canonical_name(schema_name)
+    convert = _CONVERSIONS.get(name)
+    if convert is None:
+        return None
+    text = schema_data
+    if schema_encoding != SchemaEncoding.ROS2 or not schema_data.strip():
+        text = standard_definition(name).encode()
+    schema = Schema(id=1, name=name, encoding=SchemaEncoding.ROS2, data=text)
+    parse = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+    assert parse is not None
+    return lambda data: convert(parse(_unpacked(data)))
+
+
+def _unpacked(data: bytes) -> bytes:
+    """Undo rosbag2's `--compression-mode message`, which packs each message by itself."""
+    if not data.startswith(zstandard.MAGIC_NUMBER.to_bytes(4, "little")):
+        return data
+    if zstandard.frame_content_size(data) > MAX_BLOCK_SIZE:
+        raise UndecodableMessage(f"claims more than {MAX_BLOCK_SIZE} bytes unpacked")
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_BLOCK_SIZE)
+
+
+def _stamp_ns(header: Any) -> int:
+    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+
+
+def _image(message: Any) -> ImageMessage:
+    return ImageMessage(
+        stamp_ns=_stamp_ns(message.header),
+        frame_id=message.header.frame_id,
+        width=message.width,
+        height=message.height,
+        encoding=message.encoding,
+        step=message.step,
+        big_endian=bool(message.is_bigendian),
+        data=message.data,
+    )
+
+
+def _compressed_image(message: Any) -> CompressedImageMessage:
+    return CompressedImageMessage(
+        stamp_ns=_stamp_ns(message.header),
+        frame_id=message.header.frame_id,
+        format=message.format,
+        data=message.data,
+    )
+
+
+def _camera(message: Any) -> CameraMessage:
+    # ROS 1 definitions, which converters leave in files, write the matrices in capitals.
+    d, k, p = (getattr(message, n, None) or getattr(message, n.upper(), ()) for n in ("d", "k", "p"))
+    return CameraMessage(
+        stamp_ns=_stamp_ns(message.header),
+        frame_id=message.header.frame_id,
+        width=message.width,
+        height=message.height,
+        distortion_model=message.distortion_model,
+        distortion=tuple(d),
+        K=np.reshape(np.asarray(k, np.float64), (3, 3)),
+        P=np.reshape(np.asarray(p, np.float64), (3, 4)),
+        binning=(max(1, message.binning_x), max(1, message.binning_y)),
+        roi=(message.roi.x_offset, message.roi.y_offset, message.roi.width, message.roi.height),
+    )
+
+
+def _point_cloud(message: Any) -> PointCloudMessage:
+    order = ">" if message.is_bigendian else "<"
+    return PointCloudMessage(
+        stamp_ns=_stamp_ns(message.header),
+        frame_id=message.header.frame_id,
+        width=message.width,
+        height=message.height,
+        fields=tuple(
+            PointField(name=f.name, offset=f.offset, dtype=np.dtype(order + _POINT_TYPES[f.datatype]))
+            for f in message.fields
+        ),
+        point_step=message.point_step,
+        row_step=message.row_step,
+        data=message.data,
+    )
+
+
+def _matrix(translation: Any, rotation: Any) -> np.ndarray:
+    return rigid_matrix(
+        (translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w)
+    )
+
+
+def _transforms(message: Any) -> tuple[TransformMessage, ...]:
+    return tuple(
+        TransformMessage(
+            stamp_ns=_stamp_ns(stamped.header),
+            parent=stamped.header.frame_id,
+            child=stamped.child_frame_id,
+            parent_from_child=_matrix(stamped.transform.translation, stamped.transform.rotation),
+        )
+        for stamped in message.transforms
+    )
+
+
+def _transform(message: Any) -> tuple[TransformMessage, ...]:
+    return (
+        TransformMessage(
+            stamp_ns=_stamp_ns(message.header),
+            parent=message.header.frame_id,
+            child=message.child_frame_id,
+            parent_from_child=_matrix(message.transform.translation, message.transform.rotation),
+        ),
+    )
+
+
+def _pose(message: Any) -> PoseMessage:
+    pose = getattr(message.pose, "pose", message.pose)  # PoseWithCovarianceStamped nests one deeper
+    return PoseMessage(
+        stamp_ns=_stamp_ns(message.header),
+        frame_id=message.header.frame_id,
+        frame_from_body=_matrix(pose.position, pose.orientation),
+    )
+
+
+def _odometry(message: Any) -> tuple[TransformMessage, ...]:
+    pose = message.pose.pose
+    return (
+        TransformMessage(
+            stamp_ns=_stamp_ns(message.header),
+            parent=message.header.frame_id,
+            child=message.child_frame_id,
+            parent_from_child=_matrix(pose.position, pose.orientation),
+        ),
+    )
+
+
+_CONVERSIONS: dict[str, Callable[[Any], DecodedMessage]] = {
+    "sensor_msgs/msg/Image": _image,
+    "sensor_msgs/msg/CompressedImage": _compressed_image,
+    "sensor_msgs/msg/CameraInfo": _camera,
+    "sensor_msgs/msg/PointCloud2": _point_cloud,
+    "tf2_msgs/msg/TFMessage": _transforms,
+    "geometry_msgs/msg/TransformStamped": _transform,
+    "geometry_msgs/msg/PoseStamped": _pose,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose,
+    "nav_msgs/msg/Odometry": _odometry,
+}

@@ -1,0 +1,122 @@
+"""Written recordings are whole, checked, and read by other programs."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from recordings.errors import RecordingError
+from recordings.reading import open_recording
+from recordings.types import CameraIntrinsics, Frame
+from recordings.writer import DEPTH_TOPIC, MessageSchema, RecordingWriter
+
+
+def write(path: Path, camera: CameraIntrinsics, frames: list[Frame], poses, *, unit_m=0.001) -> None:
+    """A recording of frames with poses and metadata."""
+    with RecordingWriter(path, camera, depth_unit_m=unit_m) as writer:
+        for frame, pose in zip(frames, poses, strict=True):
+            writer.write_depth(frame)
+            writer.write_camera_pose(frame.time_ns, pose)
+        writer.write_metadata("made by", {"test": "writer"})
+
+
+@pytest.mark.parametrize("unit_m", [0.001, 0.0002, None])
+def test_frames_come_back_bit_for_bit(recording_path, camera, frames, poses, unit_m):
+    """What is written is read again: stamps, depths, holes and camera."""
+    write(recording_path, camera, frames, poses, unit_m=unit_m)
+    recording = open_recording(recording_path)
+
+    assert recording.intrinsics == camera
+    assert len(recording) == len(frames)
+    for _ in range(2):  # iterating may be repeated
+        for expected, actual in zip(frames, recording, strict=True):
+            assert actual.time_ns == expected.time_ns
+            np.testing.assert_array_equal(actual.depth_m, expected.depth_m)
+    assert not recording.damage
+    assert recording.damage.verified
+
+
+def test_other_readers_agree(recording_path, camera, frames, poses):
+    """Two other readers, mcap with mcap_ros2 and rosbags, find the same pixels; every checksum holds."""
+    write(recording_path, camera, frames, poses)
+    expected = [np.rint(frame.depth_m * 1000).astype(np.uint16) for frame in frames]
+
+    with recording_path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        images = [message for *_, message in reader.iter_decoded_messages([DEPTH_TOPIC])]
+    with AnyReader([recording_path]) as bag:
+        depth = [c for c in bag.connections if c.topic == DEPTH_TOPIC]
+        others: list[Any] = [bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages(depth)]
+    with recording_path.open("rb") as file:
+        assert list(StreamReader(file, validate_crcs=True).records)
+    for pixels, image, other in zip(expected, images, others, strict=True):
+        assert image.encoding == other.encoding == "16UC1"
+        np.testing.assert_array_equal(np.frombuffer(image.data, "<u2").reshape(pixels.shape), pixels)
+        np.testing.assert_array_equal(other.data.view("<u2").reshape(pixels.shape), pixels)
+
+
+def test_an_interrupted_recording_leaves_nothing(recording_path, camera, frames):
+    """An exception inside the block removes the partial file and keeps an older recording."""
+    recording_path.write_bytes(b"older")
+
+    def interrupt() -> None:
+        with RecordingWriter(recording_path, camera) as writer:
+            writer.write_depth(frames[0])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
+
+    assert recording_path.read_bytes() == b"older"
+    assert list(recording_path.parent.iterdir()) == [recording_path]
+
+
+def test_a_missing_folder_is_one_clear_line(tmp_path, camera):
+    """The error names the file and the reason."""
+    path = tmp_path / "nowhere" / "out.mcap"
+    with pytest.raises(RecordingError, match=r"cannot write .*out\.mcap: No such file or directory"):
+        RecordingWriter(path, camera)
+
+
+def test_a_full_disk_leaves_nothing(recording_path, camera, frames, monkeypatch):
+    """Running out of space is a RecordingError, and the partial file is gone."""
+    real_open = Path.open
+
+    def open_full(path, mode="r", *args, **kwargs):
+        return real_open(Path("/dev/full"), mode) if "w" in mode else real_open(path, mode, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", open_full)
+    with pytest.raises(RecordingError, match="No space left on device"):
+        write(recording_path, camera, frames, np.tile(np.eye(4), (len(frames), 1, 1)))
+    assert list(recording_path.parent.iterdir()) == []
+
+
+def test_generic_messages_keep_their_schema(recording_path):
+    """Any schema can be written; sequence numbers count the messages of a topic."""
+    schema = MessageSchema(name="Note", encoding="jsonschema", data=b"{}", message_encoding="json")
+    with RecordingWriter(recording_path) as writer:
+        writer.write("/a", schema, b'{"x": 1}', 10)
+        writer.write("/b", schema, b'{"x": 2}', 20)
+        writer.write("/a", schema, b'{"x": 3}', 30)
+
+    with recording_path.open("rb") as file:
+        found = list(make_reader(file).iter_messages())
+    assert [(c.topic, s and s.name, m.data, m.sequence, m.log_time) for s, c, m in found] == [
+        ("/a", "Note", b'{"x": 1}', 0, 10),
+        ("/b", "Note", b'{"x": 2}', 0, 20),
+        ("/a", "Note", b'{"x": 3}', 1, 30),
+    ]
+
+
+def test_too_far_for_sixteen_bits_is_no_return(recording_path, camera):
+    """Depths that 16-bit millimetres cannot hold do not wrap round."""
+    depth_m = np.full((camera.height, camera.width), 70.0, np.float32)
+    with RecordingWriter(recording_path, camera, depth_unit_m=0.001) as writer:
+        writer.write_depth(Frame(time_ns=1, depth_m=depth_m))
+    (frame,) = open_recording(recording_path)
+    assert not frame.depth_m.any()
