@@ -1,0 +1,1 @@
+"""Recordings made in code, with the truth beside them, so that nothing needs downloading."""

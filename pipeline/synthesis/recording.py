@@ -1,0 +1,71 @@
+"""A recording that is rendered while it is read, with the truth beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.synthesis.sensor import DepthSensor
+from pipeline.synthesis.world import NOTHING, Part, RayCaster, View
+from recordings.truth import SceneTruth
+from recordings.types import CameraIntrinsics, Damage, Frame, Trajectory
+
+
+class SyntheticRecording:
+    """Frames of a synthetic world (the `Recording` protocol), drawn anew and alike at each iteration.
+
+    Attributes:
+        intrinsics: the camera.
+        trajectory: true poses; the reference is the world frame of `truth`, z up.
+        truth: the objects of interest.
+        damage: never any.
+    """
+
+    damage = Damage()
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        truth: SceneTruth,
+        trajectory: Trajectory,
+        intrinsics: CameraIntrinsics,
+        sensor: DepthSensor,
+        seed: int,
+    ) -> None:
+        """A camera filming `parts` along `trajectory`; `seed` draws the sensor's noise."""
+        self.intrinsics = intrinsics
+        self.trajectory = trajectory
+        self.truth = truth
+        self._caster = RayCaster(parts)
+        self._palette = np.array([part.colour for part in parts] + [(0, 0, 0)], np.float32)
+        self._sensor = sensor
+        self._key = jax.random.key(seed)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.trajectory)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Every frame once."""
+        return map(self.frame, range(len(self)))
+
+    def frame(self, index: int) -> Frame:
+        """The measured frame of that index."""
+        view = self.ideal_view(index)
+        return Frame(
+            time_ns=int(self.trajectory.times_ns[index]),
+            depth_m=self._sensor.measure(jax.random.fold_in(self._key, index), view),
+            rgb=self._shaded(view),
+        )
+
+    def ideal_view(self, index: int) -> View:
+        """What a camera without noise sees at that frame."""
+        return self._caster.view(self.intrinsics, self.trajectory.reference_from_camera[index])
+
+    def _shaded(self, view: View) -> NDArray[np.uint8]:
+        """Flat colours (H, W, 3) under a lamp at the camera."""
+        light = np.where(view.part == NOTHING, 0.0, 0.35 + 0.65 * view.cos_incidence)
+        return (self._palette[view.part] * light[..., None]).astype(np.uint8)
