@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import importlib
-import sys
+from typing import Any
 
 import click
 
 from pipeline.errors import PipelineError
 from recordings.errors import RecordingError
 
-COMMANDS = ("doctor",)
+COMMANDS = ("synth", "doctor")
 """Subcommands in the order of a user's work; `voxscene NAME` is `command` in `pipeline.commands.NAME`."""
+
+DAMAGED = 3
+"""Exit code where part of a damaged input was lost and the rest was used."""
+
+
+class Failure(click.ClickException):
+    """One clear line on stderr and exit code 1."""
+
+    def show(self, file: Any = None) -> None:
+        """Print the line."""
+        click.echo(f"voxscene: {' '.join(self.message.split())}", file=file, err=True)
 
 
 class LazyGroup(click.Group):
-    """A group that imports a subcommand only when it is named or listed."""
+    """A group that imports a subcommand only when it is named or listed, and tells mistakes in one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Names in the order of a user's work."""
@@ -27,6 +38,17 @@ class LazyGroup(click.Group):
             return None
         return importlib.import_module(f"pipeline.commands.{cmd_name}").command
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the subcommand; what the user can mend ends as a `Failure`."""
+        try:
+            return super().invoke(ctx)
+        except (RecordingError, PipelineError) as error:
+            raise Failure(str(error)) from error
+        except OSError as error:
+            raise Failure(f"{error.filename or 'system'}: {error.strerror or error}") from error
+        except KeyboardInterrupt as error:
+            raise Failure("interrupted; the same command goes on where it stopped") from error
+
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="voxscene")
@@ -35,9 +57,5 @@ def voxscene() -> None:
 
 
 def main() -> None:
-    """Run the command line; the user's mistakes end in one line on stderr and exit code 1."""
-    try:
-        voxscene()
-    except (RecordingError, PipelineError) as error:
-        click.echo(f"voxscene: {error}", err=True)
-        sys.exit(1)
+    """The console script."""
+    voxscene()

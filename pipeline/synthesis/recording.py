@@ -21,6 +21,7 @@ class SyntheticRecording:
         intrinsics: the camera.
         trajectory: true poses; the reference is the world frame of `truth`, z up.
         truth: the objects of interest.
+        sensor: how depth is measured.
         damage: never any.
     """
 
@@ -41,7 +42,7 @@ class SyntheticRecording:
         self.truth = truth
         self._caster = RayCaster(parts)
         self._palette = np.array([part.colour for part in parts] + [(0, 0, 0)], np.float32)
-        self._sensor = sensor
+        self.sensor = sensor
         self._key = jax.random.key(seed)
 
     def __len__(self) -> int:
@@ -57,7 +58,7 @@ class SyntheticRecording:
         view = self.ideal_view(index)
         return Frame(
             time_ns=int(self.trajectory.times_ns[index]),
-            depth_m=self._sensor.measure(jax.random.fold_in(self._key, index), view),
+            depth_m=self.sensor.measure(jax.random.fold_in(self._key, index), view),
             rgb=self._shaded(view),
         )
 

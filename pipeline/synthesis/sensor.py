@@ -43,6 +43,12 @@ class DepthSensor:
         if not 0 <= self.edge_none_probability <= 1:
             raise ValueError(f"edge_none_probability must lie in [0, 1], got {self.edge_none_probability}")
 
+    @property
+    def in_millimetres(self) -> bool:
+        """True if every depth is a whole number of millimetres."""
+        step_mm = self.quantisation_m * 1000
+        return not self.noise_free and step_mm > 0 and bool(np.isclose(step_mm, round(step_mm)))
+
     def measure(self, key: jax.Array, view: View) -> NDArray[np.float32]:
         """One depth image (H, W) of an ideal view, in metres, `NO_RETURN` where nothing was measured."""
         if self.noise_free:

@@ -1,0 +1,28 @@
+"""JAX as the program uses it: compiled kernels are kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def keep_compiled_kernels() -> None:
+    """Switch JAX's persistent compilation cache on, for the shortest kernels too.
+
+    `JAX_COMPILATION_CACHE_DIR` decides the folder where it is set. Without platformdirs, or where the
+    folder cannot be made, kernels are compiled in every process.
+    """
+    import jax
+
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return
+    try:
+        from platformdirs import user_cache_path
+
+        folder = user_cache_path("voxscene", appauthor=False) / "jax"
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except (ImportError, OSError):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))

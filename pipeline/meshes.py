@@ -1,0 +1,66 @@
+"""Directories of meshes, as files from elsewhere bring them: named triangle surfaces in metres."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import trimesh
+
+from pipeline.errors import PipelineError
+
+Units = Literal["m", "mm"]
+
+SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".off")
+LARGEST_M = 5.0
+"""A larger object is more likely written in millimetres."""
+
+
+def load_meshes(folder: Path, units: Units | None = None) -> dict[str, trimesh.Trimesh]:
+    """Every mesh of a folder by the name of its file, in metres.
+
+    Args:
+        folder: holds `NAME.ply`, `.obj`, `.stl`, `.glb` or `.off`.
+        units: of the files; None takes metres, and millimetres beside a models_info.json of BOP.
+
+    Raises:
+        PipelineError: there is no mesh, one cannot be read, or its size is not that of an object.
+    """
+    if not folder.is_dir():
+        raise PipelineError(f"no folder of meshes {folder}")
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    if not paths:
+        raise PipelineError(f"{folder} holds no meshes ({', '.join(SUFFIXES)})")
+    scale = 0.001 if (units or _units_of(folder)) == "mm" else 1.0
+    return {path.stem: _load_mesh(path, scale) for path in paths}
+
+
+def _load_mesh(path: Path, scale: float) -> trimesh.Trimesh:
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except Exception as error:  # trimesh's readers raise whatever their parsing meets
+        raise PipelineError(f"cannot read mesh {path}: {error}") from error
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise PipelineError(f"{path} holds no triangles")
+    if not np.isfinite(mesh.vertices).all():
+        raise PipelineError(f"{path} holds a vertex that is not finite")
+    mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=True)
+    if mesh.extents.max() > LARGEST_M:
+        raise PipelineError(
+            f"{path} is {mesh.extents.max():.4g} m large; looks like millimetres, use --units mm"
+        )
+    return mesh
+
+
+def _units_of(folder: Path) -> Units:
+    """Millimetres beside a models_info.json of BOP, which maps ids to a `diameter`; else metres."""
+    try:
+        models = json.loads((folder / "models_info.json").read_text())
+    except (OSError, ValueError):
+        return "m"
+    is_bop = isinstance(models, dict) and any(
+        isinstance(model, dict) and "diameter" in model for model in models.values()
+    )
+    return "mm" if is_bop else "m"

@@ -1,0 +1,33 @@
+"""Synthetic recordings as files: depth, colour, and the truth in topics that only `eval` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from pipeline.synthesis.recording import SyntheticRecording
+from recordings.truth import write_scene_truth
+from recordings.writer import RecordingWriter
+
+MILLIMETRE_M = 0.001
+
+
+def write_recording(
+    recording: SyntheticRecording, path: Path, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Write an MCAP file whole or not at all; `progress` is told frames done and frames in all.
+
+    Depth is stored in 16-bit millimetres where the sensor's quantisation allows, else in 32-bit metres.
+
+    Raises:
+        RecordingError: the file cannot be written.
+    """
+    poses = recording.trajectory.reference_from_camera
+    unit_m = MILLIMETRE_M if recording.sensor.in_millimetres else None
+    with RecordingWriter(path, recording.intrinsics, depth_unit_m=unit_m) as writer:
+        write_scene_truth(writer, recording.truth, int(recording.trajectory.times_ns[0]))
+        for index, frame in enumerate(recording):
+            writer.write_camera_pose(frame.time_ns, poses[index])
+            writer.write_depth(frame)
+            if progress:
+                progress(index + 1, len(recording))

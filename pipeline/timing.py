@@ -1,0 +1,53 @@
+"""The one place that times work, with JAX's compile phase told apart."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+
+@dataclass
+class Timing:
+    """How long a piece of work took; complete when it has ended.
+
+    Attributes:
+        seconds: without the compile phase.
+        compile_s: tracing, lowering and compiling, or fetching from the persistent cache.
+    """
+
+    seconds: float = 0.0
+    compile_s: float = 0.0
+
+
+@contextmanager
+def timed() -> Iterator[Timing]:
+    """Time the block; overlapping compile events count once."""
+    import jax
+
+    spans: list[tuple[float, float]] = []
+
+    def note(event: str, start_time: float, end_time: float, **_: str | int) -> None:
+        if event.startswith("/jax/core/compile/"):
+            spans.append((start_time, end_time))
+
+    timing = Timing()
+    jax.monitoring.register_event_time_span_listener(note)
+    begun_s = time.perf_counter()
+    try:
+        yield timing
+    finally:
+        elapsed_s = time.perf_counter() - begun_s
+        jax.monitoring.unregister_event_time_span_listener(note)
+        timing.compile_s = _covered_s(spans)
+        timing.seconds = max(elapsed_s - timing.compile_s, 0.0)
+
+
+def _covered_s(spans: list[tuple[float, float]]) -> float:
+    """Length of the union of intervals."""
+    covered_s, reached_s = 0.0, float("-inf")
+    for start_s, end_s in sorted(spans):
+        covered_s += max(end_s - max(start_s, reached_s), 0.0)
+        reached_s = max(reached_s, end_s)
+    return covered_s

@@ -1,0 +1,49 @@
+"""Files appear whole or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.atomic import atomic_path, write_json, write_text
+from pipeline.errors import PipelineError
+
+
+def test_a_finished_file_takes_its_name(tmp_path: Path) -> None:
+    """And nothing else stays behind."""
+    with atomic_path(tmp_path / "value.npz") as partial:
+        assert partial.suffix == ".npz"
+        partial.write_bytes(b"whole")
+        assert not (tmp_path / "value.npz").exists()
+
+    assert [path.name for path in tmp_path.iterdir()] == ["value.npz"]
+    assert (tmp_path / "value.npz").read_bytes() == b"whole"
+
+
+def test_a_failure_leaves_the_old_file(tmp_path: Path) -> None:
+    """Untouched, without a trace of the new one."""
+    write_text(tmp_path / "a.txt", "old")
+
+    def fail_halfway() -> None:
+        with atomic_path(tmp_path / "a.txt") as partial:
+            partial.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_halfway()
+
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+
+
+def test_what_cannot_be_written_is_one_clear_error(tmp_path: Path) -> None:
+    """With the path and the reason."""
+    with pytest.raises(PipelineError, match=r"cannot write .*none.*: No such file"):
+        write_text(tmp_path / "none" / "a.txt", "text")
+
+
+def test_json_is_readable_and_finite(tmp_path: Path) -> None:
+    """NaN is no JSON."""
+    write_json(tmp_path / "a.json", {"b": [1, 2.5]})
+    assert (tmp_path / "a.json").read_text() == '{\n  "b": [\n    1,\n    2.5\n  ]\n}\n'
+
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "a.json", {"b": float("nan")})

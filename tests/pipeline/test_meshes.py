@@ -1,0 +1,55 @@
+"""Folders of meshes are read in metres, or refused in one line."""
+
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from pipeline.errors import PipelineError
+from pipeline.meshes import load_meshes
+
+
+def folder(tmp_path: Path, scale: float = 1.0, suffix: str = ".ply") -> Path:
+    """One box of 10 x 20 x 30 cm, scaled."""
+    mesh = trimesh.creation.box((0.1 * scale, 0.2 * scale, 0.3 * scale))
+    mesh.export(tmp_path / f"box{suffix}")
+    return tmp_path
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb", ".off"])
+def test_every_format_is_read_in_metres(tmp_path: Path, suffix: str) -> None:
+    """By the name of its file, with seams closed."""
+    meshes = load_meshes(folder(tmp_path, suffix=suffix))
+
+    assert list(meshes) == ["box"]
+    assert sorted(meshes["box"].extents.round(6)) == [0.1, 0.2, 0.3]
+    assert meshes["box"].is_watertight
+
+
+def test_millimetres_are_scaled_when_said_or_when_bops(tmp_path: Path) -> None:
+    """A list, as YCB-Video's copies bring, is not BOP's; a dict with diameters is."""
+    folder(tmp_path, 1000.0)
+    with pytest.raises(PipelineError, match="looks like millimetres, use --units mm"):
+        load_meshes(tmp_path)
+    assert load_meshes(tmp_path, "mm")["box"].extents.max() == pytest.approx(0.3)
+
+    (tmp_path / "models_info.json").write_text(json.dumps([{"diameter": 3}]))
+    with pytest.raises(PipelineError, match="looks like millimetres"):
+        load_meshes(tmp_path)
+    (tmp_path / "models_info.json").write_text(json.dumps({"1": {"diameter": 374.2}}))
+    assert load_meshes(tmp_path)["box"].extents.max() == pytest.approx(0.3)
+
+
+def test_what_holds_no_mesh_is_refused(tmp_path: Path) -> None:
+    """A missing folder, an empty one, a broken file, a cloud without triangles."""
+    with pytest.raises(PipelineError, match="no folder of meshes"):
+        load_meshes(tmp_path / "none")
+    with pytest.raises(PipelineError, match="holds no meshes"):
+        load_meshes(tmp_path)
+    (tmp_path / "broken.ply").write_bytes(b"ply\nnonsense")
+    with pytest.raises(PipelineError, match=r"broken\.ply"):
+        load_meshes(tmp_path)
+    trimesh.PointCloud([[0, 0, 0], [1, 0, 0]]).export(tmp_path / "broken.ply")
+    with pytest.raises(PipelineError, match=r"broken\.ply"):
+        load_meshes(tmp_path)

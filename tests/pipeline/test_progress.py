@@ -1,0 +1,75 @@
+"""Progress shows rate and remaining time, and only for long work."""
+
+import io
+
+from pipeline.progress import Progress
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        """It is."""
+        return True
+
+
+class Clock:
+    """A clock set by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        """Seconds."""
+        return self.now_s
+
+
+def shown(stream: io.StringIO, seconds_and_done: list[tuple[float, int]], *, quiet: bool = False) -> str:
+    """What stands on the stream after these calls of a work of 60 frames."""
+    clock = Clock()
+    with Progress("slam", "frames", quiet=quiet, stream=stream, clock=clock) as progress:
+        for seconds, done in seconds_and_done:
+            clock.now_s = 100.0 + seconds
+            progress(done, 60)
+    return stream.getvalue()
+
+
+def test_short_work_is_silent() -> None:
+    """Nothing within two seconds, on terminals and files."""
+    for stream in (Terminal(), io.StringIO()):
+        assert shown(stream, [(0.1, 3), (1.9, 59)]) == ""
+
+
+def test_a_terminal_has_one_line_that_is_wiped_at_the_end() -> None:
+    """Rate and remaining time."""
+    text = shown(Terminal(), [(2.0, 4), (2.05, 5), (4.0, 20)])
+
+    assert text.count("\r") == 4
+    assert "\rslam: 4/60 frames, 2/s, 0:28 left" in text
+    assert "\rslam: 20/60 frames, 5/s, 0:08 left" in text
+    assert text.endswith("\r")
+    assert "\n" not in text
+
+
+def test_a_file_gets_a_line_now_and_then() -> None:
+    """After two seconds, then every ten."""
+    text = shown(io.StringIO(), [(2.0, 4), (5.0, 9), (12.5, 25)])
+
+    assert text == "slam: 4/60 frames, 2/s, 0:28 left\nslam: 25/60 frames, 2/s, 0:18 left\n"
+
+
+def test_quiet_shows_nothing() -> None:
+    """However long."""
+    assert shown(Terminal(), [(200.0, 3)], quiet=True) == ""
+
+
+def test_an_unknown_total_shows_the_rate_alone() -> None:
+    """And hours are written as hours where the total is known."""
+    clock, stream = Clock(), io.StringIO()
+    progress = Progress("read", "frames", stream=stream, clock=clock)
+    clock.now_s += 4
+    progress(8)
+    clock.now_s += 10
+    progress(14, 14 + 7200)
+
+    assert stream.getvalue() == "read: 8 frames, 2/s\nread: 14/7214 frames, 1/s, 2:00:00 left\n"
