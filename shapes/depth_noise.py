@@ -19,13 +19,16 @@ def standard_deviation(noise: DepthNoise, rendered_m: jax.Array) -> jax.Array:
     return noise.sigma_base_m + noise.sigma_growth_per_m * (rendered_m - 0.4) ** 2
 
 
-def log_density_of_hit(noise: DepthNoise, observed_m: jax.Array, rendered_m: jax.Array) -> jax.Array:
+def log_density_of_hit(
+    noise: DepthNoise, observed_m: jax.Array, rendered_m: jax.Array, surface_sigma_m: jax.Array | float = 0.0
+) -> jax.Array:
     """Log density of a pixel whose ray meets a surface at `rendered_m`.
 
     p_none_hit delta_none + (1 - p_none_hit) [p_out 1[0 <= z <= D] / D + (1 - p_out) Normal(z; z~, sigma)].
-    The Normal is neither truncated nor clipped, also at z~ = D.
+    The Normal is neither truncated nor clipped, also at z~ = D. A surface that is itself known only to
+    `surface_sigma_m` adds its variance.
     """
-    sigma = standard_deviation(noise, rendered_m)
+    sigma = jnp.hypot(standard_deviation(noise, rendered_m), surface_sigma_m)
     log_normal = -0.5 * ((observed_m - rendered_m) / sigma) ** 2 - jnp.log(sigma) - 0.5 * jnp.log(2 * jnp.pi)
     log_return = jnp.log1p(-noise.none_hit_probability) + jnp.logaddexp(
         jnp.log(noise.outlier_probability) + _log_uniform(noise, observed_m),
@@ -40,12 +43,14 @@ def log_density_of_miss(noise: DepthNoise, observed_m: jax.Array) -> jax.Array:
     return jnp.where(observed_m == NO_RETURN, jnp.log(noise.none_miss_probability), log_return)
 
 
-def log_density(noise: DepthNoise, observed_m: jax.Array, rendered_m: jax.Array) -> jax.Array:
+def log_density(
+    noise: DepthNoise, observed_m: jax.Array, rendered_m: jax.Array, surface_sigma_m: jax.Array | float = 0.0
+) -> jax.Array:
     """Log density of a pixel given a rendered depth that is infinite where the ray meets nothing."""
     hit = jnp.isfinite(rendered_m)
     return jnp.where(
         hit,
-        log_density_of_hit(noise, observed_m, jnp.where(hit, rendered_m, 1.0)),
+        log_density_of_hit(noise, observed_m, jnp.where(hit, rendered_m, 1.0), surface_sigma_m),
         log_density_of_miss(noise, observed_m),
     )
 

@@ -1,0 +1,196 @@
+"""Robust Gauss-Newton: the local optimum of the image density, and its curvature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+
+from recordings.types import NO_RETURN, DepthNoise
+from shapes import depth_noise
+from shapes.camera import Camera
+from slam import pose_gaussian
+from slam.components import cross, dot, moved, rotated
+from slam.depth_view import DepthView
+from slam.rendering import LEAST_INVERSE_DEPTH, pixels_of
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ModelImage:
+    """The map fused into one surface element per pixel of one camera.
+
+    Attributes:
+        planes: (3, H, W) plane vectors in that camera's frame, zeros where the map shows nothing.
+        variance_m2: (H, W) variance of the rendered depth.
+        camera: intrinsics of the camera.
+    """
+
+    planes: jax.Array
+    variance_m2: jax.Array
+    camera: Camera
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Agreement:
+    """How well a frame agrees with the map at a pose.
+
+    Attributes:
+        explained: share of the returns that lie on the map's surface.
+        covered: share of the returns whose ray meets the map.
+    """
+
+    explained: jax.Array
+    covered: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PixelTerms:
+    """Gauss-Newton terms of the log factors of n pixels, in the chart at the pose they were taken at.
+
+    Attributes:
+        jacobian: (6, n) of the rendered depth.
+        weight: (n,) inverse variance times the probability that the pixel is not an outlier.
+        residual: (n,) observed minus rendered depth, metres.
+        agreement: over these pixels.
+    """
+
+    jacobian: jax.Array
+    weight: jax.Array
+    residual: jax.Array
+    agreement: Agreement
+
+    def scores(self) -> jax.Array:
+        """Gradients (6, n) of the log factors."""
+        return self.jacobian * (self.weight * self.residual)
+
+    def precision(self) -> jax.Array:
+        """Gauss-Newton curvature (6, 6) of minus the log density."""
+        return (self.jacobian * self.weight) @ self.jacobian.T
+
+    def step(self, prior_precision: jax.Array, prior_gradient: jax.Array) -> jax.Array:
+        """The Newton step (6,) with a Gaussian prior of given precision (6, 6) and gradient (6,) here."""
+        gradient = self.scores().sum(1) + prior_gradient
+        return jnp.linalg.solve(self.precision() + prior_precision, gradient)
+
+
+@dataclass(frozen=True)
+class Passes:
+    """Gauss-Newton iterations on every `stride_px`-th pixel, sigma times each of `inflations` in turn."""
+
+    stride_px: int
+    inflations: tuple[float, ...]
+
+
+def depth_and_jacobian(planes: jax.Array, rays: jax.Array, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Depth (n,) of planes (3, n) on a camera's rays (3, n) and its derivative (6, n) in the pose.
+
+    Depth is (1 - N . t) / (N . R d), +inf where the plane is not ahead; the derivative is in the chart
+    of `pose_gaussian` at `pose` (7,), planes_from_camera.
+    """
+    planes_from_camera = jaxlie.SE3(pose)
+    normals = rotated(planes_from_camera.rotation().as_matrix().T, planes)
+    height = 1.0 - dot(planes_from_camera.translation(), planes)
+    slope = dot(normals, rays)
+    ahead = (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
+    safe_slope = jnp.where(ahead, slope, 1.0)
+    depth = jnp.where(ahead, height / safe_slope, 0.0)
+    jacobian = jnp.concatenate([-normals, -depth * cross(rays, normals)]) / safe_slope
+    return jnp.where(ahead, depth, jnp.inf), jnp.where(ahead, jacobian, 0.0)
+
+
+def pixel_terms(
+    planes: jax.Array,
+    variance_m2: jax.Array,
+    observed_m: jax.Array,
+    rays: jax.Array,
+    pose: jax.Array,
+    noise: DepthNoise,
+    inflation: jax.Array | float = 1.0,
+) -> PixelTerms:
+    """Terms of pixels (n,) that see planes (3, n) of depth variance (n,) from planes_from_camera (7,).
+
+    Each pixel's Normal is weighed by the probability that it is not an outlier (the E-step of its
+    mixture), which makes the gradient that of the density itself.
+    """
+    depth, jacobian = depth_and_jacobian(planes, rays, pose)
+    returned = observed_m > NO_RETURN
+    hit = returned & jnp.isfinite(depth)
+    depth = jnp.where(hit, depth, 1.0)
+    variance = inflation**2 * (depth_noise.standard_deviation(noise, depth) ** 2 + variance_m2)
+    residual = jnp.where(hit, observed_m - depth, 0.0)
+    log_ratio = (
+        jnp.log1p(-noise.outlier_probability)
+        - jnp.log(noise.outlier_probability / noise.max_range_m)
+        - 0.5 * (residual**2 / variance + jnp.log(2.0 * jnp.pi * variance))
+    )
+    inlier = jnp.where(hit, jax.nn.sigmoid(log_ratio), 0.0)
+    count = jnp.maximum(returned.sum(), 1)
+    return PixelTerms(
+        jacobian, inlier / variance, residual, Agreement(inlier.sum() / count, hit.sum() / count)
+    )
+
+
+def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: int) -> tuple[jax.Array, ...]:
+    """Planes and variances of the model pixels that the view's points fall into, with depths and rays."""
+    rays = view.rays[:, ::stride_px, ::stride_px].reshape(3, -1)
+    observed = view.depth_m[::stride_px, ::stride_px].ravel()
+    model_from_camera = jaxlie.SE3(pose)
+    points = moved(model_from_camera.rotation().as_matrix(), model_from_camera.translation(), rays * observed)
+    pixel, inside = pixels_of(points, model.camera)
+    planes = jnp.where(inside, model.planes.reshape(3, -1)[:, pixel], 0.0)
+    return planes, model.variance_m2.ravel()[pixel], observed, rays
+
+
+def log_projected_density(
+    model: ModelImage,
+    view: DepthView,
+    noise: DepthNoise,
+    pose: jax.Array,
+    stride_px: int,
+    surface_sigma_m: float,
+) -> jax.Array:
+    """Approximate log density of every `stride_px`-th pixel of a view at model_from_camera (7,).
+
+    The reverse projection: a pixel is compared with the element that its own observed point falls on,
+    so the rendered depth depends on the observed one. It ranks candidates over a wide range without
+    rendering each of them; the proposal may use it, the weights never do. The surface is blurred by
+    `surface_sigma_m` so that a coarse grid of candidates cannot step over a mode.
+    """
+    planes, variance, observed, rays = associated(model, view, pose, stride_px)
+    depth, _ = depth_and_jacobian(planes, rays, pose)
+    measured = view.measured[::stride_px, ::stride_px].ravel()
+    sigma = jnp.sqrt(variance + surface_sigma_m**2)
+    return jnp.where(measured, depth_noise.log_density(noise, observed, depth, sigma), 0.0).sum()
+
+
+def aligned(
+    model: ModelImage,
+    view: DepthView,
+    noise: DepthNoise,
+    start: jax.Array,
+    stiffness: jax.Array,
+    schedule: tuple[Passes, ...],
+) -> tuple[jax.Array, Agreement]:
+    """Local optimum (7,) of the view's density over model_from_camera, from `start` (7,).
+
+    A point's surface element is the one it projects to, anew in each pass, so starts may be some
+    hundredth of the field of view away. `stiffness` (6,) is a diagonal precision around the start that
+    holds directions which no pixel sees.
+    """
+    def iteration(pose: jax.Array, inflation: jax.Array, stride_px: int) -> tuple[jax.Array, Agreement]:
+        planes, variance, observed, rays = associated(model, view, pose, stride_px)
+        terms = pixel_terms(planes, variance, observed, rays, pose, noise, inflation)
+        step = terms.step(jnp.diag(stiffness), -stiffness * pose_gaussian.coordinates(start, pose))
+        return pose_gaussian.displaced(pose, step), terms.agreement
+
+    pose, agreements = start, None
+    for passes in schedule:
+        inflations = jnp.asarray(passes.inflations, start.dtype)
+        pose, agreements = jax.lax.scan(partial(iteration, stride_px=passes.stride_px), pose, inflations)
+    return pose, jax.tree.map(lambda history: history[-1], agreements)

@@ -1,0 +1,57 @@
+"""What a user may set about SLAM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from recordings.types import DepthNoise
+
+Motion = Literal["free", "orbit"]
+ProposalSource = Literal["enumerate", "kiss", "both"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlamConfig:
+    """Settings of the filter; the defaults hold for hand-held cameras, orbits and sparse views.
+
+    Attributes:
+        particles: K.
+        motion: prior over the camera's motion.
+        orbit_radius_m: distance from the first camera to the orbit's pivot on its optical axis; None
+            takes the depth at the image centre, loosely.
+        proposal: where candidate poses come from.
+        ess_threshold: particles are drawn anew under this share of K.
+        keyframes_compared: M, keyframes that each frame is compared with.
+        noise: the sensor; None calibrates its sigma on the recording.
+        effective_pixel_share: tempering exponent of the image density; None calibrates it.
+
+    Raises:
+        ValueError: a value is out of its range.
+    """
+
+    particles: int = 64
+    motion: Motion = "free"
+    orbit_radius_m: float | None = None
+    proposal: ProposalSource = "enumerate"
+    ess_threshold: float = 0.5
+    keyframes_compared: int = 4
+    noise: DepthNoise | None = None
+    effective_pixel_share: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.particles < 2:
+            raise ValueError(f"particles must be at least 2, got {self.particles}")
+        if self.motion not in ("free", "orbit"):
+            raise ValueError(f"motion must be free or orbit, got {self.motion!r}")
+        if self.proposal not in ("enumerate", "kiss", "both"):
+            raise ValueError(f"proposal must be enumerate, kiss or both, got {self.proposal!r}")
+        if self.orbit_radius_m is not None and not self.orbit_radius_m > 0:
+            raise ValueError(f"orbit_radius_m must be positive, got {self.orbit_radius_m}")
+        if not 0 <= self.ess_threshold <= 1:
+            raise ValueError(f"ess_threshold must be within 0..1, got {self.ess_threshold}")
+        if not 1 <= self.keyframes_compared <= 16:
+            raise ValueError(f"keyframes_compared must be within 1..16, got {self.keyframes_compared}")
+        share = self.effective_pixel_share
+        if share is not None and not 0 < share <= 1:
+            raise ValueError(f"effective_pixel_share must be within 0..1, got {share}")

@@ -1,0 +1,48 @@
+"""Keyframe surfaces: what one view contributes to the map, and how later frames refine it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from recordings.types import NO_RETURN, DepthNoise
+from shapes import depth_noise
+from shapes.camera import Camera
+from slam.depth_view import DepthView, tangent_planes
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Surface:
+    """One surface element per pixel of a keyframe, in its own camera frame; shared by all particles.
+
+    Attributes:
+        depth_m: (H, W) float32, `NO_RETURN` where unknown.
+        planes: (3, H, W) plane vectors N through those points: N . P = 1.
+        variance_m2: (H, W) variance of the depth.
+        rays: (3, H, W) through the pixel centres, z = 1.
+        camera: intrinsics at working resolution.
+    """
+
+    depth_m: jax.Array
+    planes: jax.Array
+    variance_m2: jax.Array
+    rays: jax.Array
+    camera: Camera
+
+    def points(self) -> jax.Array:
+        """(3, H, W) in the keyframe's frame; the origin where unknown."""
+        return self.rays * self.depth_m
+
+
+def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
+    """The surface that a single view shows."""
+    sigma = depth_noise.standard_deviation(noise, view.depth_m)
+    return Surface(view.depth_m, tangent_planes(view.depth_m, view.rays, view.camera), sigma**2, view.rays, view.camera)
+
+
+def with_planes_refitted(surface: Surface) -> Surface:
+    """The surface with tangent planes of its refined depth."""
+    return replace(surface, planes=tangent_planes(surface.depth_m, surface.rays, surface.camera))

@@ -1,0 +1,175 @@
+"""Finding a frame's local optimum against the map: enumerate, align, render there, take the curvature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+
+from recordings.types import DepthNoise
+from slam import pose_gaussian
+from slam.alignment import (
+    Agreement,
+    ModelImage,
+    Passes,
+    PixelTerms,
+    aligned,
+    log_projected_density,
+    pixel_terms,
+)
+from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, DepthView
+from slam.image_density import STRIDE_PX, ScoredPixels, log_image_density, scored_pixels
+from slam.keyframes import Surface
+from slam.rendering import fused_planes, render
+
+STARTS = 4
+COARSE_STRIDE_PX = 8
+COARSE_SURFACE_SIGMA_M = 0.03
+COARSE_SCHEDULE = (Passes(4, (8.0, 4.0, 2.0, 2.0)),)
+FINE_SCHEDULE = (Passes(2, (2.0, 1.0, 1.0)), Passes(1, (1.0, 1.0)))
+LATTICE_STEPS = 3
+BLOCK_SIDE = 10
+"""Side in lattice pixels of the blocks whose scores are taken as independent."""
+STIFFNESS = 10.0
+"""Precision in 1/m^2 and 1/rad^2 that holds a start in directions which no pixel sees."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LocalMap:
+    """The keyframes that a camera is compared with, where a group of particles has them on average.
+
+    Attributes:
+        surfaces: stacked (M, ...).
+        present: (M,) bool, False for padding.
+        poses: (M, 7) reference_from_keyframe.
+    """
+
+    surfaces: Surface
+    present: jax.Array
+    poses: jax.Array
+
+    def keyframes_from_camera(self, reference_from_camera: jax.Array) -> jax.Array:
+        """(M, 7) for a camera at (7,)."""
+        camera = jaxlie.SE3(reference_from_camera)
+        return jax.vmap(lambda pose: (jaxlie.SE3(pose).inverse() @ camera).wxyz_xyz)(self.poses)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Optimum:
+    """A local optimum of the image density for the mean map.
+
+    Attributes:
+        pose: (7,) reference_from_camera.
+        layer_precisions: (M, 6, 6) Gauss-Newton curvature by keyframe, exponent 1, chart at `pose`.
+        log_density: log density of the image there, exponent 1.
+        agreement: with the map.
+        score_variance: (6, 6) variance of the gradient, estimated from the spread of the scores of blocks
+            of pixels; equals the precision where pixels are independent and the noise is right.
+        pixels: the image and what the map shows it.
+    """
+
+    pose: jax.Array
+    layer_precisions: jax.Array
+    log_density: jax.Array
+    agreement: Agreement
+    score_variance: jax.Array
+    pixels: ScoredPixels
+
+
+def model_image(local_map: LocalMap, camera_pose: jax.Array, view: DepthView) -> ModelImage:
+    """The map fused in the camera at `camera_pose` (7,)."""
+    keyframes_from_camera = local_map.keyframes_from_camera(camera_pose)
+    image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
+    planes, variance = fused_planes(image, keyframes_from_camera)
+    return ModelImage(planes, variance, view.camera)
+
+
+@jax.jit
+def local_optimum(
+    local_map: LocalMap, view: DepthView, noise: DepthNoise, starts: jax.Array, offsets: jax.Array
+) -> Optimum:
+    """Best local optimum near the starts.
+
+    The map is rendered at the first start. Every start and every offset from the first (a grid over
+    position and viewing angle) is scored there; the best few are aligned; the winner is refined, the map
+    rendered anew at it, and the density's own optimum found on its lattice.
+
+    Args:
+        local_map: what to compare with.
+        view: the frame.
+        noise: the sensor.
+        starts: (S, 7) reference_from_camera, the likeliest first.
+        offsets: (G, 6) in the chart at the first start.
+    """
+    model = model_image(local_map, starts[0], view)
+    anchor = jaxlie.SE3(starts[0])
+    relative_starts = jax.vmap(lambda pose: (anchor.inverse() @ jaxlie.SE3(pose)).wxyz_xyz)(starts)
+    identity = jaxlie.SE3.identity().wxyz_xyz.astype(starts.dtype)
+    grid = jax.vmap(partial(pose_gaussian.displaced, identity))(offsets)
+    candidates = jnp.concatenate([relative_starts, grid])
+    scores = jax.vmap(
+        lambda pose: log_projected_density(
+            model, view, noise, pose, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M
+        )
+    )(candidates)
+    _, best = jax.lax.top_k(scores, STARTS)
+    stiffness = jnp.full(6, STIFFNESS, starts.dtype)
+    align_coarse = partial(aligned, model, view, noise, stiffness=stiffness, schedule=COARSE_SCHEDULE)
+    coarse, _ = jax.vmap(lambda start: align_coarse(start=start))(candidates[best])
+    coarse_scores = jax.vmap(
+        lambda pose: log_projected_density(model, view, noise, pose, COARSE_STRIDE_PX // 2, 0.0)
+    )(coarse)
+    winner = coarse[jnp.argmax(coarse_scores)]
+    fine, _ = aligned(model, view, noise, winner, stiffness, FINE_SCHEDULE)
+    return optimum_at(local_map, view, noise, (anchor @ jaxlie.SE3(fine)).wxyz_xyz)
+
+
+def optimum_at(local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: jax.Array) -> Optimum:
+    """The density's optimum next to `pose` (7,), with the map rendered at `pose`."""
+    keyframes_from_camera = local_map.keyframes_from_camera(pose)
+    image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
+    planes, variance = fused_planes(image, keyframes_from_camera)
+    pixels = scored_pixels(view, image)
+    every = slice(None, None, STRIDE_PX)
+    lattice_planes = planes[:, every, every].reshape(3, -1)
+    lattice_variance = variance[every, every].ravel()
+    identity = jaxlie.SE3.identity().wxyz_xyz.astype(pose.dtype)
+
+    def terms_at(relative: jax.Array) -> PixelTerms:
+        return pixel_terms(lattice_planes, lattice_variance, pixels.observed_m, pixels.rays, relative, noise)
+
+    def climb(relative: jax.Array, _: None) -> tuple[jax.Array, None]:
+        pull = -STIFFNESS * pose_gaussian.coordinates(identity, relative)
+        step = terms_at(relative).step(STIFFNESS * jnp.eye(6), pull)
+        return pose_gaussian.displaced(relative, step), None
+
+    relative, _ = jax.lax.scan(climb, identity, None, length=LATTICE_STEPS)
+    terms = terms_at(relative)
+    optimum = (jaxlie.SE3(pose) @ jaxlie.SE3(relative)).wxyz_xyz
+    log_density = log_image_density(
+        pixels, local_map.keyframes_from_camera(optimum), noise, jnp.ones((), pose.dtype)
+    )
+    shares = pixels.weights * lattice_variance
+    layer_precisions = jnp.stack(
+        [(terms.jacobian * terms.weight * share) @ terms.jacobian.T for share in shares]
+    )
+    return Optimum(
+        optimum, layer_precisions, log_density, terms.agreement, block_variance(terms.scores()), pixels
+    )
+
+
+def block_variance(scores: jax.Array) -> jax.Array:
+    """Variance (6, 6) of the sum of scores (6, P) of the lattice, from its blocks of pixels.
+
+    Errors of neighbouring pixels are correlated, those of blocks hardly: sum_b s_b s_b^T (Ribatet,
+    Cooley and Davison 2012, section 2.2, for composite likelihoods).
+    """
+    rows, columns = CANVAS_HEIGHT // STRIDE_PX, CANVAS_WIDTH // STRIDE_PX
+    blocks = scores.reshape(6, rows // BLOCK_SIDE, BLOCK_SIDE, columns // BLOCK_SIDE, BLOCK_SIDE)
+    sums = blocks.sum((2, 4)).reshape(6, -1)
+    return sums @ sums.T

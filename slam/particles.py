@@ -1,0 +1,73 @@
+"""What a camera particle owns, and how a group of them is averaged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from slam import pose_gaussian
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class CameraParticles:
+    """K trajectories, as far as the future depends on them. Poses are wxyz_xyz, reference_from_*.
+
+    Attributes:
+        keyframe_poses: (K, N, 7), identity where the map has no keyframe yet.
+        pose: (K, 7) of the last frame.
+        previous_pose: (K, 7) of the frame before.
+        pivot: (K, 3) what an orbit looks at, in the reference frame, metres.
+    """
+
+    keyframe_poses: jax.Array
+    pose: jax.Array
+    previous_pose: jax.Array
+    pivot: jax.Array
+
+
+def initial_particles(count: int, capacity: int, pivot: NDArray[np.float32]) -> CameraParticles:
+    """Every camera at the reference, which is the first keyframe."""
+    identity = jnp.asarray(IDENTITY, jnp.float32)
+    poses = jnp.tile(identity, (count, 1))
+    return CameraParticles(
+        keyframe_poses=jnp.tile(identity, (count, capacity, 1)),
+        pose=poses,
+        previous_pose=poses,
+        pivot=jnp.tile(jnp.asarray(pivot, jnp.float32), (count, 1)),
+    )
+
+
+def with_capacity(particles: CameraParticles, capacity: int) -> CameraParticles:
+    """The same particles with room for `capacity` keyframes."""
+    count, used, _ = particles.keyframe_poses.shape
+    room = jnp.tile(jnp.asarray(IDENTITY, jnp.float32), (count, capacity - used, 1))
+    poses = jnp.concatenate([particles.keyframe_poses, room], axis=1)
+    return CameraParticles(poses, particles.pose, particles.previous_pose, particles.pivot)
+
+
+def mean_and_covariance(
+    poses: jax.Array, weights: jax.Array, covariances: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
+    """Mean (7,) and covariance (6, 6) of weighted poses (K, 7), in the chart at the mean.
+
+    With the conditional covariances (K, 6, 6) of the particles, theirs is added (the law of total
+    covariance). The mean is the fixed point of averaging chart coordinates.
+    """
+
+    def average(mean: jax.Array, _: None) -> tuple[jax.Array, None]:
+        tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
+        return pose_gaussian.displaced(mean, weights @ tangents), None
+
+    mean, _ = jax.lax.scan(average, poses[jnp.argmax(weights)], None, length=3)
+    tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
+    between = jnp.einsum("k,ki,kj->ij", weights, tangents, tangents)
+    if covariances is None:
+        return mean, between
+    return mean, between + jnp.einsum("k,kij->ij", weights, covariances)

@@ -1,0 +1,134 @@
+"""Rendering of keyframe surfaces into a camera: planes move between frames, pixels keep their own rays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+
+from shapes.camera import Camera
+from slam.components import dot, layer_minimum, layer_sum, moved, rotated
+from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH
+from slam.keyframes import Surface
+
+NEAREST_DEPTH_M = 0.05
+DEPTH_STEP_M = 0.001
+"""Resolution of the depth buffer; it decides which element is in front, never its rendered depth."""
+ONE_SURFACE_BAND = 0.03
+"""Relative depth within which the elements of several keyframes are one surface and are fused."""
+LEAST_INVERSE_DEPTH = 1e-4
+PIXELS = CANVAS_HEIGHT * CANVAS_WIDTH
+MAX_STEPS = (2**31 - 1) // PIXELS - 1
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class MapImage:
+    """The map as one camera sees it, keyframe by keyframe.
+
+    Attributes:
+        planes: (M, 3, H, W) the element of each keyframe that each pixel sees, in that keyframe's frame.
+        weights: (M, H, W) inverse variances of its depth in 1/m^2; zero where the keyframe shows nothing
+            there or something behind the nearest surface.
+    """
+
+    planes: jax.Array
+    weights: jax.Array
+
+
+def planes_in_frame(planes: jax.Array, source_from_target: jax.Array) -> jax.Array:
+    """Plane vectors (3, ...) of a source frame in a target frame, given source_from_target (7,).
+
+    N . (R p + t) = 1 is N R / (1 - N . t) . p = 1. An element that turns its back or its edge to the target
+    becomes the plane at infinity.
+    """
+    pose = jaxlie.SE3(source_from_target)
+    offset = 1.0 - dot(pose.translation(), planes)
+    facing = offset > 1e-6
+    return jnp.where(facing, rotated(pose.rotation().as_matrix().T, planes) / jnp.where(facing, offset, 1.0), 0.0)
+
+
+def depth_on_rays(planes: jax.Array, rays: jax.Array) -> jax.Array:
+    """Depth (...) at which rays (3, ...) meet planes (3, ...) of the same frame: positive, or +inf."""
+    inverse_depth = dot(planes, rays)
+    ahead = inverse_depth > LEAST_INVERSE_DEPTH
+    return jnp.where(ahead, 1.0 / jnp.where(ahead, inverse_depth, 1.0), jnp.inf)
+
+
+def pixels_of(points: jax.Array, camera: Camera) -> tuple[jax.Array, jax.Array]:
+    """Flat canvas index (n,) of the pixel that each point (3, n) falls into, and whether it does."""
+    in_front = points[2] > NEAREST_DEPTH_M
+    depth = jnp.where(in_front, points[2], 1.0)
+    column = jnp.round(camera.fx * points[0] / depth + camera.cx).astype(jnp.int32)
+    row = jnp.round(camera.fy * points[1] / depth + camera.cy).astype(jnp.int32)
+    inside = in_front & (column >= 0) & (column < CANVAS_WIDTH) & (row >= 0) & (row < CANVAS_HEIGHT)
+    return jnp.where(inside, row * CANVAS_WIDTH + column, 0), inside
+
+
+def visible_elements(surface: Surface, camera_from_keyframe: jax.Array, camera: Camera) -> jax.Array:
+    """Index (H, W) int32 of the element of `surface` that each pixel sees, -1 for none."""
+    pose = jaxlie.SE3(camera_from_keyframe)
+    points = moved(pose.rotation().as_matrix(), pose.translation(), surface.points().reshape(3, -1))
+    pixel, inside = pixels_of(points, camera)
+    drawn = inside & (surface.depth_m.ravel() > 0)
+    steps = jnp.clip((points[2] / DEPTH_STEP_M).astype(jnp.int32), 0, MAX_STEPS)
+    order = steps * PIXELS + jnp.arange(PIXELS, dtype=jnp.int32)
+    empty = jnp.iinfo(jnp.int32).max
+    front = jnp.full(PIXELS, empty, jnp.int32)
+    front = front.at[jnp.where(drawn, pixel, PIXELS)].min(order, mode="drop")
+    front = _fill_gaps(front.reshape(CANVAS_HEIGHT, CANVAS_WIDTH), empty)
+    return jnp.where(front < empty, front % PIXELS, -1)
+
+
+def _fill_gaps(front: jax.Array, empty: int) -> jax.Array:
+    """Empty pixels take the nearest element of the eight around them: its plane continues there."""
+    padded = jnp.pad(front, 1, constant_values=empty)
+    height, width = front.shape
+    around = [padded[r : r + height, c : c + width] for r in range(3) for c in range(3)]
+    return jnp.where(front < empty, front, reduce(jnp.minimum, around))
+
+
+def render(
+    surfaces: Surface, present: jax.Array, keyframes_from_camera: jax.Array, rays: jax.Array, camera: Camera
+) -> MapImage:
+    """The map of M keyframes as seen by a camera.
+
+    Args:
+        surfaces: stacked, leaves (M, ...).
+        present: (M,) bool, False for padding.
+        keyframes_from_camera: (M, 7).
+        rays: (3, H, W) of the camera.
+        camera: its intrinsics.
+    """
+
+    def layer(arguments: tuple[Surface, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+        surface, is_present, keyframe_from_camera = arguments
+        inverse = jaxlie.SE3(keyframe_from_camera).inverse().wxyz_xyz
+        index = visible_elements(surface, inverse, camera)
+        seen = (index >= 0) & is_present
+        element = jnp.maximum(index, 0)
+        planes = jnp.where(seen, surface.planes.reshape(3, -1)[:, element], 0.0)
+        weights = jnp.where(seen, 1.0 / surface.variance_m2.ravel()[element], 0.0)
+        depth = depth_on_rays(planes_in_frame(planes, keyframe_from_camera), rays)
+        return planes, jnp.where(jnp.isfinite(depth), weights, 0.0), depth
+
+    planes, weights, depth = jax.lax.map(layer, (surfaces, present, keyframes_from_camera))
+    nearest = layer_minimum(jnp.where(weights > 0, depth, jnp.inf))
+    return MapImage(planes, jnp.where(depth <= nearest[None] * (1.0 + ONE_SURFACE_BAND), weights, 0.0))
+
+
+def fused_planes(image: MapImage, keyframes_from_camera: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """One plane (3, H, W) per pixel in the camera's frame, and the variance (H, W) of its depth.
+
+    Inverse depths are averaged with the layers' weights; pixels that see nothing get the plane at infinity.
+    """
+    layers = range(len(keyframes_from_camera))
+    total = layer_sum(image.weights)
+    safe_total = jnp.where(total > 0, total, 1.0)
+    moved_planes = [planes_in_frame(image.planes[i], keyframes_from_camera[i]) for i in layers]
+    weighted = reduce(add, [image.weights[i] * moved_planes[i] for i in layers])
+    return weighted / safe_total, 1.0 / safe_total

@@ -1,0 +1,87 @@
+"""The value that SLAM gives: weighted trajectories, and what is known of every frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shapes.archive import load_arrays, save_arrays
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SlamResult:
+    """Posterior over the camera's trajectory. The reference frame is the first frame's camera.
+
+    Attributes:
+        times_ns: (T,) int64 stamps.
+        trajectories: (K, T, 4, 4) float64 reference_from_camera of every particle.
+        log_weights: (K,) normalised.
+        mean: (T, 4, 4) float64 marginal posterior mean of every frame, given all frames.
+        covariance: (T, 6, 6) marginal covariance in the right tangent at the mean: translation in
+            metres, then rotation in radians, both in the camera's own axes.
+        ess: (T,) effective sample size after each frame.
+        log_evidence: (T,) increments; their sum estimates log p(I_1..T) with the image density tempered.
+        resampled: (T,) bool.
+        lost: (T,) bool, no pose agreed with the map.
+        explained: (T,) share of the returns that lay on the map's surface.
+    """
+
+    times_ns: NDArray[np.int64]
+    trajectories: NDArray[np.float64]
+    log_weights: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    ess: NDArray[np.float64]
+    log_evidence: NDArray[np.float64]
+    resampled: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+    explained: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        particles, frames = self.trajectories.shape[:2]
+        expected = {
+            "times_ns": (frames,),
+            "trajectories": (particles, frames, 4, 4),
+            "log_weights": (particles,),
+            "mean": (frames, 4, 4),
+            "covariance": (frames, 6, 6),
+            **dict.fromkeys(("ess", "log_evidence", "resampled", "lost", "explained"), (frames,)),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.times_ns)
+
+    def save(self, path: Path) -> None:
+        """Write an npz file, whole or not at all; equal results give equal bytes.
+
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        save_arrays(path, {"format_version": FORMAT_VERSION, **arrays})
+
+    @classmethod
+    def load(cls, path: Path) -> SlamResult:
+        """Read what `save` wrote.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file is damaged, or not a SLAM result of this format.
+        """
+        arrays = load_arrays(path)
+        version = arrays.pop("format_version", np.asarray(0))
+        if version != FORMAT_VERSION:
+            raise ValueError(f"{path} is not a SLAM result of format {FORMAT_VERSION}")
+        missing = {field.name for field in fields(cls)} ^ set(arrays)
+        if missing:
+            raise ValueError(f"{path} is not a SLAM result: {', '.join(sorted(missing))}")
+        return cls(**arrays)

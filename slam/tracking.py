@@ -1,0 +1,55 @@
+"""Camera tracking: every frame of a recording through the filter, in memory that grows with the map alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from recordings.types import CameraIntrinsics, DepthNoise, Frame
+from slam import filter as camera_filter
+from slam.config import SlamConfig
+from slam.depth_view import view_of_frame
+from slam.filter import FilterState, FrameInfo
+from slam.history import History
+from slam.result import SlamResult
+
+OnFrame = Callable[[FrameInfo], None]
+
+
+def track(
+    key: jax.Array,
+    frames: Iterable[Frame],
+    intrinsics: CameraIntrinsics,
+    config: SlamConfig,
+    on_frame: OnFrame | None = None,
+) -> SlamResult:
+    """Where the camera was in every frame, and how surely.
+
+    Args:
+        key: seeds everything; the key of frame t is folded from it, so equal inputs give equal bytes.
+        frames: in the order of time.
+        intrinsics: of the recording; frames of another size are taken as resized.
+        config: settings.
+        on_frame: called after every frame.
+
+    Raises:
+        ValueError: there is no frame, or none with a return.
+    """
+    state: FilterState | None = None
+    history = History()
+    for index, frame in enumerate(frames):
+        view = view_of_frame(frame, intrinsics)
+        if state is None:
+            state, info = camera_filter.init(view, frame.time_ns, config)
+        else:
+            frame_key = jax.random.fold_in(key, index)
+            state, info = camera_filter.step(frame_key, state, view, frame.time_ns, config)
+        history.append(frame.time_ns, info)
+        if on_frame is not None:
+            on_frame(info)
+    if state is None:
+        raise ValueError("the recording has no depth frame")
+    return history.result(state)
