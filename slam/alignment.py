@@ -183,6 +183,7 @@ def aligned(
     hundredth of the field of view away. `stiffness` (6,) is a diagonal precision around the start that
     holds directions which no pixel sees.
     """
+
     def iteration(pose: jax.Array, inflation: jax.Array, stride_px: int) -> tuple[jax.Array, Agreement]:
         planes, variance, observed, rays = associated(model, view, pose, stride_px)
         terms = pixel_terms(planes, variance, observed, rays, pose, noise, inflation)

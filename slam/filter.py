@@ -176,13 +176,18 @@ def step(
     group = -1 if lost else 0
     component = _component(optimum, local_map, indices, group, history, state.motion, state.exponent)
     population, info, proposed = _advance(
-        key, state.population, predicted, component, state.motion, state.noise, state.exponent, config.ess_threshold
+        key,
+        state.population,
+        predicted,
+        component,
+        state.motion,
+        state.noise,
+        state.exponent,
+        config.ess_threshold,
     )
     anchor = int(indices[0])
     frame_info = _frame_info(population, info, proposed, component, anchor, lost, explained, covered)
-    state = replace(
-        state, population=population, times_ns=(state.times_ns[1], time_ns), active=anchor
-    )
+    state = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), active=anchor)
     if not lost:
         state = _with_frame_in_map(state, view, optimum.pose, local_map.poses[0], anchor, covered)
     return state, frame_info
@@ -293,7 +298,14 @@ def _advance(
         history = MotionHistory(particles.pose, ahead, particles.pivot)
         group = jnp.zeros(count, jnp.int32)
         proposed, log_increments = propose_all(
-            jax.random.split(key, count), particles.keyframe_poses, group, history, components, motion, noise, exponent
+            jax.random.split(key, count),
+            particles.keyframe_poses,
+            group,
+            history,
+            components,
+            motion,
+            noise,
+            exponent,
         )
         moved = replace(particles, pose=proposed.pose, previous_pose=particles.pose)
         return (moved, proposed), log_increments
@@ -337,7 +349,9 @@ def _frame_info(
 @jax.jit
 def _relative(anchors: jax.Array, poses: jax.Array) -> jax.Array:
     """anchor_from_camera (K, 7)."""
-    return jax.vmap(lambda anchor, pose: (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz)(anchors, poses)
+    return jax.vmap(lambda anchor, pose: (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz)(
+        anchors, poses
+    )
 
 
 def _with_room(state: FilterState) -> FilterState:

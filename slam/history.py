@@ -44,7 +44,9 @@ class History:
             lineage = info.ancestors[lineage]
         anchors = particles.keyframe_poses[:, np.asarray([info.anchor for info in self.frames])]
         conditional = np.stack([info.component_covariance for info in self.frames])
-        mean, covariance = _marginals(anchors, jnp.asarray(means), state.population.log_weights, jnp.asarray(conditional))
+        mean, covariance = _marginals(
+            anchors, jnp.asarray(means), state.population.log_weights, jnp.asarray(conditional)
+        )
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
             trajectories=_matrices(_composed(anchors, jnp.asarray(draws))),

@@ -79,7 +79,7 @@ def rendered_depth(pixels: ScoredPixels, keyframes_from_camera: jax.Array) -> tu
 
 
 def log_image_density(
-    pixels: ScoredPixels, keyframes_from_camera: jax.Array, noise: DepthNoise, exponent: jax.Array
+    pixels: ScoredPixels, keyframes_from_camera: jax.Array, noise: DepthNoise, exponent: jax.Array | float
 ) -> jax.Array:
     """Tempered log density of the image from the pose that sees the map's keyframes at (M, 7)."""
     depth, variance = rendered_depth(pixels, keyframes_from_camera)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import jax
-import jax.numpy as jnp
 
-from recordings.types import NO_RETURN, DepthNoise
+from recordings.types import DepthNoise
 from shapes import depth_noise
 from shapes.camera import Camera
 from slam.depth_view import DepthView, tangent_planes
@@ -40,7 +39,9 @@ class Surface:
 def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     """The surface that a single view shows."""
     sigma = depth_noise.standard_deviation(noise, view.depth_m)
-    return Surface(view.depth_m, tangent_planes(view.depth_m, view.rays, view.camera), sigma**2, view.rays, view.camera)
+    return Surface(
+        view.depth_m, tangent_planes(view.depth_m, view.rays, view.camera), sigma**2, view.rays, view.camera
+    )
 
 
 def with_planes_refitted(surface: Surface) -> Surface:

@@ -113,9 +113,7 @@ def local_optimum(
     grid = jax.vmap(partial(pose_gaussian.displaced, identity))(offsets)
     candidates = jnp.concatenate([relative_starts, grid])
     scores = jax.vmap(
-        lambda pose: log_projected_density(
-            model, view, noise, pose, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M
-        )
+        lambda pose: log_projected_density(model, view, noise, pose, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M)
     )(candidates)
     _, best = jax.lax.top_k(scores, STARTS)
     stiffness = jnp.full(6, STIFFNESS, starts.dtype)

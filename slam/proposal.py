@@ -119,7 +119,7 @@ def propose(
     components: Component,
     motion: MotionPrior,
     noise: DepthNoise,
-    exponent: jax.Array,
+    exponent: jax.Array | float,
 ) -> tuple[Proposed, jax.Array]:
     """Draw and weigh one particle.
 

@@ -49,7 +49,9 @@ def planes_in_frame(planes: jax.Array, source_from_target: jax.Array) -> jax.Arr
     pose = jaxlie.SE3(source_from_target)
     offset = 1.0 - dot(pose.translation(), planes)
     facing = offset > 1e-6
-    return jnp.where(facing, rotated(pose.rotation().as_matrix().T, planes) / jnp.where(facing, offset, 1.0), 0.0)
+    return jnp.where(
+        facing, rotated(pose.rotation().as_matrix().T, planes) / jnp.where(facing, offset, 1.0), 0.0
+    )
 
 
 def depth_on_rays(planes: jax.Array, rays: jax.Array) -> jax.Array:

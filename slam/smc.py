@@ -1,4 +1,4 @@
-"""One step of sequential Monte Carlo, for any model: the same code in the exact toys and behind the camera."""
+"""One step of sequential Monte Carlo for any model: the same code in exact toys and behind the camera."""
 
 from __future__ import annotations
 

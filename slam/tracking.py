@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
-from recordings.types import CameraIntrinsics, DepthNoise, Frame
+from recordings.types import CameraIntrinsics, Frame
 from slam import filter as camera_filter
 from slam.config import SlamConfig
 from slam.depth_view import view_of_frame
