@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+_LARGEST_PX = 1e4
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
@@ -36,8 +38,8 @@ class ReadOptions:
     def __post_init__(self) -> None:
         if self.intrinsics is not None:
             fx, fy, cx, cy = self.intrinsics
-            if not (all(map(math.isfinite, self.intrinsics)) and fx > 0 < fy):
-                raise ValueError(f"intrinsics need finite numbers and fx, fy > 0, got {fx},{fy},{cx},{cy}")
+            if not (all(abs(value) < _LARGEST_PX for value in self.intrinsics) and fx > 0 < fy):
+                raise ValueError(f"intrinsics need pixels with fx, fy > 0, got {fx:g},{fy:g},{cx:g},{cy:g}")
         if self.depth_scale_m is not None and not 0 < self.depth_scale_m <= 1:
             raise ValueError(
                 f"depth scale is metres for a stored 1, above 0 and at most 1, got {self.depth_scale_m:g}; "

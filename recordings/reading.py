@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from recordings.cameras.distortion import Undistortion, is_distorted
-from recordings.cameras.matching import is_rectified, matching_camera
-from recordings.cameras.pinhole import UnusableCamera, is_calibrated, stored_intrinsics
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.cameras.pinhole import UnusableCamera
+from recordings.cameras.recorded import recorded_cameras
+from recordings.colour_topics import ColourTopic, registered_colour
+from recordings.depth_clouds import DepthClouds
+from recordings.depth_images import DepthImages
 from recordings.depth_topics import DepthTopic, choose_depth_topic
 from recordings.errors import RecordingError
-from recordings.images.depth_pixels import MetricDepth, stored_pixels
+from recordings.images.colour import ColourMessage
+from recordings.images.pairing import NearestInTime
 from recordings.mcap_files.bag import Bag
 from recordings.messages.decoded_bag import DecodedBag
-from recordings.messages.types import CameraMessage, ImageMessage, UndecodableMessage
+from recordings.messages.types import (
+    CompressedImageMessage,
+    DecodedMessage,
+    ImageMessage,
+    PointCloudMessage,
+    UndecodableMessage,
+)
 from recordings.options import ReadOptions
 from recordings.stamps import in_order_of_stamps, selected
 from recordings.types import CameraIntrinsics, Damage, Frame
@@ -29,39 +41,61 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
             unknown and `options` do not give it.
     """
     decoded = DecodedBag(Bag(Path(path)))
-    depth = choose_depth_topic(decoded, options.depth_topic)
-    if depth is None:
-        raise RecordingError(f"{path} has no depth images")
-    return McapRecording(decoded, depth, options)
+    topic = choose_depth_topic(decoded, options.depth_topic)
+    if topic is None:
+        names = ", ".join(topic.name for topic in decoded.bag.topics) or "none"
+        raise RecordingError(f"{path} has no depth; its topics: {names}")
+    return McapRecording(decoded, topic, options)
 
 
 class McapRecording:
     """A `Recording` of one depth topic.
 
     Frames come in the order of their stamps (header.stamp; the log time where the recorder set none).
-    Pixels are undistorted where the camera says that the topic's images are not rectified.
+    Colour comes with them where a topic of the recording is registered to the depth.
+
+    Raises:
+        RecordingError: the camera is unknown.
     """
 
-    def __init__(self, decoded: DecodedBag, depth: DepthTopic, options: ReadOptions) -> None:
-        self.depth_topic = depth.name
-        self._decoded = decoded
+    def __init__(self, decoded: DecodedBag, topic: DepthTopic, options: ReadOptions) -> None:
+        self.depth_topic = topic.name
+        self.frame_id = topic.first.frame_id
+        self.decoded = decoded
         self._options = options
-        self._size = depth.first.width, depth.first.height
-        self._metric = MetricDepth(options.depth_scale_m, options.min_depth_m, options.max_depth_m)
-        self._uses_log_time = depth.first.stamp_ns == 0
-        self._intrinsics, self._undistortion = self._camera(depth)
+        self._uses_log_time = topic.first.stamp_ns == 0
+        self._colour: ColourTopic | None = None
+        cameras = recorded_cameras(decoded)
+        try:
+            if isinstance(topic.first, PointCloudMessage):
+                self._depth = DepthClouds(topic, cameras, options)
+            else:
+                self._depth = DepthImages(topic, cameras, options)
+                self._colour = registered_colour(decoded, self._depth, self.frame_id, cameras)
+        except (UnusableCamera, UndecodableMessage) as error:
+            raise RecordingError(f"{decoded.bag.path}, {topic.name}: {error}") from error
         self._lost_frames = 0
         self._length: int | None = None
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
         """The camera that took every frame."""
-        return self._intrinsics
+        return self._depth.intrinsics
+
+    @property
+    def camera_topic(self) -> str | None:
+        """The topic that the intrinsics were read from, if any."""
+        return self._depth.camera_topic
+
+    @property
+    def frame_from_camera(self) -> NDArray[np.float64]:
+        """The camera (4, 4) in the frame `frame_id`; not the identity where a cloud looks along x."""
+        return self._depth.frame_from_camera
 
     @property
     def damage(self) -> Damage:
         """What was lost so far."""
-        found = self._decoded.bag.damage
+        found = self.decoded.bag.damage
         return Damage(
             lost_messages=found.lost_messages + self._lost_frames,
             lost_chunks=found.lost_chunks,
@@ -74,6 +108,11 @@ class McapRecording:
             self._length = sum(1 for _ in self)
         return self._length
 
+    def stamps_ns(self) -> Iterator[int]:
+        """The stamps of the frames, without decoding their pixels."""
+        messages = in_order_of_stamps(self._depth_messages(_ignore), leave_out=_ignore)
+        return (stamp_ns for stamp_ns, _ in selected(messages, self._options))
+
     def __iter__(self) -> Iterator[Frame]:
         """Every frame once, in the order of stamps."""
         lost = count = 0
@@ -83,49 +122,44 @@ class McapRecording:
             lost += 1
             self._lost_frames = max(self._lost_frames, lost)
 
-        for stamp_ns, message in selected(
-            in_order_of_stamps(self._images(lose), leave_out=lose), self._options
-        ):
+        colours = NearestInTime(self._colour_messages(lose))
+        messages = in_order_of_stamps(self._depth_messages(lose), leave_out=lose)
+        for stamp_ns, message in selected(messages, self._options):
             try:
-                depth_m = self._depth(message)
+                depth_m = self._depth.depth(message)
             except UndecodableMessage as error:
                 lose(error)
                 continue
             count += 1
-            yield Frame(time_ns=stamp_ns, depth_m=depth_m)
+            rgb = self._rgb(colours.at(stamp_ns), lose)
+            yield Frame(time_ns=stamp_ns, depth_m=depth_m, rgb=rgb)
         self._length = count
 
-    def _images(self, lose) -> Iterator[tuple[int, ImageMessage]]:
-        for log_time_ns, message in self._decoded.messages({self.depth_topic}):
-            if isinstance(message, ImageMessage):
+    def _rgb(self, message: ColourMessage | None, lose: Callable[[object], None]) -> NDArray[np.uint8] | None:
+        if self._colour is None or message is None:
+            return None
+        try:
+            return self._colour.rgb(message)
+        except UndecodableMessage as error:
+            lose(error)
+            return None
+
+    def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DecodedMessage]]:
+        for log_time_ns, message in self.decoded.messages({self.depth_topic}):
+            if isinstance(message, ImageMessage | CompressedImageMessage | PointCloudMessage):
                 yield log_time_ns if self._uses_log_time else message.stamp_ns, message
             else:
                 lose(message)
 
-    def _depth(self, message: ImageMessage):
-        if (message.width, message.height) != self._size:
-            raise UndecodableMessage(f"has another size ({message.width}x{message.height}) than the first")
-        depth_m = self._metric(stored_pixels(message))
-        return self._undistortion.depth(depth_m) if self._undistortion else depth_m
+    def _colour_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, ColourMessage]]:
+        if self._colour is None:
+            return
+        for log_time_ns, message in self.decoded.messages({self._colour.name}):
+            if isinstance(message, ImageMessage | CompressedImageMessage):
+                yield log_time_ns if self._uses_log_time else message.stamp_ns, message
+            else:
+                lose(message)
 
-    def _camera(self, depth: DepthTopic) -> tuple[CameraIntrinsics, Undistortion | None]:
-        width, height = self._size
-        if self._options.intrinsics is not None:
-            fx, fy, cx, cy = self._options.intrinsics
-            return CameraIntrinsics(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy), None
-        cameras = {
-            topic: first
-            for topic in self._decoded.topic_names
-            if isinstance(first := self._decoded.first(topic), CameraMessage) and is_calibrated(first)
-        }
-        try:
-            found = matching_camera(depth.name, depth.first.frame_id, self._size, cameras)
-            if found is None:
-                raise UnusableCamera("it has no camera topic; give --intrinsics fx,fy,cx,cy")
-            rectified = is_rectified(depth.name)
-            intrinsics = stored_intrinsics(found[1], width, height, rectified=rectified)
-            if rectified or not is_distorted(found[1].distortion):
-                return intrinsics, None
-            return intrinsics, Undistortion(intrinsics, found[1].distortion_model, found[1].distortion)
-        except UnusableCamera as error:
-            raise RecordingError(f"{self._decoded.bag.path}, {depth.name}: {error}") from error
+
+def _ignore(_: object) -> None:
+    """What cannot be used is counted when the frames are read."""

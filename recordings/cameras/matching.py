@@ -49,7 +49,7 @@ def matching_camera(
     def nearness(topic: str) -> tuple[int, bool, int]:
         camera = candidates[topic]
         same_size = (camera.width, camera.height) == size
-        return _shared(image_topic, topic), same_size, -len(namespace(topic))
+        return shared_namespace(image_topic, topic), same_size, -len(namespace(topic))
 
     if not candidates:
         return None
@@ -60,10 +60,10 @@ def matching_camera(
     return nearest[0], candidates[nearest[0]]
 
 
-def _shared(image_topic: str, camera_topic: str) -> int:
-    """How many leading parts two namespaces have in common."""
+def shared_namespace(topic: str, other: str) -> int:
+    """How many leading parts the namespaces of two topics have in common."""
     count = 0
-    for a, b in zip(namespace(image_topic), namespace(camera_topic), strict=False):
+    for a, b in zip(namespace(topic), namespace(other), strict=False):
         if a != b:
             break
         count += 1

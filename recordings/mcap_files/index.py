@@ -49,7 +49,7 @@ class Loss:
     """A stretch of a file that cannot be used.
 
     Attributes:
-        reason: completes the sentence "the chunk at byte N ...".
+        reason: completes the sentence "what stands at byte N ...".
         messages: how many messages of each channel were in it, as far as is known.
     """
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from mcap.well_known import MessageEncoding
 
 from recordings.mcap_files.mcap_file import Topic
-from recordings.messages import ros2
+from recordings.messages import foxglove, ros2
 from recordings.messages.types import DecodedMessage, UndecodableMessage
 
 Decoder = Callable[[bytes], DecodedMessage]
@@ -21,6 +21,10 @@ def decoder_of(topic: Topic) -> Decoder | None:
     try:
         if topic.message_encoding == MessageEncoding.CDR:
             decode = ros2.decoder(topic.schema_name, topic.schema_encoding, topic.schema_data)
+        elif topic.message_encoding == MessageEncoding.Protobuf:
+            decode = foxglove.protobuf_decoder(topic.schema_name, topic.schema_encoding, topic.schema_data)
+        elif topic.message_encoding == MessageEncoding.JSON:
+            decode = foxglove.json_decoder(topic.schema_name)
         else:
             decode = None
     except Exception:

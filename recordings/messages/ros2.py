@@ -21,6 +21,7 @@ from recordings.messages.types import (
     CompressedImageMessage,
     DecodedMessage,
     ImageMessage,
+    OdometryMessage,
     PointCloudMessage,
     PointField,
     PoseMessage,
@@ -164,15 +165,15 @@ def _pose(message: Any) -> PoseMessage:
     )
 
 
-def _odometry(message: Any) -> tuple[TransformMessage, ...]:
+def _odometry(message: Any) -> OdometryMessage:
     pose = message.pose.pose
-    return (
-        TransformMessage(
+    return OdometryMessage(
+        transform=TransformMessage(
             stamp_ns=_stamp_ns(message.header),
             parent=message.header.frame_id,
             child=message.child_frame_id,
             parent_from_child=_matrix(pose.position, pose.orientation),
-        ),
+        )
     )
 
 

@@ -6,7 +6,7 @@ are xyzw as ROS and Foxglove write them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,10 @@ class PointField:
 
 @dataclass(frozen=True, kw_only=True)
 class PointCloudMessage:
-    """Packed points; `height` above 1 where they keep the rows and columns of a sensor."""
+    """Packed points; `height` above 1 where they keep the rows and columns of a sensor.
+
+    `frame_from_points` maps the points into the frame `frame_id`.
+    """
 
     stamp_ns: int
     frame_id: str
@@ -85,6 +88,7 @@ class PointCloudMessage:
     point_step: int
     row_step: int
     data: bytes
+    frame_from_points: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +99,13 @@ class TransformMessage:
     parent: str
     child: str
     parent_from_child: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryMessage:
+    """Where a body is in a fixed frame by its own reckoning; transforms on /tf usually say the same."""
+
+    transform: TransformMessage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +122,7 @@ DecodedMessage = (
     | CompressedImageMessage
     | CameraMessage
     | PointCloudMessage
+    | OdometryMessage
     | PoseMessage
     | tuple[TransformMessage, ...]
 )

@@ -1,0 +1,85 @@
+"""The colour images that are registered to the depth: only those whose pixels see the same points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.cameras.distortion import is_distorted
+from recordings.cameras.matching import is_rectified, matching_camera
+from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
+from recordings.depth_images import DepthImages
+from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour, resampled
+from recordings.messages.decoded_bag import DecodedBag
+from recordings.messages.types import (
+    CameraMessage,
+    CompressedImageMessage,
+    ImageMessage,
+    UndecodableMessage,
+)
+from recordings.types import CameraIntrinsics
+
+_FOCAL_TOLERANCE = 0.01
+_CENTRE_TOLERANCE_PX = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourTopic:
+    """A topic of colour images that are registered to a depth topic."""
+
+    name: str
+    depth: DepthImages
+
+    def rgb(self, message: ColourMessage) -> NDArray[np.uint8]:
+        """The colours (H, W, 3) of the depth image's pixels.
+
+        Raises:
+            UndecodableMessage: the image is damaged.
+        """
+        camera = self.depth.intrinsics
+        rgb = resampled(decode_colour(message), camera.width, camera.height)
+        return self.depth.undistortion.colour(rgb) if self.depth.undistortion else rgb
+
+
+def registered_colour(
+    decoded: DecodedBag, depth: DepthImages, frame_id: str, cameras: dict[str, CameraMessage]
+) -> ColourTopic | None:
+    """The first topic of colour images in the depth's own frame and with its camera, if there is one."""
+    for topic in decoded.topic_names:
+        first = decoded.first(topic)
+        if (
+            isinstance(first, ImageMessage | CompressedImageMessage)
+            and is_colour(first)
+            and frame_id
+            and first.frame_id == frame_id
+            and _sees_the_same(topic, first, depth, cameras)
+        ):
+            return ColourTopic(name=topic, depth=depth)
+    return None
+
+
+def _sees_the_same(
+    topic: str, first: ColourMessage, depth: DepthImages, cameras: dict[str, CameraMessage]
+) -> bool:
+    try:
+        size = colour_size(first)
+        own_frame = {name: camera for name, camera in cameras.items() if camera.frame_id == first.frame_id}
+        found = matching_camera(topic, first.frame_id, size, own_frame)
+        if found is None:
+            return size == (depth.intrinsics.width, depth.intrinsics.height)
+        camera = found[1]
+        rectified = is_rectified(topic)
+        distorted = not rectified and is_distorted(camera.distortion)
+        own = stored_intrinsics(camera, *size, rectified=rectified)
+        own = own.resized(depth.intrinsics.width, depth.intrinsics.height)
+    except (UndecodableMessage, UnusableCamera):
+        return False
+    return distorted == (depth.undistortion is not None) and _agree(own, depth.intrinsics)
+
+
+def _agree(a: CameraIntrinsics, b: CameraIntrinsics) -> bool:
+    focal = np.abs(np.log([a.fx / b.fx, a.fy / b.fy])).max() < _FOCAL_TOLERANCE
+    centre = np.abs([a.cx - b.cx, a.cy - b.cy]).max() < _CENTRE_TOLERANCE_PX
+    return bool(focal and centre)

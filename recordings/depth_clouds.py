@@ -1,0 +1,93 @@
+"""Depth from point cloud topics, for recordings without depth images."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.cameras.matching import matching_camera
+from recordings.cameras.pinhole import stored_intrinsics
+from recordings.depth_topics import DepthTopic
+from recordings.images.depth_pixels import MetricDepth
+from recordings.images.point_clouds import (
+    OPTICAL_FROM_BODY,
+    looks_along_x,
+    pinhole_of_grid,
+    points_of,
+    projected,
+    virtual_camera,
+)
+from recordings.messages.types import CameraMessage, DecodedMessage, PointCloudMessage, UndecodableMessage
+from recordings.options import ReadOptions
+from recordings.types import CameraIntrinsics
+
+
+class DepthClouds:
+    """Turns the messages of a point cloud topic into depth images of one pinhole camera.
+
+    An organised cloud whose rows and columns are a pinhole camera's pixels is taken as that camera's
+    image. Any other is projected: into the camera that the user gives, the camera recorded in the same
+    frame, or a virtual one that sees the first cloud.
+
+    Args:
+        topic: the topic.
+        cameras: a usable message of each camera topic.
+        options: what the user says.
+
+    Raises:
+        UndecodableMessage: the first cloud shows nothing to place a virtual camera by.
+    """
+
+    def __init__(self, topic: DepthTopic, cameras: dict[str, CameraMessage], options: ReadOptions) -> None:
+        assert isinstance(topic.first, PointCloudMessage)
+        first = topic.first
+        self._scale = np.float32(options.depth_scale_m or 1.0)
+        self._metric = MetricDepth(None, options.min_depth_m, options.max_depth_m)
+        self.camera_topic: str | None = None
+        points = points_of(first) * self._scale
+        grid = pinhole_of_grid(points)
+        self._grid_size = None if grid is None else (grid.width, grid.height)
+        along_x = grid is None and looks_along_x(first.frame_id, points)
+        self.frame_from_camera = np.linalg.inv(OPTICAL_FROM_BODY) if along_x else np.eye(4)
+        if options.intrinsics is not None:
+            self.intrinsics = _given(options.intrinsics, self._grid_size)
+        elif grid is not None:
+            self.intrinsics = grid
+        else:
+            self.intrinsics = self._recorded_camera(first, cameras) or virtual_camera(self._optical(points))
+
+    def depth(self, message: DecodedMessage) -> NDArray[np.float32]:
+        """The depth image (H, W) in metres of one cloud.
+
+        Raises:
+            UndecodableMessage: the message is damaged, or has lost the grid of the first.
+        """
+        if not isinstance(message, PointCloudMessage):
+            raise UndecodableMessage("is no point cloud")
+        points = points_of(message) * self._scale
+        if self._grid_size is None:
+            return self._metric(projected(self._optical(points), self.intrinsics))
+        if (message.width, message.height) != self._grid_size:
+            raise UndecodableMessage(f"has {message.width}x{message.height} points, not the first's number")
+        return self._metric(points[..., 2])
+
+    def _optical(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        with np.errstate(invalid="ignore"):  # infinite coordinates stand for no return
+            return points.reshape(-1, 3) @ self.frame_from_camera[:3, :3].astype(np.float32)
+
+    def _recorded_camera(
+        self, first: PointCloudMessage, cameras: dict[str, CameraMessage]
+    ) -> CameraIntrinsics | None:
+        same_frame = {topic: camera for topic, camera in cameras.items() if camera.frame_id == first.frame_id}
+        found = matching_camera("", first.frame_id, (0, 0), same_frame)
+        if found is None:
+            return None
+        self.camera_topic, camera = found
+        return stored_intrinsics(camera, camera.width, camera.height, rectified=True)
+
+
+def _given(intrinsics: tuple[float, float, float, float], size: tuple[int, int] | None) -> CameraIntrinsics:
+    """The user's camera; without a grid, its image is centred on the principal point."""
+    fx, fy, cx, cy = intrinsics
+    width, height = size or (max(1, round(2 * cx + 1)), max(1, round(2 * cy + 1)))
+    return CameraIntrinsics(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)

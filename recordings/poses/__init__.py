@@ -1,0 +1,1 @@
+"""Where the camera was, as the recorder believed: transforms, odometry and poses."""

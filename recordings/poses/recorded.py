@@ -1,0 +1,100 @@
+"""The recorded trajectory of the depth camera: for evaluation, and for `--poses recorded`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.cameras.matching import shared_namespace
+from recordings.errors import RecordingError
+from recordings.messages.decoded_bag import DecodedBag
+from recordings.messages.types import OdometryMessage, PoseMessage
+from recordings.options import ReadOptions
+from recordings.poses.track import Track
+from recordings.poses.transform_tree import TransformTree, composed
+from recordings.reading import McapRecording, open_recording
+from recordings.types import Trajectory
+
+PoseAt = Callable[[int], NDArray[np.float64] | None]
+
+_DEFAULT_OPTIONS = ReadOptions()
+
+
+def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> Trajectory | None:
+    """The recorded poses of the depth camera at the stamps of its frames, or None without any.
+
+    The reference frame is the root of the recorder's own frames, which for recordings that voxscene
+    wrote is the world of their truth. Transforms are followed from the frame of the depth images up to
+    the root; odometry counts as a transform where there is none; a topic of bare poses serves if the
+    camera's frame leads nowhere. Frames without a pose near in time are left out.
+
+    Raises:
+        RecordingError: the recording cannot be read, or several pose topics could be meant.
+    """
+    recording = open_recording(path, options)
+    pose_at = _camera_pose(recording)
+    if pose_at is None:
+        return None
+    stamped = [(stamp, pose_at(stamp)) for stamp in recording.stamps_ns()]
+    found = [(stamp, pose) for stamp, pose in stamped if pose is not None]
+    if not found:
+        return None
+    times, poses = zip(*found, strict=True)
+    return Trajectory(
+        times_ns=np.array(times, np.int64),
+        reference_from_camera=np.stack(poses) @ recording.frame_from_camera,
+    )
+
+
+def _camera_pose(recording: McapRecording) -> PoseAt | None:
+    """Where the frame of the depth images was at a time."""
+    way = _transform_tree(recording.decoded).way_up(recording.frame_id)
+    if any(not track.is_mounting for track in way):
+        return lambda time_ns: composed(way, time_ns)
+    topic = _nearest_pose_topic(recording.decoded, recording.depth_topic)
+    return None if topic is None else _pose_track(recording.decoded, topic).at
+
+
+def _transform_tree(decoded: DecodedBag) -> TransformTree:
+    tree = TransformTree()
+    odometry: list[tuple[int, OdometryMessage]] = []
+    for topic in decoded.topic_names:
+        # ROS says in the topic's name alone which transforms hold for good.
+        is_mounting = topic.endswith("static")
+        if isinstance(decoded.first(topic), tuple | OdometryMessage):
+            for log_time_ns, message in decoded.messages({topic}):
+                if isinstance(message, OdometryMessage):
+                    odometry.append((log_time_ns, message))
+                elif isinstance(message, tuple):
+                    for transform in message:
+                        tree.add(transform, transform.stamp_ns or log_time_ns, is_mounting=is_mounting)
+    known = {message.transform.child for _, message in odometry if tree.has_parent(message.transform.child)}
+    for log_time_ns, message in odometry:
+        if message.transform.child not in known:
+            tree.add(message.transform, message.transform.stamp_ns or log_time_ns, is_mounting=False)
+    return tree
+
+
+def _nearest_pose_topic(decoded: DecodedBag, depth_topic: str) -> str | None:
+    topics = [topic for topic in decoded.topic_names if isinstance(decoded.first(topic), PoseMessage)]
+    if not topics:
+        return None
+    shared = max(shared_namespace(depth_topic, topic) for topic in topics)
+    nearest = [topic for topic in topics if shared_namespace(depth_topic, topic) == shared]
+    if len(nearest) > 1:
+        raise RecordingError(
+            f"{decoded.bag.path} has {len(nearest)} pose topics that could be the camera's: "
+            f"{', '.join(nearest)}; record only one, or transforms to the camera's frame"
+        )
+    return nearest[0]
+
+
+def _pose_track(decoded: DecodedBag, topic: str) -> Track:
+    track = Track()
+    for log_time_ns, message in decoded.messages({topic}):
+        if isinstance(message, PoseMessage):
+            track.add(message.stamp_ns or log_time_ns, message.frame_from_body)
+    return track
