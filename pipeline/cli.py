@@ -10,7 +10,7 @@ import click
 from pipeline.errors import PipelineError
 from recordings.errors import RecordingError
 
-COMMANDS = ("synth", "doctor")
+COMMANDS = ("info", "synth", "doctor")
 """Subcommands in the order of a user's work; `voxscene NAME` is `command` in `pipeline.commands.NAME`."""
 
 DAMAGED = 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from pipeline.errors import ConfigError
+from recordings.options import ReadOptions
 
 if TYPE_CHECKING:
     from pipeline.config import Settings
@@ -102,6 +104,72 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
         return _decorated(with_common, options)
 
     return decorate
+
+
+class Intrinsics(click.ParamType):
+    """`fx,fy,cx,cy` in pixels."""
+
+    name = "fx,fy,cx,cy"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float, float, float]:
+        """The four numbers."""
+        try:
+            fx, fy, cx, cy = (float(number) for number in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not four numbers with commas between them", param, ctx)
+        return fx, fy, cx, cy
+
+
+def recording_options(command: Command) -> Command:
+    """Give a command the options of reading a recording as one argument `read_options`."""
+
+    @functools.wraps(command)
+    def with_read_options(
+        *args: Any,
+        depth_topic: str | None,
+        intrinsics: tuple[float, float, float, float] | None,
+        depth_scale: float | None,
+        min_depth: float,
+        max_depth: float,
+        start: float,
+        end: float,
+        every: int,
+        **kwargs: Any,
+    ) -> Any:
+        try:
+            read_options = ReadOptions(
+                depth_topic=depth_topic,
+                intrinsics=intrinsics,
+                depth_scale_m=depth_scale,
+                min_depth_m=min_depth,
+                max_depth_m=max_depth,
+                start_s=start,
+                end_s=end,
+                every=every,
+            )
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+        return command(*args, read_options=read_options, **kwargs)
+
+    def metres(name: str, default: float | None, help_: str) -> Any:
+        return click.option(name, type=float, default=default, metavar="METRES", help=help_)
+
+    def seconds(name: str, default: float, help_: str) -> Any:
+        return click.option(name, type=float, default=default, metavar="SECONDS", help=help_)
+
+    options = [
+        click.option("--depth-topic", metavar="TOPIC", help="The depth, where a recording has several."),
+        click.option("--intrinsics", type=Intrinsics(), help="Camera in pixels, over the recorded one."),
+        metres("--depth-scale", None, "Metres for a stored 1: as a rule 0.001 for integers, 1 for floats."),
+        metres("--min-depth", 0.0, "Nearer depths are ignored."),
+        metres("--max-depth", math.inf, "Farther depths are ignored."),
+        seconds("--start", 0.0, "From here on, after the first frame."),
+        seconds("--end", math.inf, "Up to here, after the first frame."),
+        click.option("--every", type=int, default=1, metavar="N", help="Every N-th frame."),
+    ]
+    return _decorated(with_read_options, options)
 
 
 def run_options(command: Command) -> Command:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.cameras.distortion import is_distorted
+from recordings.cameras.distortion import Undistortion, is_distorted
 from recordings.cameras.matching import is_rectified, matching_camera
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_images import DepthImages
@@ -27,10 +27,11 @@ _CENTRE_TOLERANCE_PX = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class ColourTopic:
-    """A topic of colour images that are registered to a depth topic."""
+    """A topic of colour images that are registered to a depth topic and its camera."""
 
     name: str
-    depth: DepthImages
+    camera: CameraIntrinsics
+    undistortion: Undistortion | None
 
     def rgb(self, message: ColourMessage) -> NDArray[np.uint8]:
         """The colours (H, W, 3) of the depth image's pixels.
@@ -38,45 +39,46 @@ class ColourTopic:
         Raises:
             UndecodableMessage: the image is damaged.
         """
-        camera = self.depth.intrinsics
-        rgb = resampled(decode_colour(message), camera.width, camera.height)
-        return self.depth.undistortion.colour(rgb) if self.depth.undistortion else rgb
+        rgb = resampled(decode_colour(message), self.camera.width, self.camera.height)
+        return self.undistortion.colour(rgb) if self.undistortion else rgb
 
 
 def registered_colour(
     decoded: DecodedBag, depth: DepthImages, frame_id: str, cameras: dict[str, CameraMessage]
 ) -> ColourTopic | None:
     """The first topic of colour images in the depth's own frame and with its camera, if there is one."""
+    if depth.intrinsics is None or not frame_id:
+        return None
+    colour = ColourTopic(name="", camera=depth.intrinsics, undistortion=depth.undistortion)
     for topic in decoded.topic_names:
         first = decoded.first(topic)
         if (
             isinstance(first, ImageMessage | CompressedImageMessage)
             and is_colour(first)
-            and frame_id
             and first.frame_id == frame_id
-            and _sees_the_same(topic, first, depth, cameras)
+            and _sees_the_same(topic, first, colour, cameras)
         ):
-            return ColourTopic(name=topic, depth=depth)
+            return replace(colour, name=topic)
     return None
 
 
 def _sees_the_same(
-    topic: str, first: ColourMessage, depth: DepthImages, cameras: dict[str, CameraMessage]
+    topic: str, first: ColourMessage, depth: ColourTopic, cameras: dict[str, CameraMessage]
 ) -> bool:
     try:
         size = colour_size(first)
         own_frame = {name: camera for name, camera in cameras.items() if camera.frame_id == first.frame_id}
         found = matching_camera(topic, first.frame_id, size, own_frame)
         if found is None:
-            return size == (depth.intrinsics.width, depth.intrinsics.height)
+            return size == (depth.camera.width, depth.camera.height)
         camera = found[1]
         rectified = is_rectified(topic)
         distorted = not rectified and is_distorted(camera.distortion)
         own = stored_intrinsics(camera, *size, rectified=rectified)
-        own = own.resized(depth.intrinsics.width, depth.intrinsics.height)
+        own = own.resized(depth.camera.width, depth.camera.height)
     except (UndecodableMessage, UnusableCamera):
         return False
-    return distorted == (depth.undistortion is not None) and _agree(own, depth.intrinsics)
+    return distorted == (depth.undistortion is not None) and _agree(own, depth.camera)
 
 
 def _agree(a: CameraIntrinsics, b: CameraIntrinsics) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.cameras.matching import matching_camera
-from recordings.cameras.pinhole import stored_intrinsics
+from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_topics import DepthTopic
 from recordings.images.depth_pixels import MetricDepth
 from recordings.images.point_clouds import (
@@ -44,6 +44,7 @@ class DepthClouds:
         self._scale = np.float32(options.depth_scale_m or 1.0)
         self._metric = MetricDepth(None, options.min_depth_m, options.max_depth_m)
         self.camera_topic: str | None = None
+        self.camera_problem = None
         points = points_of(first) * self._scale
         grid = pinhole_of_grid(points)
         self._grid_size = None if grid is None else (grid.width, grid.height)
@@ -55,6 +56,11 @@ class DepthClouds:
             self.intrinsics = grid
         else:
             self.intrinsics = self._recorded_camera(first, cameras) or virtual_camera(self._optical(points))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the depth images."""
+        return self.intrinsics.width, self.intrinsics.height
 
     def depth(self, message: DecodedMessage) -> NDArray[np.float32]:
         """The depth image (H, W) in metres of one cloud.
@@ -82,8 +88,13 @@ class DepthClouds:
         found = matching_camera("", first.frame_id, (0, 0), same_frame)
         if found is None:
             return None
-        self.camera_topic, camera = found
-        return stored_intrinsics(camera, camera.width, camera.height, rectified=True)
+        camera_topic, camera = found
+        try:
+            intrinsics = stored_intrinsics(camera, camera.width, camera.height, rectified=True)
+        except UnusableCamera:
+            return None
+        self.camera_topic = camera_topic
+        return intrinsics
 
 
 def _given(intrinsics: tuple[float, float, float, float], size: tuple[int, int] | None) -> CameraIntrinsics:

@@ -25,32 +25,41 @@ from recordings.types import CameraIntrinsics
 class DepthImages:
     """Turns the messages of a depth image topic into depth images of one pinhole camera.
 
+    Where the camera cannot be known, `intrinsics` is None, `camera_problem` says why, and depths are
+    those of the pixels as they are stored.
+
     Args:
         topic: the topic.
         cameras: a usable message of each camera topic.
         options: what the user says.
-
-    Raises:
-        UnusableCamera: the camera cannot be known.
     """
 
     def __init__(self, topic: DepthTopic, cameras: dict[str, CameraMessage], options: ReadOptions) -> None:
         self._metric = MetricDepth(options.depth_scale_m, options.min_depth_m, options.max_depth_m)
-        self._size = _size(topic.first)
+        self.size = _size(topic.first)
+        self.intrinsics: CameraIntrinsics | None = None
         self.camera_topic: str | None = None
+        self.camera_problem: str | None = None
         self.undistortion: Undistortion | None = None
         self.frame_from_camera = np.eye(4)
         if options.intrinsics is not None:
-            self.intrinsics = _given(options.intrinsics, self._size)
+            self.intrinsics = _given(options.intrinsics, self.size)
             return
-        found = matching_camera(topic.name, topic.first.frame_id, self._size, cameras)
+        try:
+            self._take_recorded_camera(topic, cameras)
+        except UnusableCamera as error:
+            self.camera_problem = str(error)
+
+    def _take_recorded_camera(self, topic: DepthTopic, cameras: dict[str, CameraMessage]) -> None:
+        found = matching_camera(topic.name, topic.first.frame_id, self.size, cameras)
         if found is None:
-            raise UnusableCamera("it has no camera topic; give --intrinsics fx,fy,cx,cy")
-        self.camera_topic, camera = found
+            raise UnusableCamera("its camera is not recorded; give --intrinsics fx,fy,cx,cy")
+        camera_topic, camera = found
         rectified = is_rectified(topic.name)
-        self.intrinsics = stored_intrinsics(camera, *self._size, rectified=rectified)
+        intrinsics = stored_intrinsics(camera, *self.size, rectified=rectified)
         if not rectified and is_distorted(camera.distortion):
-            self.undistortion = Undistortion(self.intrinsics, camera.distortion_model, camera.distortion)
+            self.undistortion = Undistortion(intrinsics, camera.distortion_model, camera.distortion)
+        self.camera_topic, self.intrinsics = camera_topic, intrinsics
 
     def depth(self, message: DecodedMessage) -> NDArray[np.float32]:
         """The undistorted depth image (H, W) in metres.
@@ -60,8 +69,8 @@ class DepthImages:
         """
         if not isinstance(message, ImageMessage | CompressedImageMessage):
             raise UndecodableMessage("is no image")
-        if _size(message) != self._size:
-            (width, height), (first_width, first_height) = _size(message), self._size
+        if _size(message) != self.size:
+            (width, height), (first_width, first_height) = _size(message), self.size
             raise UndecodableMessage(f"is {width}x{height} where the first is {first_width}x{first_height}")
         stored = stored_pixels(message) if isinstance(message, ImageMessage) else stored_depth(message)
         depth_m = self._metric(stored)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.cameras.pinhole import UnusableCamera
 from recordings.cameras.recorded import recorded_cameras
 from recordings.colour_topics import ColourTopic, registered_colour
 from recordings.depth_clouds import DepthClouds
@@ -43,9 +43,10 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
     decoded = DecodedBag(Bag(Path(path)))
     topic = choose_depth_topic(decoded, options.depth_topic)
     if topic is None:
-        names = ", ".join(topic.name for topic in decoded.bag.topics) or "none"
-        raise RecordingError(f"{path} has no depth; its topics: {names}")
-    return McapRecording(decoded, topic, options)
+        raise RecordingError(f"{path} has no depth; {_what_else(decoded)}")
+    recording = McapRecording(decoded, topic, options)
+    _ = recording.intrinsics
+    return recording
 
 
 class McapRecording:
@@ -55,7 +56,7 @@ class McapRecording:
     Colour comes with them where a topic of the recording is registered to the depth.
 
     Raises:
-        RecordingError: the camera is unknown.
+        RecordingError: a point cloud shows nothing that a camera could look at.
     """
 
     def __init__(self, decoded: DecodedBag, topic: DepthTopic, options: ReadOptions) -> None:
@@ -72,20 +73,46 @@ class McapRecording:
             else:
                 self._depth = DepthImages(topic, cameras, options)
                 self._colour = registered_colour(decoded, self._depth, self.frame_id, cameras)
-        except (UnusableCamera, UndecodableMessage) as error:
+        except UndecodableMessage as error:
             raise RecordingError(f"{decoded.bag.path}, {topic.name}: {error}") from error
-        self._lost_frames = 0
+        self._losses: Counter[str] = Counter()
         self._length: int | None = None
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
-        """The camera that took every frame."""
+        """The camera that took every frame.
+
+        Raises:
+            RecordingError: it cannot be known.
+        """
+        if self._depth.intrinsics is None:
+            raise RecordingError(f"{self.decoded.bag.path}, {self.depth_topic}: {self.camera_problem}")
         return self._depth.intrinsics
+
+    @property
+    def camera_problem(self) -> str | None:
+        """Why the camera cannot be known, if so."""
+        return self._depth.camera_problem
+
+    @property
+    def problems(self) -> list[str]:
+        """A sentence for a person on each kind of message that could not be used so far."""
+        return [f"{n} messages of {self.depth_topic}: {reason}" for reason, n in self._losses.items()]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of every frame."""
+        return self._depth.size
 
     @property
     def camera_topic(self) -> str | None:
         """The topic that the intrinsics were read from, if any."""
         return self._depth.camera_topic
+
+    @property
+    def colour_topic(self) -> str | None:
+        """The topic of colour images that come with the frames, if any."""
+        return self._colour.name if self._colour else None
 
     @property
     def frame_from_camera(self) -> NDArray[np.float64]:
@@ -97,7 +124,7 @@ class McapRecording:
         """What was lost so far."""
         found = self.decoded.bag.damage
         return Damage(
-            lost_messages=found.lost_messages + self._lost_frames,
+            lost_messages=found.lost_messages + self._losses.total(),
             lost_chunks=found.lost_chunks,
             verified=found.verified,
         )
@@ -115,15 +142,18 @@ class McapRecording:
 
     def __iter__(self) -> Iterator[Frame]:
         """Every frame once, in the order of stamps."""
-        lost = count = 0
+        losses: Counter[str] = Counter()
+        count = 0
 
-        def lose(_: object) -> None:
-            nonlocal lost
-            lost += 1
-            self._lost_frames = max(self._lost_frames, lost)
+        def lose(reason: object) -> None:
+            losses[str(reason)] += 1
+            if losses.total() > self._losses.total():
+                self._losses = losses
 
         colours = NearestInTime(self._colour_messages(lose))
-        messages = in_order_of_stamps(self._depth_messages(lose), leave_out=lose)
+        messages = in_order_of_stamps(
+            self._depth_messages(lose), leave_out=lambda _: lose("too late, or a stamp twice")
+        )
         for stamp_ns, message in selected(messages, self._options):
             try:
                 depth_m = self._depth.depth(message)
@@ -159,6 +189,13 @@ class McapRecording:
                 yield log_time_ns if self._uses_log_time else message.stamp_ns, message
             else:
                 lose(message)
+
+
+def _what_else(decoded: DecodedBag) -> str:
+    problems = decoded.bag.problems
+    if problems:
+        return f"{problems[0]}"
+    return f"its topics: {', '.join(sorted({topic.name for topic in decoded.bag.topics})) or 'none'}"
 
 
 def _ignore(_: object) -> None:

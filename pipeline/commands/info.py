@@ -1,0 +1,130 @@
+"""`voxscene info`: what is in a recording, and is it whole?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pipeline.damage import describe, report_damage
+from pipeline.options import Common, common_options, recording_options
+from recordings.options import ReadOptions
+
+if TYPE_CHECKING:
+    from recordings.overview import DepthOverview, Overview, Pace
+
+_GAPS_SHOWN = 5
+_PROBLEMS_SHOWN = 10
+
+
+@click.command(name="info")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--hash", "hashes", is_flag=True, help="Add the sha256 of each decoded depth frame.")
+@recording_options
+@common_options()
+@click.pass_context
+def command(
+    ctx: click.Context, recording: Path, hashes: bool, read_options: ReadOptions, common: Common
+) -> None:
+    """Topics, frames, rates, gaps, intrinsics and damage of a RECORDING.
+
+    RECORDING is an MCAP file or a rosbag2 folder. Exit code 3 says that part of it is lost.
+    """
+    from recordings.overview import survey
+
+    overview = survey(recording, read_options, hashes=hashes)
+    common.report(_document(overview), _lines(overview))
+    for problem in overview.problems[:_PROBLEMS_SHOWN]:
+        click.echo(f"voxscene: {problem}", err=True)
+    ctx.exit(report_damage(recording, overview.damage))
+
+
+def _lines(overview: Overview) -> list[str]:
+    lines = [*_depth_lines(overview), "", *_topic_lines(overview), "", _verdict(overview)]
+    hashes = overview.depth.frame_hashes if overview.depth else None
+    return lines if hashes is None else [*lines, "", *hashes]
+
+
+def _document(overview: Overview) -> dict[str, Any]:
+    depth = overview.depth
+    camera = depth.intrinsics if depth else None
+    duration_s = (
+        depth.pace.duration_s if depth else max((t.pace.duration_s for t in overview.topics), default=0)
+    )
+    document: dict[str, Any] = {
+        "depth_frames": depth.frames if depth else 0,
+        "width": depth.size[0] if depth else None,
+        "height": depth.size[1] if depth else None,
+        **{name: getattr(camera, name, None) for name in ("fx", "fy", "cx", "cy")},
+        "duration_s": duration_s,
+        "topics": {
+            topic.name: {
+                "type": topic.schema,
+                "encoding": topic.encoding,
+                "messages": topic.messages,
+                "rate_hz": topic.pace.rate_hz,
+            }
+            for topic in overview.topics
+        },
+        "lost_messages": overview.damage.lost_messages,
+        "lost_chunks": overview.damage.lost_chunks,
+        "verified": overview.damage.verified,
+    }
+    if depth and depth.frame_hashes is not None:
+        document["frame_hashes"] = list(depth.frame_hashes)
+    return document
+
+
+def _depth_lines(overview: Overview) -> list[str]:
+    depth = overview.depth
+    if depth is None:
+        return ["depth   none"]
+    size = f"{depth.size[0]}x{depth.size[1]}"
+    return [
+        f"depth   {depth.topic}: {depth.frames} frames of {size}, {_pace(depth.pace)}",
+        f"camera  {_camera(depth)}",
+        f"colour  {depth.colour_topic or 'none that is registered to the depth'}",
+        *_gap_lines(depth.pace),
+    ]
+
+
+def _camera(depth: DepthOverview) -> str:
+    camera = depth.intrinsics
+    if camera is None:
+        return depth.camera_problem or "unknown"
+    numbers = f"fx {camera.fx:.3f}  fy {camera.fy:.3f}  cx {camera.cx:.3f}  cy {camera.cy:.3f}"
+    return f"{numbers}  ({depth.camera_topic or 'given or derived'})"
+
+
+def _pace(pace: Pace) -> str:
+    rate = "" if pace.rate_hz is None else f" at {pace.rate_hz:.3g} Hz"
+    return f"{pace.duration_s:.3f} s{rate}"
+
+
+def _gap_lines(pace: Pace) -> list[str]:
+    if not pace.gaps_s:
+        return []
+    longest = sorted(pace.gaps_s, key=lambda gap: -gap[1])[:_GAPS_SHOWN]
+    shown = ", ".join(f"{length:.3g} s at {start:.3f} s" for start, length in longest)
+    return [f"gaps    {len(pace.gaps_s)} in the depth frames, the longest {shown}"]
+
+
+def _topic_lines(overview: Overview) -> list[str]:
+    rows = [("TOPIC", "MESSAGES", "HZ", "GAPS", "TYPE")]
+    for topic in overview.topics:
+        rate = "" if topic.pace.rate_hz is None else f"{topic.pace.rate_hz:.3g}"
+        kind = f"{topic.schema} ({topic.encoding})"
+        rows.append((topic.name, str(topic.messages), rate, str(len(topic.pace.gaps_s)), kind))
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    return [
+        f"{name:<{widths[0]}}  {count:>{widths[1]}}  {rate:>{widths[2]}}  {gaps:>{widths[3]}}  {kind}"
+        for name, count, rate, gaps, kind in rows
+    ]
+
+
+def _verdict(overview: Overview) -> str:
+    checked = (
+        "every byte read passed its checksum" if overview.damage.verified else "not all of it is checked"
+    )
+    return f"damage  {describe(overview.damage)}; {checked}"

@@ -1,0 +1,27 @@
+"""Telling that part of a recording is lost: one line on stderr, and the exit code of the command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pipeline.cli import DAMAGED
+from recordings.types import Damage
+
+
+def describe(damage: Damage) -> str:
+    """What was lost, in a few words."""
+    if not damage:
+        return "nothing lost" if damage.verified else "nothing lost as far as can be told"
+    return f"{damage.lost_chunks} chunks and at least {damage.lost_messages} messages lost"
+
+
+def report_damage(path: Path, damage: Damage) -> int:
+    """Say on stderr what was lost, or that nothing could be checked; give the exit code."""
+    if damage:
+        click.echo(f"voxscene: {path} is damaged: {describe(damage)}", err=True)
+        return DAMAGED
+    if not damage.verified:
+        click.echo(f"voxscene: {path} was written without checksums: its content is unverified", err=True)
+    return 0

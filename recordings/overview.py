@@ -1,0 +1,144 @@
+"""What a recording holds, read from end to end: topics, rates, gaps, depth, damage."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recordings.depth_topics import choose_depth_topic
+from recordings.mcap_files.bag import Bag
+from recordings.messages.decoded_bag import DecodedBag
+from recordings.options import ReadOptions
+from recordings.reading import McapRecording
+from recordings.types import CameraIntrinsics, Damage
+
+_SECOND_NS = 1_000_000_000
+_GAP_FACTOR = 2.5
+"""An interval longer than this many usual ones is a gap."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """How regularly messages come.
+
+    Attributes:
+        duration_s: from the first to the last.
+        rate_hz: 1 / median interval; None for fewer than two.
+        gaps_s: (start, length) of each interval much longer than usual, in seconds after the first.
+    """
+
+    duration_s: float
+    rate_hz: float | None
+    gaps_s: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicOverview:
+    """One topic: how many messages of what type, and their pace by log time."""
+
+    name: str
+    schema: str
+    encoding: str
+    messages: int
+    pace: Pace
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthOverview:
+    """The depth frames: pace by their stamps, sha256 of each frame's metres where asked for."""
+
+    topic: str
+    frames: int
+    size: tuple[int, int]
+    pace: Pace
+    intrinsics: CameraIntrinsics | None
+    camera_topic: str | None
+    camera_problem: str | None
+    colour_topic: str | None
+    frame_hashes: tuple[str, ...] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overview:
+    """A recording at a glance; `problems` are sentences for a person."""
+
+    topics: tuple[TopicOverview, ...]
+    depth: DepthOverview | None
+    damage: Damage
+    problems: tuple[str, ...]
+
+
+def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overview:
+    """Read a recording from end to end.
+
+    Raises:
+        RecordingError: it cannot be read, or several depth topics could be meant.
+    """
+    bag = Bag(Path(path))
+    topics = _survey_topics(bag)
+    decoded = DecodedBag(bag)
+    topic = choose_depth_topic(decoded, options.depth_topic)
+    recording = None if topic is None else McapRecording(decoded, topic, options)
+    depth = None if recording is None else _survey_depth(recording, hashes=hashes)
+    return Overview(
+        topics=topics,
+        depth=depth,
+        damage=bag.damage if recording is None else recording.damage,
+        problems=tuple(bag.problems if recording is None else [*bag.problems, *recording.problems]),
+    )
+
+
+def _survey_topics(bag: Bag) -> tuple[TopicOverview, ...]:
+    times: dict[str, list[int]] = {topic.name: [] for topic in bag.topics}
+    for topic, log_time_ns, _ in bag.messages():
+        times[topic.name].append(log_time_ns)
+    kinds = {topic.name: topic for topic in bag.topics}
+    return tuple(
+        TopicOverview(
+            name=name,
+            schema=kinds[name].schema_name,
+            encoding=kinds[name].message_encoding,
+            messages=len(stamps),
+            pace=_pace(sorted(stamps)),
+        )
+        for name, stamps in times.items()
+    )
+
+
+def _survey_depth(recording: McapRecording, *, hashes: bool) -> DepthOverview:
+    stamps: list[int] = []
+    found: list[str] = []
+    for frame in recording:
+        stamps.append(frame.time_ns)
+        if hashes:
+            found.append(hashlib.sha256(frame.depth_m.tobytes()).hexdigest())
+    return DepthOverview(
+        topic=recording.depth_topic,
+        frames=len(stamps),
+        size=recording.size,
+        pace=_pace(stamps),
+        intrinsics=None if recording.camera_problem else recording.intrinsics,
+        camera_topic=recording.camera_topic,
+        camera_problem=recording.camera_problem,
+        colour_topic=recording.colour_topic,
+        frame_hashes=tuple(found) if hashes else None,
+    )
+
+
+def _pace(times_ns: list[int]) -> Pace:
+    if len(times_ns) < 2:
+        return Pace(duration_s=0.0, rate_hz=None, gaps_s=())
+    times = np.array(times_ns, np.int64)
+    intervals = np.diff(times)
+    usual = float(np.median(intervals))
+    long = np.flatnonzero(intervals > _GAP_FACTOR * usual) if usual > 0 else []
+    return Pace(
+        duration_s=float(times[-1] - times[0]) / _SECOND_NS,
+        rate_hz=_SECOND_NS / usual if usual > 0 else None,
+        gaps_s=tuple(
+            (float(times[i] - times[0]) / _SECOND_NS, float(intervals[i]) / _SECOND_NS) for i in long
+        ),
+    )
