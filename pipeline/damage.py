@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pipeline.cli import DAMAGED
-from recordings.types import Damage
+
+if TYPE_CHECKING:
+    from recordings.types import Damage
 
 
 def describe(damage: Damage) -> str:
