@@ -7,10 +7,10 @@ from typing import Any
 
 import click
 
-from pipeline.errors import PipelineError
+from pipeline.errors import ConfigError, PipelineError
 from recordings.errors import RecordingError
 
-COMMANDS = ("info", "synth", "doctor")
+COMMANDS = ("info", "synth", "slam", "doctor")
 """Subcommands in the order of a user's work; `voxscene NAME` is `command` in `pipeline.commands.NAME`."""
 
 DAMAGED = 3
@@ -23,6 +23,12 @@ class Failure(click.ClickException):
     def show(self, file: Any = None) -> None:
         """Print the line."""
         click.echo(f"voxscene: {' '.join(self.message.split())}", file=file, err=True)
+
+
+class Misuse(Failure):
+    """One clear line on stderr and exit code 2."""
+
+    exit_code = 2
 
 
 class LazyGroup(click.Group):
@@ -42,6 +48,8 @@ class LazyGroup(click.Group):
         """Run the subcommand; what the user can mend ends as a `Failure`."""
         try:
             return super().invoke(ctx)
+        except ConfigError as error:
+            raise Misuse(str(error)) from error
         except (RecordingError, PipelineError) as error:
             raise Failure(str(error)) from error
         except OSError as error:

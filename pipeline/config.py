@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import copy
 import difflib
+import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -17,8 +18,23 @@ from pipeline.errors import ConfigError
 
 T = TypeVar("T")
 
-SECTIONS = ("recording", "slam", "learn", "parse", "synth", "bench")
+SECTIONS = ("run", "recording", "slam", "learn", "parse", "synth", "bench")
 """Every section that a settings file may have."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """What holds for every stage.
+
+    Attributes:
+        seed: root of all randomness.
+    """
+
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"seed must lie in [0, 2^32), got {self.seed}")
 
 
 class Settings:
@@ -69,7 +85,7 @@ class Settings:
         for key, value in (options or {}).items():
             if value is not None:
                 _put(values, key.split("."), value, f"{name}.{key}")
-        return build(kind, values, name)
+        return build(kind, values, name) if values else kind()
 
 
 def build(kind: type[T], values: Mapping[str, Any], where: str) -> T:
@@ -95,7 +111,10 @@ def build(kind: type[T], values: Mapping[str, Any], where: str) -> T:
 
 
 def plain_values(config: Any) -> Any:
-    """A configuration as tables, lists and scalars, as TOML and JSON hold them; None is left out."""
+    """A configuration as tables, lists and scalars, as TOML and JSON hold them; None is left out.
+
+    Numbers that are not finite, which JSON does not hold, become words.
+    """
     if is_dataclass(config):
         values = {field.name: getattr(config, field.name) for field in fields(config)}
         return {name: plain_values(value) for name, value in values.items() if value is not None}
@@ -103,7 +122,9 @@ def plain_values(config: Any) -> Any:
         return {str(name): plain_values(value) for name, value in config.items() if value is not None}
     if isinstance(config, tuple | list):
         return [plain_values(value) for value in config]
-    return str(config) if isinstance(config, Path) else config
+    if isinstance(config, Path) or (isinstance(config, float) and not math.isfinite(config)):
+        return str(config)
+    return config
 
 
 def _read_file(path: Path) -> dict[str, Any]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -13,11 +12,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from pipeline.errors import ConfigError
-from recordings.options import ReadOptions
 
 if TYPE_CHECKING:
     from pipeline.config import Settings
     from pipeline.progress import Progress
+    from recordings.options import ReadOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -65,14 +64,15 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             *args: Any,
             as_json: bool,
             quiet: bool,
-            seed: int,
+            seed: int | None,
             config_file: Path | None,
             overrides: tuple[str, ...],
             **kwargs: Any,
         ) -> Any:
-            from pipeline.config import Settings
+            from pipeline.config import RunConfig, Settings
 
-            settings = Settings.read(config_file, overrides, sections)
+            settings = Settings.read(config_file, overrides, ("run", *sections))
+            seed = settings.section("run", RunConfig, {"seed": seed}).seed
             common = Common(as_json=as_json, quiet=quiet, seed=seed, settings=settings)
             return command(*args, common=common, **kwargs)
 
@@ -82,9 +82,7 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             click.option(
                 "--seed",
                 type=click.IntRange(0, 2**32 - 1),
-                default=0,
-                show_default=True,
-                help="Root of all randomness.",
+                help="Root of all randomness; 0 unless the settings say otherwise.",
             ),
             click.option(
                 "--config",
@@ -122,54 +120,72 @@ class Intrinsics(click.ParamType):
         return fx, fy, cx, cy
 
 
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """The recording that a command works on, and what its options say about reading it.
+
+    Attributes:
+        path: an MCAP file or a rosbag2 folder.
+        said: values of `ReadOptions` by name; None says nothing.
+    """
+
+    path: Path
+    said: Mapping[str, Any]
+
+    def read_options(self, settings: Settings) -> ReadOptions:
+        """How it is read: the settings' section `recording`, and over it the command's options.
+
+        Raises:
+            ConfigError: a value cannot be used.
+        """
+        from recordings.options import ReadOptions
+
+        return settings.section("recording", ReadOptions, self.said)
+
+
+READING = (
+    *("depth_topic", "intrinsics", "depth_scale_m", "min_depth_m", "max_depth_m"),
+    *("start_s", "end_s", "every"),
+)
+"""Options of reading, by their names in `ReadOptions`."""
+
+
 def recording_options(command: Command) -> Command:
-    """Give a command the options of reading a recording as one argument `read_options`."""
+    """Give a command the argument REC and the options of reading it as one argument `source`."""
 
     @functools.wraps(command)
-    def with_read_options(
-        *args: Any,
-        depth_topic: str | None,
-        intrinsics: tuple[float, float, float, float] | None,
-        depth_scale: float | None,
-        min_depth: float,
-        max_depth: float,
-        start: float,
-        end: float,
-        every: int,
-        **kwargs: Any,
-    ) -> Any:
-        try:
-            read_options = ReadOptions(
-                depth_topic=depth_topic,
-                intrinsics=intrinsics,
-                depth_scale_m=depth_scale,
-                min_depth_m=min_depth,
-                max_depth_m=max_depth,
-                start_s=start,
-                end_s=end,
-                every=every,
-            )
-        except ValueError as error:
-            raise click.UsageError(str(error)) from error
-        return command(*args, read_options=read_options, **kwargs)
+    def with_source(*args: Any, rec: Path, **kwargs: Any) -> Any:
+        said = {name: kwargs.pop(name) for name in READING}
+        return command(*args, source=Source(path=rec, said=said), **kwargs)
 
-    def metres(name: str, default: float | None, help_: str) -> Any:
-        return click.option(name, type=float, default=default, metavar="METRES", help=help_)
+    def metres(flag: str, name: str, help_: str) -> Any:
+        return click.option(flag, name, type=float, metavar="METRES", help=help_)
 
-    def seconds(name: str, default: float, help_: str) -> Any:
-        return click.option(name, type=float, default=default, metavar="SECONDS", help=help_)
+    def seconds(flag: str, name: str, help_: str) -> Any:
+        return click.option(flag, name, type=float, metavar="SECONDS", help=help_)
 
+    names = (
+        "depth_topic",
+        "intrinsics",
+        "depth_scale_m",
+        "min_depth_m",
+        "max_depth_m",
+        "start_s",
+        "end_s",
+        "every",
+    )
     options = [
+        click.argument("rec", type=click.Path(path_type=Path)),
         click.option("--depth-topic", metavar="TOPIC", help="The depth, where a recording has several."),
         click.option("--intrinsics", type=Intrinsics(), help="Camera in pixels, over the recorded one."),
-        metres("--depth-scale", None, "Metres for a stored 1: as a rule 0.001 for integers, 1 for floats."),
-        metres("--min-depth", 0.0, "Nearer depths are ignored."),
-        metres("--max-depth", math.inf, "Farther depths are ignored."),
-        seconds("--start", 0.0, "From here on, after the first frame."),
-        seconds("--end", math.inf, "Up to here, after the first frame."),
-        click.option("--every", type=int, default=1, metavar="N", help="Every N-th frame."),
+        metres("--depth-scale", "depth_scale_m", "A stored 1: as a rule 0.001 for integers, 1 for floats."),
+        metres("--min-depth", "min_depth_m", "Nearer depths are ignored."),
+        metres("--max-depth", "max_depth_m", "Farther depths are ignored."),
+        seconds("--start", "start_s", "From here on, after the first frame."),
+        seconds("--end", "end_s", "Up to here, after the first frame."),
+        click.option("--every", type=int, metavar="N", help="Every N-th frame."),
     ]
-    return _decorated(with_read_options, options)
+    return _decorated(with_source, options)
 
 
 def run_options(command: Command) -> Command:
@@ -205,19 +221,16 @@ def image_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def numbers(option: str, text: str, count: int | None = None) -> tuple[float, ...]:
-    """Numbers separated by commas, `count` of them where it is given.
+def numbers(option: str, text: str) -> tuple[float, ...]:
+    """Numbers separated by commas.
 
     Raises:
         ConfigError: something else was written.
     """
     try:
-        values = tuple(float(part) for part in text.split(","))
+        return tuple(float(part) for part in text.split(","))
     except ValueError as error:
         raise ConfigError(f"{option} {text}: write numbers separated by commas") from error
-    if count is not None and len(values) != count:
-        raise ConfigError(f"{option} {text}: {count} numbers are needed, got {len(values)}")
-    return values
 
 
 def _decorated(command: Any, options: Sequence[Callable[[Any], Any]]) -> Any:

@@ -67,11 +67,17 @@ class StageRecord:
 
 
 class RunFolder:
-    """One run folder, held by one process at a time; made by `open_run_folder`."""
+    """One run folder, held by one process at a time; made by `open_run_folder`.
+
+    Attributes:
+        path: the folder.
+        has_computed: True if a stage was computed and not just read back.
+    """
 
     def __init__(self, path: Path, *, force: bool) -> None:
         """Use `path`; `force` computes stages again."""
         self.path = path
+        self.has_computed = False
         self._force = force
 
     def stage(
@@ -99,6 +105,7 @@ class RunFolder:
             path, record_path = self.value_path(name), self._record_path(name)
             record_path.unlink(missing_ok=True)
             log.info("%s: computing", name)
+            self.has_computed = True
             with timed() as timing, stdout_to_stderr():
                 value = compute()
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,10 +143,10 @@ class RunFolder:
         return None
 
     def stages(self) -> list[str]:
-        """Names of the committed stages."""
-        folder = self.path / "stages"
-        names = [path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.json")]
-        return sorted(name for name in names if name != "inputs" and self.record(name))
+        """Names of the committed stages, in the order of the work."""
+        shapes = sorted((self.path / "stages" / "learn").glob("*.json"))
+        names = ["slam", *(f"learn/{path.stem}" for path in shapes), "parse"]
+        return [name for name in names if self.record(name)]
 
     def value_path(self, name: str) -> Path:
         """Where a stage's value is kept."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pipeline.damage import describe, report_damage
-from pipeline.options import Common, common_options, recording_options
-from recordings.options import ReadOptions
+from pipeline.options import Common, Source, common_options, recording_options
 
 if TYPE_CHECKING:
     from recordings.overview import DepthOverview, Overview, Pace
@@ -19,25 +17,22 @@ _PROBLEMS_SHOWN = 10
 
 
 @click.command(name="info")
-@click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--hash", "hashes", is_flag=True, help="Add the sha256 of each decoded depth frame.")
 @recording_options
-@common_options()
+@common_options("recording")
 @click.pass_context
-def command(
-    ctx: click.Context, recording: Path, hashes: bool, read_options: ReadOptions, common: Common
-) -> None:
-    """Topics, frames, rates, gaps, intrinsics and damage of a RECORDING.
+def command(ctx: click.Context, source: Source, hashes: bool, common: Common) -> None:
+    """Topics, frames, rates, gaps, intrinsics and damage of a recording.
 
-    RECORDING is an MCAP file or a rosbag2 folder. Exit code 3 says that part of it is lost.
+    REC is an MCAP file or a rosbag2 folder. Exit code 3 says that part of it is lost.
     """
     from recordings.overview import survey
 
-    overview = survey(recording, read_options, hashes=hashes)
+    overview = survey(source.path, source.read_options(common.settings), hashes=hashes)
     common.report(_document(overview), _lines(overview))
     for problem in overview.problems[:_PROBLEMS_SHOWN]:
         click.echo(f"voxscene: {problem}", err=True)
-    ctx.exit(report_damage(recording, overview.damage))
+    ctx.exit(report_damage(source.path, overview.damage))
 
 
 def _lines(overview: Overview) -> list[str]:

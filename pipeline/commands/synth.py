@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options, image_size, numbers
+from pipeline.options import Common, Intrinsics, common_options, image_size, numbers
 
 if TYPE_CHECKING:
     import trimesh
@@ -52,7 +52,7 @@ def _scene_options(scene: Callable[..., Any]) -> Any:
         click.option("--radius", type=float, metavar="METRES", help="Distance of the camera."),
         click.option("--elevations", metavar="DEGREES,...", help="Of the camera; several for rings."),
         click.option("--size", metavar="WIDTHxHEIGHT", help="Image size."),
-        click.option("--intrinsics", metavar="FX,FY,CX,CY", help="Lens in pixels."),
+        click.option("--intrinsics", type=Intrinsics(), help="Lens in pixels."),
         click.option("--noise-free", is_flag=True, default=None, help="Measure exactly."),
     ]
     scene = common_options("synth")(scene)
@@ -143,12 +143,12 @@ def _settings(
     radius: float | None,
     elevations: str | None,
     size: str | None,
-    intrinsics: str | None,
+    intrinsics: tuple[float, float, float, float] | None,
     noise_free: bool | None,
 ) -> Mapping[str, Any]:
     """The options that both kinds of scene share, by the setting that each sets."""
     width, height = image_size(size) if size else (None, None)
-    fx, fy, cx, cy = numbers("--intrinsics", intrinsics, 4) if intrinsics else (None,) * 4
+    fx, fy, cx, cy = intrinsics or (None,) * 4
     return {
         "camera.width": width,
         "camera.height": height,

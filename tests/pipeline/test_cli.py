@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from pipeline.cli import COMMANDS, LazyGroup, voxscene
-from pipeline.errors import PipelineError
+from pipeline.errors import ConfigError, PipelineError
 from pipeline.options import Common, common_options
 from recordings.errors import RecordingError
 
@@ -56,6 +56,7 @@ def test_every_command_has_help(name: str) -> None:
     ("error", "line"),
     [
         (PipelineError("no room"), "voxscene: no room\n"),
+        (ConfigError("no setting"), "voxscene: no setting\n"),
         (RecordingError("two\nlines"), "voxscene: two lines\n"),
         (
             FileNotFoundError(2, "No such file or directory", "x.mcap"),
@@ -64,7 +65,7 @@ def test_every_command_has_help(name: str) -> None:
         (KeyboardInterrupt(), "voxscene: interrupted; the same command goes on where it stopped\n"),
     ],
 )
-def test_mistakes_end_in_one_line_and_exit_code_one(error: BaseException, line: str) -> None:
+def test_mistakes_end_in_one_line(error: BaseException, line: str) -> None:
     """Without a traceback."""
 
     class Failing(LazyGroup):
@@ -77,7 +78,8 @@ def test_mistakes_end_in_one_line_and_exit_code_one(error: BaseException, line: 
 
     result = CliRunner().invoke(Failing("voxscene"), ["fail"])
 
-    assert (result.exit_code, result.stdout, result.stderr) == (1, "", line)
+    code = 2 if isinstance(error, ConfigError) else 1
+    assert (result.exit_code, result.stdout, result.stderr) == (code, "", line)
 
 
 def test_usage_mistakes_exit_with_two() -> None:
@@ -116,21 +118,21 @@ def test_synth_writes_a_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "exit_code", "message"),
     [
-        (["objects", "--object", "spoon"], "no object 'spoon'; there are bottle, bowl"),
-        (["scenes", "--only", "mug,spoon"], "no object 'spoon'"),
-        (["scenes", "--size", "640"], "--size 640: write WIDTHxHEIGHT"),
-        (["scenes", "--intrinsics", "1,2"], "--intrinsics 1,2: 4 numbers are needed, got 2"),
-        (["scenes", "--elevations", "low"], "--elevations low: write numbers"),
-        (["scenes", "--meshes", "nowhere"], "no folder of meshes nowhere"),
-        (["scenes", "-s", "synth.frames=2"], "no setting synth.frames"),
+        (["objects", "--object", "spoon"], 1, "no object 'spoon'; there are bottle, bowl"),
+        (["scenes", "--only", "mug,spoon"], 1, "no object 'spoon'"),
+        (["scenes", "--size", "640"], 2, "--size 640: write WIDTHxHEIGHT"),
+        (["scenes", "--intrinsics", "1,2"], 2, "'1,2' is not four numbers"),
+        (["scenes", "--elevations", "low"], 2, "--elevations low: write numbers"),
+        (["scenes", "--meshes", "nowhere"], 1, "no folder of meshes nowhere"),
+        (["scenes", "-s", "synth.frames=2"], 2, "no setting synth.frames"),
     ],
 )
-def test_synth_names_mistakes(tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_synth_names_mistakes(tmp_path: Path, arguments: list[str], exit_code: int, message: str) -> None:
     """One line, and no file."""
     result = CliRunner().invoke(voxscene, ["synth", *arguments, str(tmp_path / "out.mcap")])
 
-    assert result.exit_code == 1
+    assert result.exit_code == exit_code
     assert message in result.stderr
     assert list(tmp_path.iterdir()) == []

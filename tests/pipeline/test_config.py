@@ -1,5 +1,6 @@
 """Settings become the stages' dataclasses, or one clear line."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -28,6 +29,7 @@ class Outer:
 
     count: int = 3
     limits: tuple[float, ...] = (1.0, 2.0)
+    end_s: float = math.inf
     name: str | None = None
     on: bool = False
     inner: Inner = field(default_factory=Inner)
@@ -98,6 +100,7 @@ def test_plain_values_build_the_same_configuration() -> None:
     assert plain == {
         "count": 9,
         "limits": [1.0, 2.0],
+        "end_s": "inf",
         "on": False,
         "inner": {"width_m": 1.0, "kind": "b"},
     }

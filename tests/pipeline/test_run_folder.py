@@ -157,7 +157,7 @@ def test_stages_are_listed_with_their_settings(tmp_path: Path) -> None:
         slam(run, Work())
         run.stage("learn/mug", Text.load, Work(), settings={"learn": {"pitch_m": 0.005}}, inputs={})
 
-        assert run.stages() == ["learn/mug", "slam"]
+        assert run.stages() == ["slam", "learn/mug"]
         record = run.record("learn/mug")
         assert record is not None
         assert record.settings == {"learn": {"pitch_m": 0.005}}

@@ -1,0 +1,48 @@
+"""`voxscene slam`: where was the camera, in every frame, and how sure are we."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pipeline.damage import report_damage
+from pipeline.options import Common, Source, common_options, recording_options, run_options
+
+
+@click.command(name="slam")
+@run_options
+@click.option("--motion", type=click.Choice(["free", "orbit"]), help="Prior over the camera's motion.")
+@click.option("--particles", type=int, metavar="K", help="Number of particles.")
+@click.option(
+    "--proposal", type=click.Choice(["enumerate", "kiss", "both"]), help="Where candidates come from."
+)
+@recording_options
+@common_options("recording", "slam")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    common: Common,
+    source: Source,
+    run_path: Path,
+    force: bool,
+    motion: str | None,
+    particles: int | None,
+    proposal: str | None,
+) -> None:
+    """Find the camera in every frame of REC, with its uncertainty."""
+    from pipeline.publishing.publish import stage_document
+    from pipeline.session import open_session
+    from pipeline.stages.slam import slam_stage
+
+    with open_session(common, source, run_path, force=force) as session:
+        slam_stage(session, {"motion": motion, "particles": particles, "proposal": proposal})
+        damage = session.damage
+    document = stage_document(session.run, "slam")
+    lines = [
+        f"{document['frames']} frames, {document['lost_frames']} lost, "
+        f"{document['frames_per_second']:.1f} a second, compiled in {document['compile_s']:.1f} s",
+        f"trajectory: {run_path / 'trajectory.tum'}",
+    ]
+    common.report(document, lines)
+    ctx.exit(report_damage(source.path, damage))

@@ -1,0 +1,46 @@
+"""Writes every file that is derived from a run's committed values, and nothing that is up to date."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import tomli_w
+
+from pipeline.atomic import write_json, write_text
+from pipeline.publishing.summary import summary_of, timing_of
+from pipeline.publishing.trajectory_files import kitti_lines, tum_lines
+from pipeline.publishing.values import RunValues
+from pipeline.run_folder import RunFolder
+
+
+def publish(run: RunFolder) -> None:
+    """Write config.toml, summary.json, timing.json, trajectory.tum and trajectory.kitti, each atomically.
+
+    All but timing.json are functions of the committed values alone, so that a resumed run ends with the
+    same bytes as an undisturbed one.
+    """
+    values = RunValues.load(run)
+    write_text(run.path / "config.toml", tomli_w.dumps(_settings(run)))
+    write_json(run.path / "summary.json", summary_of(values))
+    write_json(run.path / "timing.json", timing_of(run, values))
+    if values.slam is not None:
+        write_text(run.path / "trajectory.tum", tum_lines(values.slam.times_ns, values.slam.mean))
+        write_text(run.path / "trajectory.kitti", kitti_lines(values.slam.mean))
+
+
+def stage_document(run: RunFolder, name: str) -> dict[str, Any]:
+    """The object that a command prints with --json: the stage's summary with its timings merged in."""
+    values = RunValues.load(run)
+    summary, timing = summary_of(values), timing_of(run, values)
+    for part in name.split("/"):
+        summary, timing = summary[part], timing[part]
+    return {**summary, **timing}
+
+
+def _settings(run: RunFolder) -> dict[str, Any]:
+    """The settings of every committed stage, a settings file for --config."""
+    settings: dict[str, Any] = {}
+    for name in run.stages():
+        record = run.record(name)
+        settings |= record.settings if record else {}
+    return settings

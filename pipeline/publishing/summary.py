@@ -1,0 +1,60 @@
+"""summary.json and timing.json: the fields that other programs rely on (metres, radians, seconds)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.publishing.values import RunValues
+from pipeline.run_folder import RunFolder
+from shapes.prior import ShapePrior
+from slam.result import SlamResult
+
+
+def summary_of(values: RunValues) -> dict[str, Any]:
+    """What was found, by stage; equal values give equal summaries."""
+    summary: dict[str, Any] = {}
+    if values.slam is not None:
+        summary["slam"] = _slam(values.slam)
+    if values.shapes:
+        summary["learn"] = {name: _shape(shape) for name, shape in values.shapes.items()}
+    return summary
+
+
+def timing_of(run: RunFolder, values: RunValues) -> dict[str, Any]:
+    """How long each stage took when it was computed; clocks stand nowhere else."""
+    timing: dict[str, Any] = {}
+    for stage in run.stages():
+        record = run.record(stage)
+        if record is None:
+            continue
+        figures = {"seconds": record.seconds, "compile_s": record.compile_s}
+        kind, _, name = stage.partition("/")
+        if stage == "slam" and values.slam is not None:
+            figures["frames_per_second"] = round(len(values.slam) / max(record.seconds, 1e-6), 3)
+        if name:
+            timing.setdefault(kind, {})[name] = figures
+        else:
+            timing[kind] = figures
+    return timing
+
+
+def _slam(result: SlamResult) -> dict[str, Any]:
+    return {
+        "frames": len(result),
+        "lost_frames": int(result.lost.sum()),
+        "ess_min": float(result.ess.min()),
+        "log_evidence": float(result.log_evidence.sum()),
+    }
+
+
+def _shape(shape: ShapePrior) -> dict[str, Any]:
+    return {
+        "pitch_m": shape.pitch_m,
+        "voxels": list(shape.phi.shape),
+        "seen_occupied": int(shape.seen_occupied.sum()),
+        "seen_free": int(shape.seen_free.sum()),
+        "enclosed": int(shape.enclosed.sum()),
+        "size_m": np.round(np.ptp(shape.bounding_box_m, axis=0), 9).tolist() if shape.solid.any() else None,
+    }

@@ -1,0 +1,35 @@
+"""The committed values of a run, read together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.run_folder import RunFolder
+from shapes.prior import ShapePrior
+from slam.result import SlamResult
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunValues:
+    """What a run knows so far.
+
+    Attributes:
+        slam: the camera's trajectory.
+        shapes: learned shapes by name.
+    """
+
+    slam: SlamResult | None
+    shapes: dict[str, ShapePrior]
+
+    @classmethod
+    def load(cls, run: RunFolder) -> RunValues:
+        """Every committed value of a run."""
+        stages = run.stages()
+        return cls(
+            slam=SlamResult.load(run.value_path("slam")) if "slam" in stages else None,
+            shapes={
+                name.removeprefix("learn/"): ShapePrior.load(run.value_path(name))
+                for name in stages
+                if name.startswith("learn/")
+            },
+        )

@@ -1,0 +1,134 @@
+"""What the camera saw of the room: a fused point cloud and a few small views, for looking and for export."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import PipelineError
+from recordings.types import NO_RETURN, CameraIntrinsics, Frame
+from shapes.archive import load_arrays, save_arrays
+
+VOXEL_M = 0.01
+"""Points closer than this are fused into their mean."""
+FUSED_FRAMES = 60
+"""Frames that are fused, evenly spread."""
+POINTS_PER_FRAME = 40_000
+MOST_POINTS = 400_000
+VIEW_WIDTH = 160
+"""Width to which the kept views are thinned."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoomView:
+    """A fused cloud in the run's reference frame, and views from which it was fused.
+
+    Attributes:
+        points_m: (N, 3) float32.
+        rgb: (N, 3) uint8, or None without colour.
+        frames: (V,) int32 indices of the views in the recording.
+        depth_mm: (V, h, w) uint16 thinned depth images, 0 where nothing returned.
+        view_rgb: (V, h, w, 3) uint8, or None without colour.
+        intrinsics: (4,) fx, fy, cx, cy in pixels of the thinned images.
+    """
+
+    points_m: NDArray[np.float32]
+    rgb: NDArray[np.uint8] | None
+    frames: NDArray[np.int32]
+    depth_mm: NDArray[np.uint16]
+    view_rgb: NDArray[np.uint8] | None
+    intrinsics: NDArray[np.float64]
+
+    def save(self, path: Path) -> None:
+        """Write an npz file, whole or not at all; equal views give equal bytes."""
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        save_arrays(path, {name: array for name, array in arrays.items() if array is not None})
+
+    @classmethod
+    def load(cls, path: Path) -> RoomView:
+        """Read what `save` wrote.
+
+        Raises:
+            PipelineError: the file is damaged.
+        """
+        try:
+            arrays = load_arrays(path)
+            return cls(**{field.name: arrays.get(field.name) for field in fields(cls)})  # type: ignore[arg-type]
+        except ValueError as error:
+            raise PipelineError(f"{path} is damaged: {error}") from error
+
+
+def view_room(
+    frames: Iterable[Frame],
+    intrinsics: CameraIntrinsics,
+    reference_from_camera: NDArray[np.float64],
+    progress: Callable[[int, int], None] | None = None,
+) -> RoomView:
+    """Fuse frames at known poses (T, 4, 4), one pose for each frame."""
+    count = len(reference_from_camera)
+    chosen = np.unique(np.linspace(0, count - 1, min(FUSED_FRAMES, count)).round().astype(int))
+    wanted = set(chosen.tolist())
+    step = -(-intrinsics.width // VIEW_WIDTH)
+    cloud = _Cloud()
+    depths, colours = [], []
+    for index, frame in enumerate(frames):
+        if index in wanted:
+            cloud.add(frame, intrinsics, reference_from_camera[index])
+            depths.append(np.round(1000 * np.minimum(frame.depth_m[::step, ::step], 65.0)).astype(np.uint16))
+            if frame.rgb is not None:
+                colours.append(frame.rgb[::step, ::step])
+        if progress:
+            progress(index + 1, count)
+    points, rgb = cloud.fused()
+    coloured = len(colours) == len(depths)
+    return RoomView(
+        points_m=points,
+        rgb=rgb if coloured else None,
+        frames=chosen.astype(np.int32),
+        depth_mm=np.stack(depths),
+        view_rgb=np.stack(colours) if coloured else None,
+        intrinsics=np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy]) / step,
+    )
+
+
+class _Cloud:
+    """Sums of points and colours by voxel."""
+
+    def __init__(self) -> None:
+        self._points: list[NDArray[np.float32]] = []
+        self._colours: list[NDArray[np.uint8]] = []
+
+    def add(
+        self, frame: Frame, intrinsics: CameraIntrinsics, reference_from_camera: NDArray[np.float64]
+    ) -> None:
+        """Add the points of a frame, thinned evenly."""
+        v, u = np.nonzero(frame.depth_m != NO_RETURN)
+        stride = -(-len(u) // POINTS_PER_FRAME) or 1
+        u, v = u[::stride], v[::stride]
+        depth = frame.depth_m[v, u].astype(np.float64)
+        local = np.stack(
+            [(u - intrinsics.cx) * depth / intrinsics.fx, (v - intrinsics.cy) * depth / intrinsics.fy, depth],
+            axis=-1,
+        )
+        self._points.append(
+            (local @ reference_from_camera[:3, :3].T + reference_from_camera[:3, 3]).astype(np.float32)
+        )
+        if frame.rgb is not None:
+            self._colours.append(frame.rgb[v, u])
+
+    def fused(self) -> tuple[NDArray[np.float32], NDArray[np.uint8] | None]:
+        """Means over voxels that more than one point fell into."""
+        points = np.concatenate(self._points)
+        coloured = len(self._colours) == len(self._points)
+        values = np.concatenate([points, np.concatenate(self._colours)], axis=1) if coloured else points
+        _, voxel, counts = np.unique(
+            np.floor(points / VOXEL_M).astype(np.int32), axis=0, return_inverse=True, return_counts=True
+        )
+        sums = np.stack([np.bincount(voxel, column) for column in values.T.astype(np.float64)], axis=-1)
+        means = (sums / counts[:, None])[counts > 1]
+        means = means[:: -(-len(means) // MOST_POINTS) or 1]
+        return means[:, :3].astype(np.float32), means[:, 3:].round().astype(np.uint8) if coloured else None

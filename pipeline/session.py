@@ -1,0 +1,106 @@
+"""One command at work on one recording: what it reads, what it was told, and the run folder it fills."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pipeline.atomic import write_json
+from pipeline.errors import PipelineError
+from pipeline.jax_setup import keep_compiled_kernels
+from pipeline.options import Common, Source
+from pipeline.publishing.publish import publish
+from pipeline.run_folder import RunFolder, V, file_hash, open_run_folder
+from recordings.reading import McapRecording, open_recording
+from recordings.types import Damage
+
+if TYPE_CHECKING:
+    import jax
+
+Stage = Literal["slam", "learn", "parse"]
+STAGES: tuple[Stage, ...] = ("slam", "learn", "parse")
+"""In the order in which the root key is split; new stages go to the end."""
+
+
+class Session:
+    """What a stage needs to be wired up.
+
+    Attributes:
+        common: seed, settings, progress.
+        source: the recording's path and the command's options of reading it.
+        run: where values are committed.
+        recording: the frames.
+    """
+
+    def __init__(self, common: Common, source: Source, run: RunFolder, recording_hash: str) -> None:
+        """Open the recording for a run folder that is held."""
+        self.common = common
+        self.source = source
+        self.run = run
+        self._reading = source.read_options(common.settings)
+        self.recording: McapRecording = open_recording(source.path, self._reading)
+        self._recording_hash = recording_hash
+
+    def key(self, stage: Stage) -> jax.Array:
+        """The key of a stage."""
+        import jax
+
+        return jax.random.split(jax.random.key(self.common.seed), len(STAGES))[STAGES.index(stage)]
+
+    def stage(
+        self,
+        name: str,
+        load: Callable[[Path], V],
+        compute: Callable[[], V],
+        settings: Mapping[str, Any],
+        inputs: Mapping[str, str] | None = None,
+    ) -> V:
+        """A stage's value, computed only where the recording, the seed, settings or inputs changed.
+
+        Args:
+            name: `slam`, `learn/NAME` or `parse`.
+            load: reads a value back.
+            compute: makes the value.
+            settings: the stage's configuration, by section of the settings file.
+            inputs: hashes of what else it is made from: `run.fingerprint` of the stages that it uses.
+        """
+        general = {"recording": self._reading, "run": {"seed": self.common.seed}}
+        return self.run.stage(
+            name,
+            load,
+            compute,
+            settings={**general, **settings},
+            inputs={"recording": self._recording_hash, **(inputs or {})},
+        )
+
+    @property
+    def damage(self) -> Damage:
+        """What was lost of the recording when it was last read from end to end for this run."""
+        note = self.run.path / "stages" / "damage.json"
+        if self.run.has_computed:
+            write_json(note, vars(self.recording.damage))
+        try:
+            return Damage(**json.loads(note.read_text()))
+        except (OSError, ValueError, TypeError):
+            return Damage()
+
+
+@contextmanager
+def open_session(common: Common, source: Source, run_path: Path, *, force: bool = False) -> Iterator[Session]:
+    """Open the recording and the run folder; when the block ends well, all derived files are written.
+
+    Raises:
+        RecordingError: the recording cannot be used.
+        PipelineError: the run folder cannot be used, or a setting.
+    """
+    keep_compiled_kernels()
+    try:
+        recording_hash = file_hash(source.path)
+    except OSError as error:
+        raise PipelineError(f"cannot read {source.path}: {error.strerror or error}") from error
+    with open_run_folder(run_path, {source.path.name: recording_hash}, force=force) as run:
+        yield Session(common, source, run, recording_hash)
+        publish(run)

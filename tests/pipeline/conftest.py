@@ -1,0 +1,54 @@
+"""Small recordings and values that the pipeline's tests share."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.synthesis.filming import film_object
+from pipeline.synthesis.objects import built_in_object
+from pipeline.synthesis.paths import PathConfig
+from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.synthesis.rooms import RoomConfig
+from pipeline.synthesis.scenarios import CameraConfig, ObjectScene
+from pipeline.synthesis.writing import write_recording
+from slam.result import SlamResult
+
+
+@pytest.fixture(scope="session")
+def filmed_mug() -> SyntheticRecording:
+    """Six small views of a mug in a bare room."""
+    scene = ObjectScene(
+        camera=CameraConfig(width=96, height=72),
+        room=RoomConfig(kind="bare"),
+        path=PathConfig(frames=6, degrees_per_frame=12.0, radius_m=0.7),
+    )
+    return film_object("mug", built_in_object("mug"), scene, 4)
+
+
+@pytest.fixture(scope="session")
+def mug_file(filmed_mug: SyntheticRecording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same as a file."""
+    path = tmp_path_factory.mktemp("recordings") / "mug.mcap"
+    write_recording(filmed_mug, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def true_trajectory(filmed_mug: SyntheticRecording) -> SlamResult:
+    """What a perfect tracker of three particles would find in it."""
+    poses = filmed_mug.trajectory.reference_from_camera
+    mean = np.linalg.inv(poses[0]) @ poses
+    frames = len(mean)
+    return SlamResult(
+        times_ns=filmed_mug.trajectory.times_ns,
+        trajectories=np.tile(mean, (3, 1, 1, 1)),
+        log_weights=np.log([0.5, 0.3, 0.2]),
+        mean=mean,
+        covariance=np.tile(1e-6 * np.eye(6), (frames, 1, 1)),
+        ess=np.linspace(3.0, 2.0, frames),
+        log_evidence=np.full(frames, 10.0),
+        resampled=np.zeros(frames, bool),
+        lost=np.zeros(frames, bool),
+        explained=np.ones(frames),
+    )

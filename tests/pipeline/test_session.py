@@ -1,0 +1,130 @@
+"""A command's stages depend on the recording, its reading, the seed and the settings, and end in files."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import click
+import jax
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pipeline.cli import Failure
+from pipeline.config import Settings
+from pipeline.options import Common, Source, common_options, recording_options
+from pipeline.publishing.publish import stage_document
+from pipeline.session import STAGES, Session, open_session
+from slam.config import SlamConfig
+from slam.result import SlamResult
+
+
+def common(seed: int = 0, overrides: tuple[str, ...] = ()) -> Common:
+    """A quiet command."""
+    return Common(as_json=False, quiet=True, seed=seed, settings=Settings.read(None, overrides))
+
+
+class Tracker:
+    """Counts how often it is asked for the trajectory."""
+
+    def __init__(self, result: SlamResult) -> None:
+        self.times = 0
+        self._result = result
+
+    def __call__(self) -> SlamResult:
+        """The trajectory."""
+        self.times += 1
+        return self._result
+
+    def stage(self, session: Session, config: SlamConfig) -> SlamResult:
+        """The stage slam of a session."""
+        return session.stage("slam", SlamResult.load, self, {"slam": config})
+
+
+def track(tracker: Tracker, recording: Path, run: Path, seed: int = 0, every: int | None = None) -> Session:
+    """One command's work."""
+    source = Source(path=recording, said={"every": every})
+    with open_session(common(seed), source, run) as session:
+        tracker.stage(session, SlamConfig(particles=3))
+    return session
+
+
+def test_a_stage_runs_again_for_another_seed_or_reading(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """And not otherwise."""
+    tracker = Tracker(true_trajectory)
+    for count, (seed, every) in enumerate([(0, None), (1, None), (1, 2)], start=1):
+        for _ in range(2):
+            track(tracker, mug_file, tmp_path / "run", seed, every)
+        assert tracker.times == count
+
+
+def test_the_run_folder_holds_what_other_programs_rely_on(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Fields, trajectory line by line, settings that can be given back."""
+    run = tmp_path / "run"
+    session = track(Tracker(true_trajectory), mug_file, run)
+
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary == {"slam": {"frames": 6, "lost_frames": 0, "ess_min": 2.0, "log_evidence": 60.0}}
+    document = stage_document(session.run, "slam")
+    assert set(document) == {*summary["slam"], "seconds", "compile_s", "frames_per_second"}
+    lines = (run / "trajectory.tum").read_text().splitlines()
+    assert len(lines) == 6
+    assert lines[0] == "1.000000000" + " 0.000000000" * 6 + " 1.000000000"
+    assert len((run / "trajectory.kitti").read_text().split()) == 6 * 12
+    settings = tomllib.loads((run / "config.toml").read_text())
+    assert settings["slam"]["particles"] == 3
+    again = Settings.read(run / "config.toml", ())
+    assert again.section("slam", SlamConfig) == SlamConfig(particles=3)
+    assert Source(path=mug_file, said={}).read_options(again) == Source(path=mug_file, said={}).read_options(
+        Settings({})
+    )
+
+
+def test_derived_files_are_the_same_bytes_when_made_again(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Whatever of them was lost."""
+    run = tmp_path / "run"
+    track(Tracker(true_trajectory), mug_file, run)
+    derived = ("config.toml", "summary.json", "trajectory.tum", "trajectory.kitti", "slam.npz")
+    before = [(run / name).read_bytes() for name in derived]
+    for name in derived:
+        (run / name).unlink()
+    track(Tracker(true_trajectory), mug_file, run)
+
+    assert [(run / name).read_bytes() for name in derived] == before
+
+
+def test_every_stage_has_a_key_of_its_own(mug_file: Path, tmp_path: Path) -> None:
+    """They follow from the seed, and stay when stages are added at the end."""
+    with open_session(common(7), Source(path=mug_file, said={}), tmp_path / "run") as session:
+        data = [jax.random.key_data(session.key(stage)).tolist() for stage in STAGES]
+    longer = jax.random.split(jax.random.key(7), len(STAGES) + 1)
+
+    assert len({tuple(one) for one in data}) == len(STAGES)
+    assert data == np.asarray(jax.random.key_data(longer))[: len(STAGES)].tolist()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["none.mcap"], ["none.mcap", "--every", "0"], ["none.mcap", "--start", "-1"]]
+)
+def test_reading_options_and_missing_files_are_named(arguments: list[str], tmp_path: Path) -> None:
+    """One line."""
+
+    @click.command()
+    @recording_options
+    @common_options("recording")
+    def command(common: Common, source: Source) -> None:
+        with open_session(common, source, tmp_path / "run"):
+            pass
+
+    result = CliRunner().invoke(command, arguments)
+    assert result.exception is not None
+    assert not isinstance(result.exception, SystemExit)
+    assert "none.mcap" in str(result.exception) or "recording" in str(result.exception)
+    assert Failure(str(result.exception)).exit_code == 1
+    assert not (tmp_path / "run").exists()
