@@ -164,16 +164,6 @@ def recording_options(command: Command) -> Command:
     def seconds(flag: str, name: str, help_: str) -> Any:
         return click.option(flag, name, type=float, metavar="SECONDS", help=help_)
 
-    names = (
-        "depth_topic",
-        "intrinsics",
-        "depth_scale_m",
-        "min_depth_m",
-        "max_depth_m",
-        "start_s",
-        "end_s",
-        "every",
-    )
     options = [
         click.argument("rec", type=click.Path(path_type=Path)),
         click.option("--depth-topic", metavar="TOPIC", help="The depth, where a recording has several."),
