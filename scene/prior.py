@@ -1,0 +1,255 @@
+"""Prior densities p(G) and p(theta | G) of supplement O, in the one base measure.
+
+A floating pose has density 1/V 1/pi^2 (Lebesgue on R^3 x rotation measure). A contact has a density with
+respect to counting measure on the faces x Lebesgue on (a, b, z) x S^2 x S^1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+
+from scene.contact import (
+    Contact,
+    RelativeBox,
+    contact_from_poses,
+    face_contact,
+    face_half_sizes,
+    pose_from_contact,
+    relative_box,
+)
+from scene.graph import ROOT, Bodies, SceneGraph
+from scene.rotation_densities import (
+    LOG_CONTACT_JACOBIAN,
+    LOG_ROTATION_MASS,
+    hemisphere_direction,
+    log_von_mises_fisher,
+    uniform_rotation,
+    von_mises_fisher_direction,
+)
+
+_LOG_CHILD_FACES = math.log(6)
+_LOG_CIRCLE = math.log(2 * math.pi)
+_LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PosePrior:
+    """Parameters of p(theta | G).
+
+    The volume of the cuboid is the strength of the preference for contact: a floating object pays log V.
+
+    Attributes:
+        low_m, high_m: (3,) corners of the cuboid in the world that holds the centres of floating objects.
+        contact_sigma_m: standard deviation of the gap z between two faces.
+        contact_concentration: kappa of the von Mises-Fisher density of eta about flush contact.
+        slack_share: weight of the uniform hemisphere in eta's density, for rests that are not flush with
+            a face of the bounding box; the rest is von Mises-Fisher.
+    """
+
+    low_m: jax.Array
+    high_m: jax.Array
+    contact_sigma_m: jax.Array
+    contact_concentration: jax.Array
+    slack_share: jax.Array
+
+
+class StructurePrior(Protocol):
+    """log p(G), up to one constant that is the same for all trees over the same objects."""
+
+    def log_density(self, parents: jax.Array, present: jax.Array, movable: jax.Array) -> jax.Array:
+        """Log p of the tree with these parents (C,), over the present objects."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class UniformTrees:
+    """Every tree over the N present free objects alike: 1/(N+1)^(N-1), with the table 1/(2 (N+2)^(N-1))."""
+
+    def log_density(self, parents: jax.Array, present: jax.Array, movable: jax.Array) -> jax.Array:
+        """Log p(G), the same for every tree."""
+        free = jnp.sum(present & movable)
+        fixed = jnp.sum(present & ~movable)
+        dtype = jnp.result_type(float)
+        log_base = jnp.log((free + fixed + 1).astype(dtype))
+        log_fixed = jnp.log((fixed + 1).astype(dtype))
+        return -(free - 1) * log_base - log_fixed + jnp.zeros(parents.shape[:-1], dtype)
+
+
+def log_floating(prior: PosePrior, position_m: jax.Array) -> jax.Array:
+    """Log density of a floating pose by its position (..., 3)."""
+    lead = (None,) * (position_m.ndim - 1)
+    inside = jnp.all((position_m >= prior.low_m[lead]) & (position_m <= prior.high_m[lead]), axis=-1)
+    log_volume = jnp.sum(jnp.log(prior.high_m - prior.low_m))
+    return jnp.where(inside, -log_volume - LOG_ROTATION_MASS, -jnp.inf)
+
+
+def log_contact(
+    prior: PosePrior,
+    box: RelativeBox,
+    parent_half_extents_m: jax.Array,
+    parent_supports: jax.Array,
+    child_half_extents_m: jax.Array,
+    parent_face: jax.Array,
+    child_face: jax.Array,
+) -> jax.Array:
+    """Log density of one contact, faces included: (a, b) uniform on the parent's face, phi uniform.
+
+    Args:
+        prior: parameters.
+        box: the child as its parent sees it.
+        parent_half_extents_m: (3,).
+        parent_supports: (6,) faces of the parent on which others may rest; its face is uniform over them.
+        child_half_extents_m: (3,).
+        parent_face: the parent's face.
+        child_face: the child's.
+    """
+    on_face, gap_m, eta_z = face_contact(
+        box, parent_half_extents_m, child_half_extents_m, parent_face, child_face
+    )
+    supports = jnp.any(parent_supports & (jnp.arange(6) == parent_face))
+    log_faces = -_LOG_CHILD_FACES - jnp.log(jnp.sum(parent_supports))
+    in_plane = jnp.arange(3) != parent_face // 2
+    log_area = jnp.sum(jnp.where(in_plane, jnp.log(2 * parent_half_extents_m), 0.0))
+    log_density = log_faces - log_area + log_gap(prior, gap_m) + log_eta(prior, eta_z) - _LOG_CIRCLE
+    return jnp.where(on_face & supports, log_density, -jnp.inf)
+
+
+def log_gap(prior: PosePrior, gap_m: jax.Array) -> jax.Array:
+    """Log density of the gap z between two faces, Normal(0, sigma_z)."""
+    return -0.5 * (gap_m / prior.contact_sigma_m) ** 2 - jnp.log(prior.contact_sigma_m) - _LOG_SQRT_2PI
+
+
+def log_eta(prior: PosePrior, eta_z: jax.Array) -> jax.Array:
+    """Log density on S^2 of the direction of contact: von Mises-Fisher plus a uniform hemisphere."""
+    log_flush = log_von_mises_fisher(prior.contact_concentration, eta_z)
+    slack = jnp.where(eta_z > 0, prior.slack_share / (2 * jnp.pi), 0.0)
+    return jnp.log((1 - prior.slack_share) * jnp.exp(log_flush) + slack)
+
+
+def log_contacts_of(prior: PosePrior, bodies: Bodies, poses: jax.Array, child: jax.Array) -> jax.Array:
+    """Log densities (C, f', f) of `child`'s contact parameters, were it on each face of each object.
+
+    `log_contact` over all pairs of faces at once, as arrays (parent, its axis, its side, child's axis,
+    child's side); the barriers keep XLA from recomputing an intermediate for each of the 36 pairs.
+    """
+    half_extents = bodies.half_extents_m
+    boxes = jax.vmap(relative_box, in_axes=(0, None))(poses, poses[child])
+    axes, centres = jax.lax.optimization_barrier((boxes.axes, boxes.centre_m))
+    sides = jnp.asarray([-1.0, 1.0], poses.dtype)
+    face_centres = (
+        centres[:, :, None, None]
+        + (axes * half_extents[child][None, None])[..., None] * sides[None, None, None]
+    )
+    beside = (jnp.abs(face_centres) > half_extents[:, :, None, None]).astype(poses.dtype)
+    beside_elsewhere = jnp.sum(beside, axis=1, keepdims=True) - beside
+    gaps_m = (
+        face_centres[:, :, None] * sides[None, None, :, None, None] - half_extents[:, :, None, None, None]
+    )
+    log_eta_opposed, log_eta_alike, beside_elsewhere = jax.lax.optimization_barrier(
+        (log_eta(prior, axes), log_eta(prior, -axes), beside_elsewhere)
+    )
+    alike = (sides[:, None, None] * sides[None, None, :] > 0)[None, None]
+    log_etas = jnp.where(alike, log_eta_alike[:, :, None, :, None], log_eta_opposed[:, :, None, :, None])
+    log_sizes = jnp.log(2 * half_extents)
+    log_areas = jnp.sum(log_sizes, axis=1, keepdims=True) - log_sizes
+    log_faces = -_LOG_CHILD_FACES - jnp.log(jnp.sum(bodies.supporting_faces, axis=1))
+    log_face = jnp.where(
+        bodies.supporting_faces.reshape(-1, 3, 2), (log_faces[:, None] - log_areas)[..., None], -jnp.inf
+    )
+    log_density = log_gap(prior, gaps_m) + log_etas + (log_face - _LOG_CIRCLE)[:, :, :, None, None]
+    return jnp.where(beside_elsewhere[:, :, None] == 0, log_density, -jnp.inf).reshape(-1, 6, 6)
+
+
+def contact_of(bodies: Bodies, scene: SceneGraph, child: jax.Array) -> Contact:
+    """The contact parameters of a child under its parent and faces."""
+    parent = scene.parents[child]
+    half_extents = bodies.half_extents_m
+    return contact_from_poses(
+        scene.poses[parent],
+        scene.poses[child],
+        half_extents[parent],
+        half_extents[child],
+        scene.parent_faces[child],
+        scene.child_faces[child],
+    )
+
+
+def pose_in_contact(bodies: Bodies, scene: SceneGraph, child: jax.Array, contact: Contact) -> jax.Array:
+    """The pose (7,) that a child would have with other contact parameters under its parent and faces."""
+    parent = scene.parents[child]
+    half_extents = bodies.half_extents_m
+    return pose_from_contact(
+        contact,
+        scene.poses[parent],
+        half_extents[parent],
+        half_extents[child],
+        scene.parent_faces[child],
+        scene.child_faces[child],
+    )
+
+
+def log_parameters(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
+    """Log p(theta_child | G) of one object's active parameters; the table's are given and count 0."""
+    parent = scene.parents[child]
+    log_in_contact = log_contact(
+        prior,
+        relative_box(scene.poses[parent], scene.poses[child]),
+        bodies.half_extents_m[parent],
+        bodies.supporting_faces[parent],
+        bodies.half_extents_m[child],
+        scene.parent_faces[child],
+        scene.child_faces[child],
+    )
+    log_density = jnp.where(parent == ROOT, log_floating(prior, scene.poses[child, 4:]), log_in_contact)
+    return jnp.where(scene.present[child] & bodies.movable[child], log_density, 0.0)
+
+
+def log_pose_given_faces(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
+    """Log p(x | parent, faces) of the child's absolute pose (Lebesgue x rotation measure), as sampled."""
+    parent = scene.parents[child]
+    log_faces = -_LOG_CHILD_FACES - jnp.log(jnp.sum(bodies.supporting_faces[parent]))
+    conversion = jnp.where(parent == ROOT, 0.0, LOG_CONTACT_JACOBIAN - log_faces)
+    return log_parameters(prior, bodies, scene, child) + conversion
+
+
+def log_prior(prior: PosePrior, structure: StructurePrior, bodies: Bodies, scene: SceneGraph) -> jax.Array:
+    """Log p(G) p(theta | G) of a whole scene."""
+    objects = jnp.arange(len(scene.parents))
+    log_poses = jax.vmap(lambda child: log_parameters(prior, bodies, scene, child))(objects)
+    return structure.log_density(scene.parents, scene.present, bodies.movable) + jnp.sum(log_poses)
+
+
+def sample_pose(
+    key: jax.Array, prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array
+) -> jax.Array:
+    """Pose (7,) of a child drawn from its prior given its parent and faces."""
+    uniforms = jax.random.uniform(key, (8,), prior.low_m.dtype)
+    parent = scene.parents[child]
+    half_sizes = face_half_sizes(bodies.half_extents_m[parent], scene.parent_faces[child])
+    contact = _contact_from_uniforms(prior, half_sizes, uniforms)
+    supported = pose_in_contact(bodies, scene, child, contact)
+    return jnp.where(parent == ROOT, _floating_from_uniforms(prior, uniforms), supported)
+
+
+def _floating_from_uniforms(prior: PosePrior, uniforms: jax.Array) -> jax.Array:
+    position = prior.low_m + (prior.high_m - prior.low_m) * uniforms[:3]
+    return jnp.concatenate([uniform_rotation(uniforms[3:6]), position])
+
+
+def _contact_from_uniforms(prior: PosePrior, half_sizes_m: jax.Array, uniforms: jax.Array) -> Contact:
+    plane = half_sizes_m * (2 * uniforms[:2] - 1)
+    normal = jnp.sqrt(-2 * jnp.log1p(-uniforms[2])) * jnp.cos(2 * jnp.pi * uniforms[3])  # Box-Muller
+    eta = jnp.where(
+        uniforms[4] < prior.slack_share,
+        hemisphere_direction(uniforms[5:7]),
+        von_mises_fisher_direction(prior.contact_concentration, uniforms[5:7]),
+    )
+    offset = jnp.concatenate([plane, prior.contact_sigma_m * normal[None]])
+    return Contact(offset, eta, 2 * jnp.pi * uniforms[7])

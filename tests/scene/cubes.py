@@ -1,0 +1,95 @@
+"""MATH.md's special configuration: cubes of 1 m in (1.5 m)^3, where chains change the graph all the time."""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from scene.chain import Kernel, run_block, scene_kernel
+from scene.graph import Bodies, SceneGraph, all_trees, floating_scene, tree_code
+from scene.model import ChainState, Likelihood, NoData, SceneModel, start_chain
+from scene.pose_mixture import PoseMixture
+from scene.prior import PosePrior, StructurePrior, UniformTrees, sample_pose
+from scene.structure_move import StructureMove
+
+
+def cube_model(
+    free: int,
+    *,
+    table: bool = False,
+    structure: StructurePrior | None = None,
+    likelihood: Likelihood | None = None,
+    slack_share: float = 0.1,
+) -> SceneModel:
+    """Cubes, with a fixed one whose top alone supports as the table."""
+    count = free + table
+    movable = jnp.arange(count) < free
+    supporting = movable[:, None] | (jnp.arange(6) == 5)[None]
+    bodies = Bodies(jnp.full((count, 3), 0.5), movable, supporting)
+    half = jnp.full(3, 0.75)
+    prior = PosePrior(-half, half, jnp.array(0.5), jnp.array(1.0), jnp.array(slack_share))
+    return SceneModel(bodies, prior, structure or UniformTrees(), likelihood or NoData())
+
+
+def cube_kernel(count: int, proposal: str = "posterior", *, prior_share: float = 0.6) -> Kernel:
+    """The production kernel with walks as wide as the cubes and one wide component each."""
+    centres = jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0]), (count, 1, 1))
+    covariances = jnp.tile(jnp.diag(jnp.array([0.3, 0.3, 0.3, 0.8, 0.8, 0.8]) ** 2), (count, 1, 1, 1))
+    mixture = PoseMixture.build(jnp.zeros((count, 1)), centres, covariances)
+    scale = jnp.full(count, 0.5)
+    return scene_kernel(
+        mixture,
+        prior_share=prior_share,
+        translation_m=scale,
+        rotation_rad=2 * scale,
+        structure=StructureMove(proposal),  # pyright: ignore[reportArgumentType]
+    )
+
+
+def floating_draw(key: jax.Array, model: SceneModel) -> SceneGraph:
+    """All objects floating, drawn from the prior; the table at the origin."""
+    movable = model.bodies.movable
+    count = len(movable)
+    rest = jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0]), (count, 1))
+    draw = partial(
+        sample_pose, prior=model.prior, bodies=model.bodies, scene=floating_scene(rest), child=jnp.array(0)
+    )
+    poses = jax.vmap(draw)(jax.random.split(key, count))
+    return floating_scene(jnp.where(movable[:, None], poses, rest))
+
+
+def start_chains(key: jax.Array, model: SceneModel, chains: int) -> ChainState:
+    """Independent chains from floating draws."""
+    scene_key, chain_key = jax.random.split(key)
+    scenes = jax.vmap(partial(floating_draw, model=model))(jax.random.split(scene_key, chains))
+    return jax.vmap(lambda key, scene: start_chain(key, model, scene))(
+        jax.random.split(chain_key, chains), scenes
+    )
+
+
+def code_of(state: ChainState) -> jax.Array:
+    """The tree of a state."""
+    return tree_code(state.scene.parents)
+
+
+def tree_frequencies(
+    key: jax.Array,
+    model: SceneModel,
+    kernel: Kernel,
+    *,
+    chains: int,
+    moves: int,
+    burn_in: int,
+    record: Callable[[ChainState], jax.Array] = code_of,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Share of time (chains, T) that each chain spends in each of the trees (T, C)."""
+    movable = np.asarray(model.bodies.movable)
+    trees = all_trees(int(movable.sum()), table=not movable.all())
+    start_key, run_key = jax.random.split(key)
+    states = start_chains(start_key, model, chains)
+    _, codes, _ = run_block(run_key, states, model, kernel, moves, record)
+    codes = np.asarray(codes)[burn_in:]
+    tree_codes = np.asarray(jax.vmap(tree_code)(jnp.asarray(trees)))
+    return np.stack([(codes == code).mean(axis=0) for code in tree_codes], axis=1), trees

@@ -1,0 +1,111 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from scene.contact import relative_box
+from scene.graph import SceneGraph, all_trees, floating_scene
+from scene.prior import (
+    UniformTrees,
+    contact_of,
+    log_contact,
+    log_contacts_of,
+    log_floating,
+    log_parameters,
+    sample_pose,
+)
+from scene.rotation_densities import LOG_CONTACT_JACOBIAN
+from tests.scene.cubes import cube_model, floating_draw
+from tests.scene.test_contact import random_poses
+from tests.statistical import assert_mean, assert_uniform
+
+
+@pytest.mark.parametrize("table", [False, True])
+@pytest.mark.parametrize("free", [1, 2, 3])
+def test_uniform_trees_sum_to_one(free: int, table: bool) -> None:
+    """p(G) over every tree, with and without a table."""
+    trees = jnp.asarray(all_trees(free, table=table))
+    movable = cube_model(free, table=table).bodies.movable
+    present = jnp.ones_like(movable)
+    log_p = jax.vmap(lambda parents: UniformTrees().log_density(parents, present, movable))(trees)
+
+    np.testing.assert_allclose(jnp.sum(jnp.exp(log_p)), 1.0)
+
+
+def test_contact_table_is_the_contact_density(key: jax.Array) -> None:
+    """The table of all parents and faces has the density of each contact in each place."""
+    model = cube_model(3, table=True)
+    poses = random_poses(key, 4)
+    bodies = model.bodies
+    child = 1
+
+    def one(parent: jax.Array, parent_face: jax.Array, child_face: jax.Array) -> jax.Array:
+        return log_contact(
+            model.prior,
+            relative_box(poses[parent], poses[child]),
+            bodies.half_extents_m[parent],
+            bodies.supporting_faces[parent],
+            bodies.half_extents_m[child],
+            parent_face,
+            child_face,
+        )
+
+    grid = jnp.meshgrid(jnp.arange(4), jnp.arange(6), jnp.arange(6), indexing="ij")
+    expected = jax.vmap(one)(*[axis.ravel() for axis in grid]).reshape(4, 6, 6)
+
+    actual = log_contacts_of(model.prior, bodies, poses, jnp.array(child))
+
+    others = np.array([0, 2, 3])
+    assert np.isfinite(expected[others]).sum() > 20
+    np.testing.assert_allclose(actual[others], expected[others], rtol=1e-12)
+
+
+def test_contact_measure_is_eight_times_the_pose_measure(key: jax.Array) -> None:
+    """Over floating poses in a cuboid round the parent, E[sum 8 p_contact / p_floating] = 1.
+
+    kappa = 10; with 8 and 1/8 swapped, or left out, it is 1/64 or 1/8.
+    """
+    model = cube_model(2)
+    half = jnp.full(3, 4.0)
+    wide = type(model.prior)(-half, half, jnp.array(0.3), jnp.array(10.0), jnp.array(0.1))
+    parent = jnp.array([1.0, 0, 0, 0, 0, 0, 0])
+
+    def ratio(key: jax.Array) -> jax.Array:
+        child = sample_pose(
+            key, wide, model.bodies, floating_scene(jnp.stack([parent, parent])), jnp.array(1)
+        )
+        poses = jnp.stack([parent, child])
+        log_contacts = log_contacts_of(wide, model.bodies, poses, jnp.array(1))[0] + LOG_CONTACT_JACOBIAN
+        return jnp.sum(jnp.exp(log_contacts - log_floating(wide, child[4:])))
+
+    ratios = jax.lax.map(ratio, jax.random.split(key, 400_000), batch_size=20_000)
+
+    assert_mean(ratios, 1.0, detectable=0.25)
+
+
+def test_prior_samples_have_the_chart_of_their_density(key: jax.Array) -> None:
+    """Contacts drawn from the prior: each coordinate, by its own distribution function, is uniform."""
+    model = cube_model(2)
+    scene_key, draw_key = jax.random.split(key)
+    scene = floating_draw(scene_key, model)
+    scene = SceneGraph(jnp.array([-1, 0]), jnp.array([0, 2]), jnp.array([0, 3]), scene.poses, scene.present)
+
+    def contact(key: jax.Array) -> jax.Array:
+        pose = sample_pose(key, model.prior, model.bodies, scene, jnp.array(1))
+        there = SceneGraph(
+            scene.parents, scene.child_faces, scene.parent_faces, scene.poses.at[1].set(pose), scene.present
+        )
+        drawn = contact_of(model.bodies, there, jnp.array(1))
+        azimuth = jnp.arctan2(drawn.eta[1], drawn.eta[0])
+        coordinates = jnp.array([drawn.offset_m[0], drawn.offset_m[1], drawn.offset_m[2], azimuth, drawn.phi])
+        log_p = log_parameters(model.prior, model.bodies, there, jnp.array(1))
+        return jnp.append(coordinates, log_p)
+
+    draws = jax.vmap(contact)(jax.random.split(draw_key, 20_000))
+
+    assert_uniform(draws[:, 0], low=-0.5, high=0.5)
+    assert_uniform(draws[:, 1], low=-0.5, high=0.5)
+    assert_uniform(jax.scipy.stats.norm.cdf(draws[:, 2] / 0.5))
+    assert_uniform(draws[:, 3], low=-np.pi, high=np.pi)
+    assert_uniform(draws[:, 4], low=0, high=2 * np.pi)
+    assert np.isfinite(draws[:, 5]).all()

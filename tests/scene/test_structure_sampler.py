@@ -1,0 +1,91 @@
+"""The sampler of scene graphs against enumeration (MATH.md section O)."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from scene import structure_move
+from scene.chain import run_block
+from scene.graph import ROOT, all_trees
+from scene.graph_table import GraphTable
+from scene.model import SceneModel
+from tests.scene.cubes import code_of, cube_kernel, cube_model, start_chains, tree_frequencies
+from tests.statistical import assert_mean
+
+CHAINS = 256
+
+
+def weighted(free: int, *, table: bool = False) -> tuple[SceneModel, np.ndarray]:
+    """A model whose p(G) prefers some trees, and its probabilities."""
+    trees = all_trees(free, table=table)
+    log_p = 1.2 * np.sin(np.arange(len(trees)) * 1.7)
+    probabilities = np.exp(log_p) / np.exp(log_p).sum()
+    structure = GraphTable.build(trees, np.log(probabilities))
+    return cube_model(free, table=table, structure=structure), probabilities
+
+
+def test_every_involution_returns(key: jax.Array) -> None:
+    """h(h(z)) = z to 1e-9 with the log weight negated, for all moves from states over all transitions."""
+    model, _ = weighted(3, table=True)
+    start_key, run_key = jax.random.split(key)
+    states = start_chains(start_key, model, 64)
+
+    _, codes, info = run_block(run_key, states, model, cube_kernel(4), 240, code_of, verify=True)
+
+    assert len(np.unique(codes)) >= 40  # of 50 trees: all four kinds of transition took place
+    assert float(jnp.max(info.involution_error)) < 1e-9
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.5])
+def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array, strength: float) -> None:
+    """p(G) not uniform, log L[G] constant or not: frequencies are p(G) exp(log L[G]) / sum."""
+    model, probabilities = weighted(3)
+    trees = all_trees(3)
+    log_likelihood = strength * np.cos(np.arange(len(trees)))
+    posterior = probabilities * np.exp(log_likelihood)
+    model = replace(model, likelihood=GraphTable.build(trees, log_likelihood))
+
+    frequencies, _ = tree_frequencies(key, model, cube_kernel(3), chains=CHAINS, moves=2400, burn_in=400)
+
+    assert_mean(frequencies, posterior / posterior.sum(), detectable=0.06)
+
+
+def test_no_data_returns_the_uniform_prior_with_a_table(key: jax.Array) -> None:
+    """Likelihood constant, two objects and a table: 8 trees, 1/8 each."""
+    model = cube_model(2, table=True)
+
+    frequencies, _ = tree_frequencies(key, model, cube_kernel(3), chains=CHAINS, moves=2400, burn_in=400)
+
+    assert_mean(frequencies, np.full(8, 1 / 8), detectable=0.06)
+
+
+def test_uniform_proposal_is_exact_too(key: jax.Array) -> None:
+    """The reference q, uniform over parents and faces, has the same target."""
+    model, probabilities = weighted(2)
+    kernel = cube_kernel(2, "uniform")
+
+    frequencies, _ = tree_frequencies(key, model, kernel, chains=CHAINS, moves=4800, burn_in=1200)
+
+    assert_mean(frequencies, probabilities, detectable=0.06)
+
+
+@pytest.mark.parametrize(("factor", "right"), [(8.0, True), (1.0, False), (64.0, False)])
+def test_the_factor_eight_is_seen(
+    key: jax.Array, factor: float, right: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """P(all floating) of two objects is 1/3; without the 8, or with it twice, it is not."""
+    model = cube_model(2)
+    monkeypatch.setattr(structure_move, "LOG_CONTACT_JACOBIAN", np.log(factor))
+    run_block.clear_cache()
+
+    frequencies, trees = tree_frequencies(key, model, cube_kernel(2), chains=CHAINS, moves=1500, burn_in=500)
+
+    run_block.clear_cache()
+    floating = frequencies[:, (trees == ROOT).all(axis=1)]
+    if right:
+        assert_mean(floating, [1 / 3], detectable=0.06)
+    else:
+        assert abs(floating.mean() - 1 / 3) > 0.12
