@@ -83,10 +83,10 @@ def test_flush_contact_stands_on_the_face() -> None:
     """A box on a table's top: its bottom touches, eta is the pole, (a, b) is where it stands."""
     table, box = jnp.array([0.5, 0.4, 0.01]), jnp.array([0.03, 0.05, 0.1])
     standing = Contact(jnp.array([0.2, -0.1, 0.0]), jnp.array([0.0, 0, 1]), jnp.array(0.7))
-    bottom = 4
+    bottom = jnp.array(4)
 
     pose = pose_from_contact(
-        standing, jnp.array([1.0, 0, 0, 0, 0, 0, 0]), table, box, contact.TOP_FACE, bottom
+        standing, jnp.array([1.0, 0, 0, 0, 0, 0, 0]), table, box, jnp.array(contact.TOP_FACE), bottom
     )
 
     np.testing.assert_allclose(pose[4:], [0.2, -0.1, 0.11], atol=1e-12)

@@ -79,11 +79,11 @@ def test_the_factor_eight_is_seen(
     """P(all floating) of two objects is 1/3; without the 8, or with it twice, it is not."""
     model = cube_model(2)
     monkeypatch.setattr(structure_move, "LOG_CONTACT_JACOBIAN", np.log(factor))
-    run_block.clear_cache()
+    jax.clear_caches()
 
     frequencies, trees = tree_frequencies(key, model, cube_kernel(2), chains=CHAINS, moves=1500, burn_in=500)
 
-    run_block.clear_cache()
+    jax.clear_caches()
     floating = frequencies[:, (trees == ROOT).all(axis=1)]
     if right:
         assert_mean(floating, [1 / 3], detectable=0.06)
