@@ -10,7 +10,7 @@ import click
 from pipeline.errors import ConfigError, PipelineError
 from recordings.errors import RecordingError
 
-COMMANDS = ("info", "synth", "slam", "doctor")
+COMMANDS = ("info", "import", "synth", "slam", "doctor")
 """Subcommands in the order of a user's work; `voxscene NAME` is `command` in `pipeline.commands.NAME`."""
 
 DAMAGED = 3
@@ -42,7 +42,8 @@ class LazyGroup(click.Group):
         """The subcommand of that name, imported now."""
         if cmd_name not in COMMANDS:
             return None
-        return importlib.import_module(f"pipeline.commands.{cmd_name}").command
+        module = "import_" if cmd_name == "import" else cmd_name  # a word of Python
+        return importlib.import_module(f"pipeline.commands.{module}").command
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand; what the user can mend ends as a `Failure`."""

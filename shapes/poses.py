@@ -14,6 +14,10 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.poses.rigid import orthonormalised
+
+__all__ = ["orthonormalised", "pose_from_matrix", "wxyz_from_xyzw", "xyzw_from_wxyz"]
+
 Array = TypeVar("Array", jax.Array, NDArray[np.floating])
 
 
@@ -30,25 +34,3 @@ def xyzw_from_wxyz(wxyz: Array) -> Array:
 def pose_from_matrix(matrix: jax.typing.ArrayLike) -> jaxlie.SE3:
     """Pose of a 4x4 rigid transform (..., 4, 4)."""
     return jaxlie.SE3.from_matrix(jnp.asarray(matrix))
-
-
-def orthonormalised(matrices: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Nearest rigid transforms (..., 4, 4) float64 to nearly rigid ones: the polar factor of the rotation.
-
-    Recorded poses are often orthonormal to three digits only.
-
-    Raises:
-        ValueError: a matrix is not finite or its rotation is a reflection.
-    """
-    matrices = np.asarray(matrices, np.float64)
-    if not np.isfinite(matrices).all():
-        raise ValueError("a pose is not finite")
-    u, _, vt = np.linalg.svd(matrices[..., :3, :3])
-    rotation = u @ vt
-    if (np.linalg.det(rotation) < 0).any():
-        raise ValueError("a pose is a reflection, not a rotation")
-    rigid = np.zeros_like(matrices)
-    rigid[..., :3, :3] = rotation
-    rigid[..., :3, 3] = matrices[..., :3, 3]
-    rigid[..., 3, 3] = 1.0
-    return rigid

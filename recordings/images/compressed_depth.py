@@ -37,17 +37,35 @@ def stored_depth(message: CompressedImageMessage) -> NDArray[np.uint16] | NDArra
         UndecodableMessage: the image is damaged, too large or no depth.
     """
     if not _is_transport(message):
-        return _decode_png(message.data)
+        return decode_grey16_png(message.data)
     if len(message.data) <= _TRANSPORT_HEAD.size:
         raise UndecodableMessage("is an empty compressedDepth image")
     _, a, b = _TRANSPORT_HEAD.unpack_from(message.data)
     payload = message.data[_TRANSPORT_HEAD.size :]
-    stored = _decode_png(payload) if payload.startswith(_PNG) else _decode_sized_rvl(payload)
+    stored = decode_grey16_png(payload) if payload.startswith(_PNG) else _decode_sized_rvl(payload)
     if not message.format.startswith("32FC1"):
         return stored
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_m = np.float32(a) / (stored.astype(np.float32) - np.float32(b))
     return np.where(stored == 0, np.float32(np.nan), depth_m)
+
+
+def decode_grey16_png(data: bytes) -> NDArray[np.uint16]:
+    """The (H, W) values of a PNG of 16-bit grey values.
+
+    Raises:
+        UndecodableMessage: it is another kind of image, damaged or too large.
+    """
+    if not _is_grey16_png(data):
+        raise UndecodableMessage("is not a PNG of 16-bit grey values")
+    _, _, width, height, _, _ = _PNG_HEAD.unpack_from(data)
+    if not 0 < width * height <= MAX_PIXELS:
+        raise UndecodableMessage(f"claims to be an image of {width}x{height} pixels")
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            return np.asarray(image, np.uint16)
+    except Exception as error:  # Pillow raises half a dozen kinds on damaged images, SyntaxError among them
+        raise UndecodableMessage(f"is a damaged PNG ({error})") from error
 
 
 def image_size(message: CompressedImageMessage) -> tuple[int, int]:
@@ -77,19 +95,6 @@ def _is_grey16_png(data: bytes) -> bool:
         return False
     *_, bit_depth, colour_type = _PNG_HEAD.unpack_from(data)
     return (bit_depth, colour_type) == (16, _GREY)
-
-
-def _decode_png(data: bytes) -> NDArray[np.uint16]:
-    if not _is_grey16_png(data):
-        raise UndecodableMessage("is not a PNG of 16-bit grey values")
-    _, _, width, height, _, _ = _PNG_HEAD.unpack_from(data)
-    if not 0 < width * height <= MAX_PIXELS:
-        raise UndecodableMessage(f"claims to be an image of {width}x{height} pixels")
-    try:
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            return np.asarray(image, np.uint16)
-    except Exception as error:  # Pillow raises half a dozen kinds on damaged images, SyntaxError among them
-        raise UndecodableMessage(f"is a damaged PNG ({error})") from error
 
 
 def _decode_sized_rvl(data: bytes) -> NDArray[np.uint16]:

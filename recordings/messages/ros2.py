@@ -188,3 +188,6 @@ _CONVERSIONS: dict[str, Callable[[Any], DecodedMessage]] = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose,
     "nav_msgs/msg/Odometry": _odometry,
 }
+
+READABLE_TYPES = frozenset(_CONVERSIONS)
+"""The messages that a recording can use."""

@@ -35,6 +35,11 @@ def encode(message: Any) -> tuple[str, bytes]:
     return name, bytes(_typestore().serialize_cdr(message, name))
 
 
+def cdr_from_ros1(data: bytes, name: str) -> bytes:
+    """A ROS 1 message of a standard type in the encoding of ROS 2."""
+    return bytes(_typestore().ros1_to_cdr(data, name))
+
+
 def image(time_ns: int, frame_id: str, encoding: str, pixels: NDArray) -> Any:
     """A sensor_msgs/msg/Image of (H, W) or (H, W, C) little-endian pixels without padding."""
     rows = np.ascontiguousarray(pixels)

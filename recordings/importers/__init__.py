@@ -1,0 +1,1 @@
+"""Turning the folders and bags of other programs into recordings, one format a file."""

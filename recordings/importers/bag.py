@@ -1,0 +1,80 @@
+"""ROS 1 bags and ROS 2 bags of any storage, by rosbags: their images, cameras, clouds and poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+from recordings.errors import RecordingError
+from recordings.messages.ros2 import READABLE_TYPES
+from recordings.messages.ros2_standard import cdr_from_ros1, standard_definition
+from recordings.writer import MessageSchema, RecordingWriter
+
+_RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+_LAST_STAMP_NS = (1 << 63) - 1
+
+
+def import_bag(source: Path, out: Path, progress: Callable[[int, int], None]) -> tuple[str, ...]:
+    """Copy a bag's messages that a recording can use into an MCAP file, pixel for pixel.
+
+    Args:
+        source: a ROS 1 `.bag` file, a rosbag2 folder, or a lone `.db3` or `.mcap` file of ROS 2.
+        out: the MCAP file to write.
+        progress: is told how many messages of how many are copied.
+
+    Returns:
+        Sentences on what was left out.
+
+    Raises:
+        RecordingError: the bag is damaged or holds nothing of use, or `out` cannot be written.
+    """
+    if not source.exists():
+        raise RecordingError(f"cannot read {source}: No such file or directory")
+    with _opened(source) as (bag, is_ros1):
+        wanted = [c for c in bag.connections if _type(c) in READABLE_TYPES]
+        if not wanted:
+            raise RecordingError(f"{source} holds no images, point clouds or poses")
+        total = sum(connection.msgcount for connection in wanted)
+        with RecordingWriter(out) as writer:
+            for count, (connection, time_ns, data) in enumerate(bag.messages(connections=wanted), 1):
+                name = _type(connection)
+                content = cdr_from_ros1(data, name) if is_ros1 else bytes(data)
+                writer.write(connection.topic, _schema(name), content, min(max(time_ns, 0), _LAST_STAMP_NS))
+                progress(count, total)
+        left_out = sorted({c.topic for c in bag.connections} - {c.topic for c in wanted})
+    return (f"left out, of types that a recording does not use: {', '.join(left_out)}",) if left_out else ()
+
+
+@contextmanager
+def _opened(source: Path) -> Iterator[tuple[Any, bool]]:
+    """The rosbags reader of a bag; whatever it raises on a damaged bag becomes one clear line."""
+    is_ros1 = source.suffix == ".bag"
+    try:
+        if is_ros1:
+            from rosbags.rosbag1 import Reader
+        else:
+            from rosbags.rosbag2 import Reader
+        with Reader(source) as bag:
+            yield bag, is_ros1
+    except RecordingError:
+        raise
+    except Exception as error:  # a reader of foreign files raises all kinds on damage
+        raise RecordingError(f"cannot read {source} as a bag: {error or type(error).__name__}") from error
+
+
+def _type(connection: Any) -> str:
+    name: str = connection.msgtype
+    return _RENAMED.get(name, name)
+
+
+def _schema(name: str) -> MessageSchema:
+    return MessageSchema(
+        name=name,
+        encoding=SchemaEncoding.ROS2,
+        data=standard_definition(name).encode(),
+        message_encoding=MessageEncoding.CDR,
+    )
