@@ -10,7 +10,14 @@ import click
 from pipeline.errors import ConfigError, PipelineError
 from recordings.errors import RecordingError
 
-COMMANDS = ("info", "import", "synth", "slam", "doctor")
+COMMANDS = (
+    "info",
+    "import",
+    "synth",
+    "slam",
+    "review",
+    "doctor",
+)
 """Subcommands in the order of a user's work; `voxscene NAME` is `command` in `pipeline.commands.NAME`."""
 
 DAMAGED = 3

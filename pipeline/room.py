@@ -125,9 +125,9 @@ class _Cloud:
         points = np.concatenate(self._points)
         coloured = len(self._colours) == len(self._points)
         values = np.concatenate([points, np.concatenate(self._colours)], axis=1) if coloured else points
-        _, voxel, counts = np.unique(
-            np.floor(points / VOXEL_M).astype(np.int32), axis=0, return_inverse=True, return_counts=True
-        )
+        cell = np.floor((points - points.min(axis=0)) / VOXEL_M).astype(np.int64)
+        number = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
+        _, voxel, counts = np.unique(number, return_inverse=True, return_counts=True)
         sums = np.stack([np.bincount(voxel, column) for column in values.T.astype(np.float64)], axis=-1)
         means = (sums / counts[:, None])[counts > 1]
         means = means[:: -(-len(means) // MOST_POINTS) or 1]

@@ -145,7 +145,7 @@ class RunFolder:
     def stages(self) -> list[str]:
         """Names of the committed stages, in the order of the work."""
         shapes = sorted((self.path / "stages" / "learn").glob("*.json"))
-        names = ["slam", *(f"learn/{path.stem}" for path in shapes), "parse"]
+        names = ["slam", "room", *(f"learn/{path.stem}" for path in shapes), "parse"]
         return [name for name in names if self.record(name)]
 
     def value_path(self, name: str) -> Path:
@@ -239,7 +239,7 @@ def _canonical_hash(content: Any) -> str:
 _OWN_FOLDERS = frozenset({"shapes", "recordings"})
 _OWN_FILES = frozenset(
     {
-        *("slam.npz", "parse.npz", "config.toml", "summary.json", "timing.json"),
+        *("slam.npz", "room.npz", "parse.npz", "config.toml", "summary.json", "timing.json"),
         *("trajectory.tum", "trajectory.kitti", "poses.csv", "run.mcap", "run.rrd"),
     }
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
@@ -22,6 +23,7 @@ def json_schema(name: str, schema: Mapping[str, Any]) -> MessageSchema:
     )
 
 
+@lru_cache
 def protobuf_schema(message_class: Any) -> MessageSchema:
     """Schema of a topic of protobuf messages, with every type that it uses."""
     return MessageSchema(

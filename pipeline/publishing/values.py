@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pipeline.room import RoomView
 from pipeline.run_folder import RunFolder
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
@@ -15,10 +16,12 @@ class RunValues:
 
     Attributes:
         slam: the camera's trajectory.
+        room: what was seen along it.
         shapes: learned shapes by name.
     """
 
     slam: SlamResult | None
+    room: RoomView | None
     shapes: dict[str, ShapePrior]
 
     @classmethod
@@ -27,6 +30,7 @@ class RunValues:
         stages = run.stages()
         return cls(
             slam=SlamResult.load(run.value_path("slam")) if "slam" in stages else None,
+            room=RoomView.load(run.value_path("room")) if "room" in stages else None,
             shapes={
                 name.removeprefix("learn/"): ShapePrior.load(run.value_path(name))
                 for name in stages

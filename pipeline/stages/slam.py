@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.errors import PipelineError
 from pipeline.session import Session
+from pipeline.stages.room import room_stage
 from slam.config import SlamConfig
 from slam.result import SlamResult
 from slam.tracking import track
@@ -41,4 +42,6 @@ def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> Sl
             except ValueError as error:
                 raise PipelineError(f"{session.source.path}: {error}") from error
 
-    return session.stage("slam", SlamResult.load, compute, {"slam": config})
+    trajectory = session.stage("slam", SlamResult.load, compute, {"slam": config})
+    room_stage(session, trajectory)
+    return trajectory

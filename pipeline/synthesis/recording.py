@@ -66,6 +66,10 @@ class SyntheticRecording:
         """What a camera without noise sees at that frame."""
         return self._caster.view(self.intrinsics, self.trajectory.reference_from_camera[index])
 
+    def clearance_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Distance of world points (N, 3) from the nearest true surface."""
+        return self._caster.clearance_m(points_m)
+
     def _shaded(self, view: View) -> NDArray[np.uint8]:
         """Flat colours (H, W, 3) under a lamp at the camera."""
         light = np.where(view.part == NOTHING, 0.0, 0.35 + 0.65 * view.cos_incidence)

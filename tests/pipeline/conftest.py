@@ -12,6 +12,7 @@ from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, ObjectScene
 from pipeline.synthesis.writing import write_recording
+from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
 
@@ -51,4 +52,22 @@ def true_trajectory(filmed_mug: SyntheticRecording) -> SlamResult:
         resampled=np.zeros(frames, bool),
         lost=np.zeros(frames, bool),
         explained=np.ones(frames),
+    )
+
+
+@pytest.fixture(scope="session")
+def small_shape() -> ShapePrior:
+    """All voxels differ; one is free, one occupied."""
+    phi = np.linspace(0.1, 0.9, 24, dtype=np.float32).reshape(2, 3, 4)
+    pose = np.eye(4)
+    pose[:3, 3] = [0.1, 0.2, 0.3]
+    free, occupied = np.zeros((2, 2, 3, 4), bool)
+    free[0, 0, 0] = occupied[1, 2, 3] = True
+    return ShapePrior(
+        phi=phi,
+        pitch_m=0.005,
+        reference_from_grid=pose,
+        seen_free=free,
+        seen_occupied=occupied,
+        enclosed=np.zeros((2, 3, 4), bool),
     )

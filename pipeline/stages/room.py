@@ -1,0 +1,17 @@
+"""The stage `room`: what the camera saw, fused along the trajectory."""
+
+from __future__ import annotations
+
+from pipeline.room import RoomView, view_room
+from pipeline.session import Session
+from slam.result import SlamResult
+
+
+def room_stage(session: Session, trajectory: SlamResult) -> RoomView:
+    """The room as seen along a committed trajectory."""
+
+    def compute() -> RoomView:
+        with session.common.progress("room", "frames") as progress:
+            return view_room(session.recording, session.recording.intrinsics, trajectory.mean, progress)
+
+    return session.stage("room", RoomView.load, compute, {}, {"slam": session.run.fingerprint("slam")})

@@ -1,0 +1,33 @@
+"""The run in words: one Markdown page beside the pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.publishing.values import RunValues
+from pipeline.views.trajectory_view import ENLARGED
+
+
+def report_markdown(name: str, values: RunValues) -> str:
+    """What was found, how sure it is, and how to read the views."""
+    parts = [f"# {name}"]
+    if values.slam is not None:
+        slam = values.slam
+        deviation_mm = 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2) / 3)
+        lost = int(slam.lost.sum())
+        length_m = np.linalg.norm(np.diff(slam.mean[:, :3, 3], axis=0), axis=1).sum()
+        parts += [
+            "## Camera",
+            f"- {len(slam)} frames over {length_m:.2f} m, {lost or 'none'} lost",
+            f"- position known to {np.median(deviation_mm):.2g} mm (median standard deviation an axis), "
+            f"{deviation_mm.max():.2g} mm at worst",
+            f"- least effective sample size {slam.ess.min():.1f} of {len(slam.log_weights)} particles",
+            f"- yellow: mean path; faint: particles; blue: 95% regions, drawn {ENLARGED:.0f} times larger",
+        ]
+    if values.shapes:
+        parts += ["## Learned shapes", "| shape | size, mm | pitch, mm | seen voxels |", "|---|---|---|---|"]
+    for shape_name, shape in values.shapes.items():
+        size = " x ".join(f"{1000 * extent:.0f}" for extent in np.ptp(shape.bounding_box_m, axis=0))
+        seen = int(shape.seen_occupied.sum())
+        parts.append(f"| {shape_name} | {size} | {1000 * shape.pitch_m:.0f} | {seen} |")
+    return "\n".join(parts) + "\n"

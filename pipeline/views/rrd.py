@@ -1,0 +1,45 @@
+"""run.rrd: everything that a run knows, ready to open in Rerun."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import rerun as rr
+
+from pipeline.atomic import atomic_path
+from pipeline.publishing.values import RunValues
+from pipeline.views.blueprint import run_blueprint
+from pipeline.views.report import report_markdown
+from pipeline.views.shape_view import log_shape
+from pipeline.views.trajectory_view import log_camera_views, log_filter, log_room, log_trajectory
+
+APPLICATION = "voxscene"
+
+
+def write_rrd(path: Path, name: str, values: RunValues) -> None:
+    """Write the views of a run as one Rerun recording with its blueprint, whole or not at all.
+
+    Args:
+        path: the file.
+        name: of the recording, shown by the viewer and its id.
+        values: what the run knows.
+    """
+    with atomic_path(path) as partial:
+        recording = rr.RecordingStream(APPLICATION, recording_id=name, send_properties=True)
+        recording.save(partial, default_blueprint=run_blueprint(values))
+        recording.set_log_time_enabled(False)
+        recording.send_recording_name(name)
+        recording.log(
+            "report", rr.TextDocument(report_markdown(name, values), media_type="text/markdown"), static=True
+        )
+        if values.slam is not None:
+            log_trajectory(recording, values.slam)
+            log_filter(recording, values.slam)
+        if values.room is not None:
+            log_room(recording, values.room)
+        if values.slam is not None and values.room is not None:
+            log_camera_views(recording, values.slam, values.room)
+        for shape_name, shape in values.shapes.items():
+            log_shape(recording, shape_name, shape)
+        recording.flush()
+        recording.disconnect()

@@ -1,0 +1,93 @@
+"""run.mcap says what the run knows, in messages that other tools read."""
+
+import json
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from pipeline.publishing.messages import write_messages
+from pipeline.publishing.values import RunValues
+from pipeline.room import view_room
+from pipeline.synthesis.recording import SyntheticRecording
+from shapes.prior import ShapePrior
+from slam.result import SlamResult
+
+
+@pytest.fixture(scope="module")
+def values(filmed_mug: SyntheticRecording, true_trajectory: SlamResult, small_shape: ShapePrior) -> RunValues:
+    """A run with a trajectory, a room and a shape of 2 x 3 x 4 voxels."""
+    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
+    return RunValues(slam=true_trajectory, room=room, shapes={"mug": small_shape})
+
+
+def read(path: Path) -> dict[str, list]:
+    """Messages by topic with their log times, decoded by other people's readers."""
+    topics = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if channel.message_encoding == "json":
+                assert json.loads(schema.data)["title"] == schema.name
+                content = json.loads(message.data)
+            else:
+                decoder = DecoderFactory().decoder_for("protobuf", schema)
+                assert decoder is not None
+                content = decoder(message.data)
+            topics[channel.topic].append((message.log_time, content))
+    return topics
+
+
+def test_messages_hold_the_values(values: RunValues, tmp_path: Path) -> None:
+    """Poses, particles, weights, cloud, voxels, summary, at recording times."""
+    write_messages(tmp_path / "run.mcap", values, {"slam": {"particles": 3}})
+    topics = read(tmp_path / "run.mcap")
+    slam, room = values.slam, values.room
+    assert slam is not None
+    assert room is not None
+
+    assert [time for time, _ in topics["/slam/camera"]] == slam.times_ns.tolist()
+    for (_, camera), mean in zip(topics["/slam/camera"], slam.mean, strict=True):
+        assert (camera.parent_frame_id, camera.child_frame_id) == ("reference", "camera")
+        np.testing.assert_allclose([getattr(camera.translation, axis) for axis in "xyz"], mean[:3, 3])
+    assert {len(particles.poses) for _, particles in topics["/slam/particles"]} == {3}
+    assert [frame["ess"] for _, frame in topics["/slam/posterior"]] == slam.ess.tolist()
+    assert topics["/slam/weights"][0][1]["log_weights"] == slam.log_weights.tolist()
+    cloud = topics["/room/cloud"][0][1]
+    assert len(cloud.data) == cloud.point_stride * len(room.points_m)
+    assert np.frombuffer(cloud.data[:12], "<f4").tolist() == room.points_m[0].tolist()
+    assert topics["/summary"][0][1]["slam"]["frames"] == len(slam)
+
+
+def test_voxels_are_stored_x_fastest(values: RunValues, tmp_path: Path) -> None:
+    """Cell (i, j, k) stands at slice k, row j, column i."""
+    write_messages(tmp_path / "run.mcap", values, {})
+    grid = read(tmp_path / "run.mcap")["/shapes/mug"][0][1]
+    shape = values.shapes["mug"]
+
+    assert (grid.column_count, grid.row_count) == (2, 3)
+    for index in ((0, 0, 0), (1, 0, 0), (0, 2, 1), (1, 2, 3)):
+        at = index[2] * grid.slice_stride + index[1] * grid.row_stride + index[0] * grid.cell_stride
+        assert np.frombuffer(grid.data[at : at + 4], "<f4")[0] == shape.phi[index]
+    assert grid.data[grid.fields[1].offset] == 1
+    assert grid.data[len(grid.data) - grid.cell_stride + grid.fields[1].offset] == 2
+    assert grid.pose.position.y == pytest.approx(0.2)
+
+
+def test_equal_values_give_equal_bytes(values: RunValues, tmp_path: Path) -> None:
+    """No clock and no chance in them."""
+    for name in ("a", "b"):
+        write_messages(tmp_path / name, values, {"run": {"seed": 1}})
+
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_run_that_knows_nothing_yet_is_an_mcap_too(tmp_path: Path) -> None:
+    """With an empty summary."""
+    write_messages(tmp_path / "run.mcap", RunValues(slam=None, room=None, shapes={}), {})
+
+    assert list(read(tmp_path / "run.mcap")) == ["/summary"]

@@ -1,0 +1,42 @@
+"""The fused room lies where the room is."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.room import RoomView, view_room
+from pipeline.synthesis.recording import SyntheticRecording
+from slam.result import SlamResult
+
+
+def test_points_lie_on_the_surfaces_seen(filmed_mug: SyntheticRecording, true_trajectory: SlamResult) -> None:
+    """Nine of ten within three standard deviations at the room's far wall, in the first camera's frame."""
+    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
+    world_from_reference = filmed_mug.trajectory.reference_from_camera[0]
+    world = room.points_m @ world_from_reference[:3, :3].T + world_from_reference[:3, 3]
+
+    distance = filmed_mug.clearance_m(world)
+    assert len(room.points_m) > 1000
+    assert np.quantile(distance, 0.9) < 0.03
+
+
+def test_views_are_thinned_frames(filmed_mug: SyntheticRecording, true_trajectory: SlamResult) -> None:
+    """With their colour, in millimetres."""
+    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
+
+    assert room.frames.tolist() == list(range(6))
+    np.testing.assert_allclose(room.depth_mm[2] / 1000, filmed_mug.frame(2).depth_m, atol=5e-4)
+    assert room.view_rgb is not None
+    np.testing.assert_array_equal(room.view_rgb[2], filmed_mug.frame(2).rgb)
+
+
+def test_saved_and_loaded_is_the_same(
+    filmed_mug: SyntheticRecording, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Every field."""
+    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
+    room.save(tmp_path / "room.npz")
+    loaded = RoomView.load(tmp_path / "room.npz")
+
+    for name, value in vars(room).items():
+        np.testing.assert_array_equal(getattr(loaded, name), value)

@@ -1,0 +1,104 @@
+"""The views of a run hold what they say, and a picture can be taken without a screen."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from click.testing import CliRunner
+from PIL import Image
+from rerun.chunk import RrdReader
+
+from pipeline.cli import voxscene
+from pipeline.errors import PipelineError
+from pipeline.publishing.values import RunValues
+from pipeline.room import view_room
+from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.views.blueprint import upward
+from pipeline.views.report import report_markdown
+from pipeline.views.rrd import write_rrd
+from pipeline.views.screenshot import SOFTWARE_DRIVER, take_screenshot
+from pipeline.views.viewer import open_viewer, rrds_of
+from shapes.prior import ShapePrior
+from slam.result import SlamResult
+
+rr.set_strict_mode(True)
+
+
+@pytest.fixture(scope="module")
+def values(filmed_mug: SyntheticRecording, true_trajectory: SlamResult, small_shape: ShapePrior) -> RunValues:
+    """A run with a trajectory, a room and a small shape."""
+    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
+    return RunValues(slam=true_trajectory, room=room, shapes={"mug": small_shape})
+
+
+def test_the_rrd_holds_every_part_of_the_run(values: RunValues, tmp_path: Path) -> None:
+    """By entity, read back by Rerun."""
+    write_rrd(tmp_path / "run.rrd", "mug", values)
+    rows = {}
+    for chunk in RrdReader(tmp_path / "run.rrd").stream():
+        rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + chunk.num_rows
+
+    expected = [
+        "/world/room",
+        "/world/path/mean",
+        "/world/path/particles",
+        "/world/camera",
+        "/world/camera/depth",
+    ]
+    expected += ["/plots/ess", "/plots/evidence", "/world/shapes/mug", "/shapes/mug/voxels", "/report"]
+    assert set(expected) <= set(rows)
+    assert rows["/world/camera/depth"] == 6
+    assert rows["/plots/ess"] >= 6
+    assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
+
+
+def test_a_run_without_values_has_views_too(tmp_path: Path) -> None:
+    """The report alone."""
+    write_rrd(tmp_path / "run.rrd", "empty", RunValues(slam=None, room=None, shapes={}))
+
+    assert (tmp_path / "run.rrd").stat().st_size > 0
+
+
+def test_the_report_tells_the_figures(values: RunValues) -> None:
+    """In millimetres."""
+    text = report_markdown("mug", values)
+
+    assert "6 frames over" in text
+    assert "none lost" in text
+    assert "position known to 1 mm" in text
+    assert "| mug | 5 x 5 x 5 | 5 | 1 |" in text
+
+
+def test_up_is_the_worlds(filmed_mug: SyntheticRecording, values: RunValues) -> None:
+    """Found from level cameras to a degree, though all look down; a shape's support is better."""
+    reference_from_world = np.linalg.inv(filmed_mug.trajectory.reference_from_camera[0])
+    alone = RunValues(slam=values.slam, room=values.room, shapes={})
+
+    assert upward(alone) @ reference_from_world[:3, 2] > np.cos(np.radians(1))
+    assert upward(values).tolist() == [0, 0, 1]
+
+
+def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No run, no screen."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    result = CliRunner().invoke(voxscene, ["review", str(tmp_path)])
+
+    assert result.exit_code == 1
+    assert "holds no run" in result.stderr
+    assert rrds_of(tmp_path / "none") == []
+    with pytest.raises(PipelineError, match="no screen here; take a picture with --screenshot"):
+        open_viewer([tmp_path / "run.rrd"])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not SOFTWARE_DRIVER.exists(), reason="mesa-vulkan-drivers is not installed")
+def test_a_picture_is_taken_without_a_screen(values: RunValues, tmp_path: Path) -> None:
+    """Of the size that was asked for, with many colours in it."""
+    write_rrd(tmp_path / "run.rrd", "mug", values)
+    take_screenshot([tmp_path / "run.rrd"], tmp_path / "run.png", (800, 500), 3)
+
+    picture = Image.open(tmp_path / "run.png")
+    assert picture.size == (800, 500)
+    assert len(picture.convert("RGB").getcolors(maxcolors=1 << 20) or []) > 1000
