@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -25,6 +26,11 @@ class Camera:
         """The camera of a recording, in float32."""
         values = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
         return cls(*(jnp.asarray(value, jnp.float32) for value in values))
+
+
+def stacked(cameras: Sequence[Camera]) -> Camera:
+    """Cameras as one value with leaves (I,)."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cameras)
 
 
 def project(camera: Camera, point_m: jax.Array) -> jax.Array:

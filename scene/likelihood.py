@@ -1,0 +1,113 @@
+"""How probable the observed depth images are when one object of the scene is placed anew.
+
+Everything else in the scene, other objects and background alike, is held fixed in the evidence, so that a
+hypothesis costs only the pixels that its object covers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+
+from recordings.types import NO_RETURN, DepthNoise
+from shapes import depth_noise
+from shapes.camera import Camera
+from shapes.object_library import ObjectLibrary
+from shapes.ray_casting import PosedObjects
+from shapes.tile_queue import for_each_block
+from shapes.tiles import tiled
+
+IMPOSSIBLE = -1e4
+"""Log density of a pixel that the noise model excludes; finite, so that hypotheses stay comparable."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class DepthEvidence:
+    """I depth images against the rest of the scene: all that stands still while one object is moved.
+
+    An image belongs to one frame of one camera, and to one chain where the chains' scenes differ.
+
+    Attributes:
+        cameras: leaves (I,).
+        observed_m: (I * tiles, TILE_PIXELS), measured depth or `NO_RETURN`.
+        rest_m: the same, rendered depth of the rest, +inf where there is nothing.
+        log_density_of_rest: the same, log density of each pixel if the object covers it not.
+        log_likelihood_of_rest: (I,) its sum.
+        height: of the images.
+        width: of the images.
+    """
+
+    cameras: Camera
+    observed_m: jax.Array
+    rest_m: jax.Array
+    log_density_of_rest: jax.Array
+    log_likelihood_of_rest: jax.Array
+    height: int = field(metadata={"static": True})
+    width: int = field(metadata={"static": True})
+
+
+@jax.jit
+def depth_evidence(
+    noise: DepthNoise, cameras: Camera, observed_m: jax.Array, rest_m: jax.Array
+) -> DepthEvidence:
+    """Evidence of observed depth images against the rendered depth of the rest of the scene.
+
+    Args:
+        noise: of the sensor.
+        cameras: leaves (I,).
+        observed_m: (I, H, W); what is not finite and positive is no return.
+        rest_m: (I, H, W); +inf where there is nothing. Broadcasts against `observed_m`.
+    """
+    observed_m, rest_m = jnp.broadcast_arrays(observed_m, rest_m)
+    observed_m = jnp.where(jnp.isfinite(observed_m) & (observed_m > 0), observed_m, NO_RETURN)
+    density = _log_density(noise, observed_m, rest_m)
+    return DepthEvidence(
+        cameras=cameras,
+        observed_m=tiled(observed_m, NO_RETURN),
+        rest_m=tiled(rest_m, 0.0),
+        log_density_of_rest=tiled(density, 0.0),
+        log_likelihood_of_rest=density.sum(axis=(1, 2)),
+        height=observed_m.shape[1],
+        width=observed_m.shape[2],
+    )
+
+
+@jax.jit
+def log_likelihood(
+    library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
+) -> jax.Array:
+    """Log likelihood (N,) of the image that each hypothesis is about: its object joins the rest.
+
+    The product over the image's pixels of the density of MATH.md section 0; base measure: Lebesgue in
+    metres plus the atom of no return. For several frames or cameras, sum over a hypothesis's images.
+    """
+    return evidence.log_likelihood_of_rest[posed.camera_index] + log_likelihood_ratio(
+        library, noise, evidence, posed
+    )
+
+
+@jax.jit
+def log_likelihood_ratio(
+    library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
+) -> jax.Array:
+    """Log likelihood (N,) of each hypothesis's image with its object, less that of the image without."""
+    tiles = len(evidence.observed_m) // len(evidence.log_likelihood_of_rest)
+
+    def add(
+        total: jax.Array, view: jax.Array, tile: jax.Array, depth: jax.Array, valid: jax.Array
+    ) -> jax.Array:
+        row = posed.camera_index[view] * tiles + tile
+        covers = depth < evidence.rest_m[row]
+        density = _log_density(noise, evidence.observed_m[row], depth)
+        gain = jnp.where(covers, density - evidence.log_density_of_rest[row], 0.0).sum(axis=1)
+        return total.at[jnp.where(valid, view, len(total))].add(gain, mode="drop")
+
+    zero = jnp.zeros(len(posed), jnp.float32)
+    return for_each_block(library, posed, evidence.cameras, evidence.height, evidence.width, add, zero)
+
+
+def _log_density(noise: DepthNoise, observed_m: jax.Array, rendered_m: jax.Array) -> jax.Array:
+    return jnp.maximum(depth_noise.log_density(noise, observed_m, rendered_m), IMPOSSIBLE)

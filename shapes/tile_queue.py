@@ -1,0 +1,172 @@
+"""The tiles that posed objects touch, gathered in blocks of one size whatever the poses.
+
+Candidates are the tiles under each object's bounding box; those that its distance field proves empty are
+dropped before any pixel is looked at, so that near and far objects share one compiled kernel and no work
+is spent on empty tiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shapes.camera import Camera
+from shapes.object_library import ObjectLibrary
+from shapes.ray_casting import NEAREST_M, PosedObjects, cast, free_depth, tile_rays
+from shapes.tiles import TILE, tile_counts
+
+BLOCK = 2048
+"""Tiles cast together: their pixels stay in the second-level cache."""
+CANDIDATES = 4096
+"""Tiles examined together."""
+
+Carry = TypeVar("Carry")
+Visit = Callable[[Carry, jax.Array, jax.Array, jax.Array, jax.Array], Carry]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Queue:
+    """Tiles that wait for their rays: the first `count` entries of each array."""
+
+    count: jax.Array
+    view: jax.Array
+    row: jax.Array
+    column: jax.Array
+    free: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Candidates:
+    """Rectangles of tiles, one a view, numbered through; `end` is the running sum of their areas."""
+
+    first_row: jax.Array
+    first_column: jax.Array
+    columns: jax.Array
+    end: jax.Array
+
+
+def for_each_block(
+    library: ObjectLibrary,
+    posed: PosedObjects,
+    cameras: Camera,
+    height: int,
+    width: int,
+    visit: Visit,
+    carry: Carry,
+) -> Carry:
+    """Fold `visit` over blocks of tiles that the posed objects may touch.
+
+    Args:
+        library: the objects.
+        posed: N posed objects.
+        cameras: leaves (I,).
+        height: of the images in pixels.
+        width: of the images in pixels.
+        visit: (carry, view, tile, depth_m, valid) -> carry with view (B,) in 0..N-1, tile (B,) the row of
+            pixels in a tiled image, depth_m (B, TILE_PIXELS) and valid (B,) False for padding.
+        carry: its first value.
+    """
+    candidates = _candidates(library, posed, cameras, height, width)
+    total = candidates.end[-1]
+    across = tile_counts(height, width)[1]
+
+    def fill(state: tuple) -> tuple:
+        following, queue, carry = state
+        return following + CANDIDATES, _appended(library, posed, cameras, candidates, following, queue), carry
+
+    def drain(state: tuple) -> tuple:
+        following, queue, carry = state
+        start = jnp.maximum(queue.count - BLOCK, 0)
+        valid = jnp.arange(BLOCK) < queue.count
+        view, row, column, free = (
+            jax.lax.dynamic_slice(array, (start,), (BLOCK,))
+            for array in (queue.view, queue.row, queue.column, queue.free)
+        )
+        rays = tile_rays(library, posed, cameras, view, row, column)
+        depth = cast(library.table, rays, jnp.where(valid, free, jnp.inf))
+        carry = visit(carry, view, row * across + column, depth, valid)
+        return following, replace(queue, count=start), carry
+
+    def turn(state: tuple) -> tuple:
+        hungry = (state[0] < total) & (state[1].count < BLOCK)
+        state = jax.lax.cond(hungry, fill, lambda state: state, state)
+        ready = (state[1].count >= BLOCK) | (state[0] >= total)
+        return jax.lax.cond(ready, drain, lambda state: state, state)
+
+    empty = jnp.zeros(BLOCK + CANDIDATES, jnp.int32)
+    queue = _Queue(jnp.int32(0), empty, empty, empty, empty.astype(jnp.float32))
+    state = (jnp.int32(0), queue, carry)
+    return jax.lax.while_loop(lambda state: (state[0] < total) | (state[1].count > 0), turn, state)[2]
+
+
+def _appended(library, posed, cameras, candidates, following, queue) -> _Queue:
+    """The queue with those of the next candidates that the distance field does not prove empty."""
+    number = following + jnp.arange(CANDIDATES)
+    view = jnp.searchsorted(candidates.end, number, side="right").astype(jnp.int32)
+    known = view < len(posed)
+    view = jnp.minimum(view, len(posed) - 1)
+    columns = jnp.maximum(candidates.columns[view], 1)
+    local = number - jnp.where(view > 0, candidates.end[view - 1], 0)
+    row = candidates.first_row[view] + local // columns
+    column = candidates.first_column[view] + local % columns
+    free = free_depth(library.table, tile_rays(library, posed, cameras, view, row, column))
+    touched = known & jnp.isfinite(free)
+    place = jnp.where(touched, queue.count + jnp.cumsum(touched) - 1, BLOCK + CANDIDATES)
+
+    def put(array: jax.Array, values: jax.Array) -> jax.Array:
+        return array.at[place].set(values, mode="drop")
+
+    return _Queue(
+        count=queue.count + touched.sum(dtype=jnp.int32),
+        view=put(queue.view, view),
+        row=put(queue.row, row),
+        column=put(queue.column, column),
+        free=put(queue.free, free),
+    )
+
+
+def _candidates(
+    library: ObjectLibrary, posed: PosedObjects, cameras: Camera, height: int, width: int
+) -> _Candidates:
+    """The tiles under the projected bounding box of each posed object, cut at the image's border."""
+    low, high, seen = pixel_bounds(library, posed, cameras)
+    limit = jnp.array([[width - 1.0, height - 1.0]])
+    first = jnp.clip(jnp.ceil(low), 0.0, limit + 1)
+    last = jnp.clip(jnp.floor(high), -1.0, limit)
+    seen = seen & (first <= last).all(axis=1)
+    first = (first / TILE).astype(jnp.int32)
+    count = (last / TILE).astype(jnp.int32) - first + 1
+    count = jnp.where(seen[:, None], count, 0)
+    return _Candidates(first[:, 1], first[:, 0], count[:, 0], jnp.cumsum(count[:, 0] * count[:, 1]))
+
+
+def pixel_bounds(
+    library: ObjectLibrary, posed: PosedObjects, cameras: Camera
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Lowest and highest (u, v) (N, 2) under each object's bounding box, and whether it is seen (N,).
+
+    Where the box reaches behind the camera the bounds are infinite.
+    """
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), np.float32).reshape(3, 8)
+    model = posed.object_index
+    corner = library.centre_m[model][:, :, None] + library.half_extent_m[model][:, :, None] * signs[None]
+    pose = posed.camera_from_object
+    x, y, z = (
+        sum(pose[:, axis, b, None] * corner[:, b] for b in range(3)) + pose[:, axis, 3, None]
+        for axis in range(3)
+    )
+    camera: Camera = jax.tree.map(lambda leaf: leaf[posed.camera_index][:, None], cameras)
+    depth = jnp.maximum(z, NEAREST_M)
+    u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
+    near = (z < NEAREST_M).any(axis=1)[:, None]
+    low = jnp.where(near, -jnp.inf, jnp.stack([u.min(axis=1), v.min(axis=1)], axis=1))
+    high = jnp.where(near, jnp.inf, jnp.stack([u.max(axis=1), v.max(axis=1)], axis=1))
+    finite = jnp.isfinite(pose).all(axis=(1, 2))
+    return low, high, (z > NEAREST_M).any(axis=1) & finite

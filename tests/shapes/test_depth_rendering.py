@@ -1,0 +1,105 @@
+"""Rendered depth against Open3D's ray casting of the same mesh, and what must hold at the borders."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from shapes.camera import unproject
+from shapes.depth_rendering import framing_cameras, render_layers
+from shapes.object_library import ObjectLibrary, joined, library_of_mesh
+from tests.shapes.views import INTRINSICS, cameras, embree, posed, random_views, ray_cast, tensor
+
+MESHES = {
+    "box": trimesh.creation.box((0.16, 0.06, 0.21)),
+    "can": trimesh.creation.cylinder(0.034, 0.102, sections=64),
+    "cup": trimesh.creation.revolve(
+        np.array([[0, 0], [0.042, 0], [0.042, 0.09], [0.039, 0.09], [0.039, 0.005], [0, 0.005]]), sections=64
+    ),
+    "ring": trimesh.creation.torus(0.06, 0.008),
+}
+
+
+@pytest.fixture(scope="module", params=MESHES)
+def mesh_and_library(request: pytest.FixtureRequest) -> tuple[trimesh.Trimesh, ObjectLibrary]:
+    """A mesh and its voxels."""
+    mesh = MESHES[request.param]
+    return mesh, library_of_mesh(mesh.vertices, mesh.faces)
+
+
+def render(library: ObjectLibrary, poses: np.ndarray) -> np.ndarray:
+    """Layers of the test camera."""
+    layers = render_layers(library, posed(poses), cameras(), INTRINSICS.height, INTRINSICS.width)
+    return np.asarray(layers)
+
+
+def test_rendering_agrees_with_ray_casting(
+    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary], seed: int
+) -> None:
+    """100 views, close-ups and grazing ones included: silhouette IoU >= 0.98, median error < 0.2 pitch."""
+    mesh, library = mesh_and_library
+    poses = random_views(np.random.default_rng(seed), mesh, 100)
+    expected = ray_cast(mesh, poses)
+
+    actual = render(library, poses)
+
+    hit, truth = np.isfinite(actual), np.isfinite(expected)
+    overlap = (hit & truth).sum(axis=(1, 2)) / (hit | truth).sum(axis=(1, 2))
+    assert overlap.mean() >= 0.98, f"mean IoU {overlap.mean():.4f}, least {overlap.min():.4f}"
+    for depth, reference in zip(actual, expected, strict=True):
+        both = np.isfinite(depth) & np.isfinite(reference)
+        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[0])
+
+
+def test_what_the_camera_cannot_see_renders_as_nothing(
+    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary],
+) -> None:
+    """Behind the camera, beside the image, or at a pose that is not a number."""
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, :3, 3] = [[0, 0, -1], [5, 0, 1], [np.nan, 0, 1]]
+
+    assert np.isinf(render(mesh_and_library[1], poses)).all()
+
+
+def test_an_object_larger_than_the_image_fills_it() -> None:
+    """A face half a metre wide, 6 cm away, at its exact depth in every pixel."""
+    mesh = trimesh.creation.box((0.5, 0.5, 0.5))
+    library = library_of_mesh(mesh.vertices, mesh.faces)
+    pose = np.eye(4)[None].copy()
+    pose[0, 2, 3] = 0.31
+
+    depth = render(library, pose)
+
+    np.testing.assert_allclose(depth, 0.06, atol=0.2 * float(library.pitch_m[0]))
+
+
+def test_objects_of_a_library_render_as_alone() -> None:
+    """Joining moves tables, not shapes."""
+    libraries = [library_of_mesh(MESHES[name].vertices, MESHES[name].faces, 0.003) for name in ("box", "can")]
+    library = joined(libraries)
+    pose = np.eye(4)[None].copy()
+    pose[:, 2, 3] = 0.5
+
+    for index, alone in enumerate(libraries):
+        together = render_layers(library, posed(pose, index), cameras(), 96, 128)
+        np.testing.assert_array_equal(together, render(alone, pose))
+
+
+def test_framing_cameras_look_along_the_same_rays() -> None:
+    """Points seen through the frame lie on the surface, and the frame holds the whole object."""
+    mesh = MESHES["cup"]
+    library = library_of_mesh(mesh.vertices, mesh.faces)
+    pose = np.eye(4)[None].copy()
+    pose[0, :3, 3] = [0.05, -0.02, 0.4]
+    frames = framing_cameras(library, posed(pose), cameras(), INTRINSICS.height, INTRINSICS.width, 24)
+
+    depth = render_layers(library, posed(pose), frames, 24, 24)[0]
+
+    points = np.asarray(
+        unproject(type(frames)(frames.fx[0], frames.fy[0], frames.cx[0], frames.cy[0]), depth)
+    )
+    seen = points[np.isfinite(np.asarray(depth))]
+    distance = embree(mesh).compute_distance(tensor((seen - pose[0, :3, 3]).astype(np.float32)))
+    assert np.median(distance.numpy()) < 0.2 * float(library.pitch_m[0])
+    assert np.isfinite(np.asarray(depth)).mean() > 0.4
+    assert jnp.isfinite(render_layers(library, posed(pose), cameras(), 96, 128)).sum() > len(seen)
