@@ -87,7 +87,7 @@ def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overvie
         topics=topics,
         depth=depth,
         damage=bag.damage if recording is None else recording.damage,
-        problems=tuple(bag.problems if recording is None else [*bag.problems, *recording.problems]),
+        problems=tuple(bag.problems if recording is None else recording.problems),
     )
 
 

@@ -96,8 +96,9 @@ class McapRecording:
 
     @property
     def problems(self) -> list[str]:
-        """A sentence for a person on each kind of message that could not be used so far."""
-        return [f"{n} messages of {self.depth_topic}: {reason}" for reason, n in self._losses.items()]
+        """A sentence for a person on each loss so far."""
+        unused = [f"{n} messages of {self.depth_topic}: {reason}" for reason, n in self._losses.items()]
+        return self.decoded.bag.problems + unused
 
     @property
     def size(self) -> tuple[int, int]:

@@ -13,6 +13,9 @@ from mcap.opcode import Opcode
 
 from recordings.mcap_files.framing import HEAD_SIZE, MAX_BLOCK_SIZE, MalformedRecord, record_head
 
+VISIBLE_SIZE = 1 << 24
+"""How much of damaged data is looked at."""
+
 _SIZES = struct.Struct("<QQQII")  # message times, unpacked size, checksum, length of the compression's name
 _STORED_SIZE = struct.Struct("<Q")
 
@@ -107,7 +110,10 @@ def _decompress(compression: str, payload: bytes, size: int) -> bytes:
 
 
 def visible_messages(record: bytes) -> Counter[int]:
-    """Messages by channel that a damaged or cut record shows: a count, never data to be used."""
+    """Messages by channel that the beginning of a damaged or cut record shows.
+
+    A count, never data to be used. `record` need not be given beyond `VISIBLE_SIZE` bytes.
+    """
     counts: Counter[int] = Counter()
     data = record
     if record[:1] == bytes([Opcode.CHUNK]):
@@ -116,7 +122,7 @@ def visible_messages(record: bytes) -> Counter[int]:
         except MalformedRecord:
             return counts
         payload = record[HEAD_SIZE + head.payload_start :]
-        data = _unpack_beginning(head.compression, payload, min(head.unpacked_size, MAX_BLOCK_SIZE))
+        data = _unpack_beginning(head.compression, payload, min(head.unpacked_size, VISIBLE_SIZE))
     position = 0
     while position + HEAD_SIZE + 2 <= len(data):
         opcode, length = record_head(data[position : position + HEAD_SIZE])

@@ -17,7 +17,7 @@ from mcap.records import McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD_SIZE = 9
-MAX_BLOCK_SIZE = 1 << 29
+MAX_BLOCK_SIZE = 1 << 28
 """Largest chunk or message that is read, packed or unpacked: more is damage, or an attack on memory."""
 
 MESSAGE_HEAD_SIZE = 22

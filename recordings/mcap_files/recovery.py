@@ -14,7 +14,13 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, MessageIndex, Metadata, Schema
 from mcap.summary import Summary
 
-from recordings.mcap_files.chunks import DamagedBlock, parse_chunk_head, unpack, visible_messages
+from recordings.mcap_files.chunks import (
+    VISIBLE_SIZE,
+    DamagedBlock,
+    parse_chunk_head,
+    unpack,
+    visible_messages,
+)
 from recordings.mcap_files.framing import (
     MAGIC,
     MAX_BLOCK_SIZE,
@@ -224,7 +230,7 @@ class _Recovery:
 
     def _lose(self, offset: int, end: int, reason: str) -> None:
         self._close_run()
-        record = self._source.read(offset, min(end - offset, MAX_BLOCK_SIZE))
+        record = self._source.read(offset, min(end - offset, VISIBLE_SIZE))
         self._losses.append(Loss(offset=offset, reason=reason, messages=visible_messages(record)))
         self._lost_chunk_end = end
 

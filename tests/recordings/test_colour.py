@@ -1,0 +1,110 @@
+"""Colour comes with the depth where, and only where, its pixels see the same points."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from recordings.reading import open_recording
+from recordings.types import Frame
+from recordings.writer import RecordingWriter
+from tests.recordings.samples import SECOND_NS, Scribe, camera_info, compressed_image, image
+
+K = (35.0, 36.0, 18.5, 15.25)
+DEPTH = np.full((30, 40), 1000, np.uint16)
+STEP_NS = SECOND_NS // 30
+
+
+@pytest.fixture
+def rgb() -> np.ndarray:
+    """A smooth 30x40 colour image, so that JPEG keeps it."""
+    v, u = np.mgrid[:30, :40]
+    return np.stack([4 * u, 6 * v, 255 - 3 * u], axis=-1).astype(np.uint8)
+
+
+def read(path, messages, *, colour_camera: tuple | None = K, colour_frame="camera", size=(40, 30)):
+    """The frame of a recording of one depth image and the given colour messages."""
+    with Scribe(path) as scribe:
+        scribe.ros2("/d/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        if colour_camera is not None:
+            info = camera_info(SECOND_NS, size, colour_camera, colour_frame)
+            scribe.ros2("/c/camera_info", info, SECOND_NS)
+        scribe.ros2("/d/image", image(SECOND_NS, "16UC1", DEPTH), SECOND_NS)
+        for message in messages:
+            scribe.ros2("/c/image", message, SECOND_NS)
+    (frame,) = open_recording(path)
+    return frame
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "8UC3"])
+def test_raw_colours_come_as_rgb(encoding, rgb, recording_path):
+    """The usual orders of channels all give the same RGB image."""
+    order = [2, 1, 0] if encoding in {"bgr8", "bgra8", "8UC3"} else [0, 1, 2]
+    pixels = rgb[..., order]
+    if "a8" in encoding:
+        pixels = np.concatenate([pixels, np.full((30, 40, 1), 7, np.uint8)], axis=-1)
+    frame = read(recording_path, [image(SECOND_NS, encoding, pixels)])
+    np.testing.assert_array_equal(frame.rgb, rgb)
+
+
+@pytest.mark.parametrize(("format_", "tolerance"), [("JPEG", 12), ("PNG", 0)])
+def test_compressed_colours_are_decoded(format_, tolerance, rgb, recording_path):
+    """JPEG within its loss, PNG exactly."""
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, format_, quality=95)
+    frame = read(recording_path, [compressed_image(SECOND_NS, format_.lower(), buffer.getvalue())])
+    assert frame.rgb is not None
+    assert np.abs(frame.rgb.astype(int) - rgb).max() <= tolerance
+
+
+def test_only_registered_colour_is_attached(rgb, recording_path):
+    """Another frame, another lens or another view is not registered; a larger image of the same view is."""
+    message = image(SECOND_NS, "rgb8", rgb)
+    assert read(recording_path, [message]).rgb is not None
+    assert read(recording_path, [message], colour_camera=None).rgb is not None
+    assert read(recording_path, [message], colour_camera=(40.0, 41.0, 18.5, 15.25)).rgb is None
+    elsewhere = image(SECOND_NS, "rgb8", rgb, "elsewhere")
+    assert read(recording_path, [elsewhere], colour_frame="elsewhere").rgb is None
+
+    double = np.repeat(np.repeat(rgb, 2, axis=0), 2, axis=1)
+    doubled = (70.0, 72.0, 37.5, 31.0)
+    frame = read(recording_path, [image(SECOND_NS, "rgb8", double)], colour_camera=doubled, size=(80, 60))
+    np.testing.assert_array_equal(frame.rgb, rgb)
+
+
+def test_colour_is_paired_in_time(recording_path):
+    """Each frame gets the nearest image within 20 ms, none if there is none so near."""
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/d/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for i in range(20):
+            stamp = SECOND_NS + i * STEP_NS
+            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
+            if not 5 <= i < 8:
+                shade = np.full((30, 40, 3), i, np.uint8)
+                scribe.ros2("/c/image", image(stamp + 9_000_000, "rgb8", shade), stamp)
+    found = [None if f.rgb is None else int(f.rgb[0, 0, 0]) for f in open_recording(recording_path)]
+    assert found == [None if 5 <= i < 8 else i for i in range(20)]
+
+
+def test_a_damaged_colour_image_costs_the_colour_only(rgb, recording_path):
+    """The frame stays, the colour image is counted as lost."""
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, "PNG")
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/d/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for i, data in enumerate([buffer.getvalue(), buffer.getvalue()[:60]]):
+            stamp = SECOND_NS + i * STEP_NS
+            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
+            scribe.ros2("/c/image", compressed_image(stamp, "png", data), stamp)
+    recording = open_recording(recording_path)
+    assert [frame.rgb is not None for frame in recording] == [True, False]
+    assert recording.damage.lost_messages == 1
+
+
+def test_our_own_colour_comes_back(rgb, camera, recording_path):
+    """What the writer registers, the reader attaches."""
+    with RecordingWriter(recording_path, camera) as writer:
+        writer.write_depth(Frame(time_ns=5, depth_m=np.ones((30, 40), np.float32), rgb=rgb))
+    (frame,) = open_recording(recording_path)
+    np.testing.assert_array_equal(frame.rgb, rgb)

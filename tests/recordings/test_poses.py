@@ -1,0 +1,201 @@
+"""Recorded poses lead to the depth camera, whichever way the recorder wrote them."""
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+
+from recordings.errors import RecordingError
+from recordings.options import ReadOptions
+from recordings.poses.recorded import recorded_trajectory
+from recordings.poses.rigid import orthonormalised
+from recordings.poses.track import LONGEST_GAP_NS, Track
+from tests.recordings.samples import (
+    SECOND_NS,
+    Scribe,
+    camera_info,
+    header,
+    image,
+    new,
+    pose,
+    transform,
+)
+
+K = (35.0, 36.0, 18.5, 15.25)
+DEPTH = np.full((30, 40), 1000, np.uint16)
+STAMPS = [2 * SECOND_NS + i * SECOND_NS // 10 for i in range(5)]
+QUARTER = (0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4))
+"""A quarter turn about z, xyzw."""
+
+
+def write(path, messages, frame_id="camera"):
+    """Five frames, and further messages as (topic, message)."""
+    with Scribe(path) as scribe:
+        scribe.ros2("/c/camera_info", camera_info(STAMPS[0], (40, 30), K, frame_id), STAMPS[0])
+        for stamp in STAMPS:
+            scribe.ros2("/c/depth", image(stamp, "16UC1", DEPTH, frame_id), stamp)
+        for topic, message in messages:
+            scribe.ros2(topic, message, STAMPS[0])
+
+
+def odometry(stamp, frame_id, child, position):
+    """A nav_msgs/msg/Odometry."""
+    zero = new("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+    twist = new("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+    return new(
+        "nav_msgs/msg/Odometry",
+        header=header(stamp, frame_id),
+        child_frame_id=child,
+        pose=new("geometry_msgs/msg/PoseWithCovariance", pose=pose(position), covariance=np.zeros(36)),
+        twist=new("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def pose_stamped(stamp, frame_id, position):
+    """A geometry_msgs/msg/PoseStamped."""
+    return new("geometry_msgs/msg/PoseStamped", header=header(stamp, frame_id), pose=pose(position))
+
+
+def test_static_and_moving_links_are_chained(recording_path):
+    """The camera's pose is map <- base (moving) <- mount (static) <- camera (static)."""
+    moving = [("/tf", transform(s, "map", "base", (i, 0, 0), QUARTER)) for i, s in enumerate(STAMPS)]
+    static = [
+        ("/tf_static", transform(0, "base", "mount", (1, 0, 0))),
+        ("/tf_static", transform(0, "/mount", "/camera", (0, 0, 2), QUARTER)),
+    ]
+    write(recording_path, moving + static)
+    trajectory = recorded_trajectory(recording_path)
+
+    assert trajectory is not None
+    np.testing.assert_array_equal(trajectory.times_ns, STAMPS)
+    half_turn = np.diag([-1.0, -1, 1])
+    for i, matrix in enumerate(trajectory.reference_from_camera):
+        np.testing.assert_allclose(matrix[:3, :3], half_turn, atol=1e-12)
+        np.testing.assert_allclose(matrix[:3, 3], [i, 1, 2], atol=1e-12)
+
+
+def test_poses_between_samples_are_interpolated(recording_path):
+    """Between two samples the camera moves in a line and turns at constant speed."""
+    ends = [
+        ("/tf", transform(STAMPS[0], "map", "camera", (0, 0, 0))),
+        ("/tf", transform(STAMPS[4], "map", "camera", (4, 0, 0), QUARTER)),
+    ]
+    write(recording_path, ends)
+    trajectory = recorded_trajectory(recording_path)
+
+    assert trajectory is not None
+    for i, matrix in enumerate(trajectory.reference_from_camera):
+        angle = i / 4 * np.pi / 2
+        np.testing.assert_allclose(matrix[:2, 0], [np.cos(angle), np.sin(angle)], atol=1e-12)
+        np.testing.assert_allclose(matrix[0, 3], i, atol=1e-12)
+
+
+def test_gaps_are_not_bridged():
+    """Across a longer gap, and well beyond the ends, a track does not answer."""
+    track = Track()
+    ends = np.eye(4), np.diag([1.0, -1, -1, 1])
+    for time_ns, matrix in zip((0, LONGEST_GAP_NS + 2), ends, strict=True):
+        track.add(time_ns, matrix)
+    np.testing.assert_array_equal(track.at(0), np.eye(4))
+    assert track.at(LONGEST_GAP_NS // 2) is None
+    assert track.at(-SECOND_NS) is None
+    assert track.at(-1) is not None
+
+
+@pytest.mark.parametrize("kind", ["odometry", "odometry and mount", "pose stamped", "pose in frame"])
+def test_other_kinds_of_poses_serve(kind, recording_path):
+    """Odometry links its frames; a topic of bare poses is taken for the camera's."""
+    messages = {
+        "odometry": [("/o", odometry(s, "odom", "camera", (i, 0, 0))) for i, s in enumerate(STAMPS)],
+        "odometry and mount": [
+            *(("/o", odometry(s, "odom", "base", (i - 1, 0, 0))) for i, s in enumerate(STAMPS)),
+            ("/tf_static", transform(0, "base", "camera", (1, 0, 0))),
+        ],
+        "pose stamped": [("/p", pose_stamped(s, "map", (i, 0, 0))) for i, s in enumerate(STAMPS)],
+        "pose in frame": [],
+    }[kind]
+    write(recording_path, messages)
+    if kind == "pose in frame":
+        with Scribe(recording_path) as scribe:
+            scribe.ros2("/c/camera_info", camera_info(STAMPS[0], (40, 30), K), STAMPS[0])
+            for i, stamp in enumerate(STAMPS):
+                scribe.ros2("/c/depth", image(stamp, "16UC1", DEPTH), stamp)
+                message = PoseInFrame(frame_id="map")
+                message.timestamp.FromNanoseconds(stamp)
+                message.pose.position.x, message.pose.orientation.w = i, 1
+                scribe.protobuf("/p", message, stamp)
+    trajectory = recorded_trajectory(recording_path)
+
+    assert trajectory is not None
+    np.testing.assert_allclose(trajectory.reference_from_camera[:, 0, 3], range(5), atol=1e-12)
+
+
+def test_transforms_go_before_odometry(recording_path):
+    """Where /tf already places the frame, odometry of the same body is not mixed in."""
+    moving = [("/tf", transform(s, "map", "camera", (i, 0, 0))) for i, s in enumerate(STAMPS)]
+    other = [("/a_odom", odometry(s, "odom", "camera", (9, 9, 9))) for s in STAMPS]
+    write(recording_path, other + moving)
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    np.testing.assert_allclose(trajectory.reference_from_camera[:, 0, 3], range(5), atol=1e-12)
+
+
+def test_a_mounting_alone_is_no_trajectory(recording_path):
+    """A driver's static frames say nothing on where the camera was."""
+    write(recording_path, [("/tf_static", transform(0, "base", "camera"))])
+    assert recorded_trajectory(recording_path) is None
+
+
+def test_a_camera_that_stands_still_has_a_trajectory(recording_path):
+    """The same transform over and over on /tf is a trajectory."""
+    write(recording_path, [("/tf", transform(s, "map", "camera", (1, 2, 3))) for s in STAMPS])
+    trajectory = recorded_trajectory(recording_path, ReadOptions(every=2))
+    assert trajectory is not None
+    np.testing.assert_array_equal(trajectory.times_ns, STAMPS[::2])
+
+
+def test_circles_of_frames_end(recording_path):
+    """Frames that are each other's parent do not hang the reader."""
+    loop = [("/tf", transform(s, "a", "camera")) for s in STAMPS]
+    loop += [("/tf", transform(s, "camera", "a")) for s in STAMPS]
+    write(recording_path, loop)
+    assert recorded_trajectory(recording_path) is not None
+
+
+def test_two_pose_topics_ask(recording_path):
+    """Bare poses of two things are not guessed between; the nearer namespace decides."""
+    messages = [("/a/pose", pose_stamped(STAMPS[0], "map", (1, 0, 0)))]
+    messages += [("/b/pose", pose_stamped(STAMPS[0], "map", (2, 0, 0)))]
+    write(recording_path, messages)
+    with pytest.raises(RecordingError, match=r"2 pose topics .* /a/pose, /b/pose"):
+        recorded_trajectory(recording_path)
+    write(recording_path, [*messages, ("/c/pose", pose_stamped(STAMPS[0], "map", (3, 0, 0)))])
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    assert trajectory.reference_from_camera[0, 0, 3] == 3
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_transforms_that_are_none_are_left_out(number, recording_path):
+    """NaN and a zero quaternion are no transforms."""
+    sound = [("/tf", transform(s, "map", "camera", (i, 0, 0))) for i, s in enumerate(STAMPS)]
+    broken = [
+        ("/tf", transform(STAMPS[0], "map", "camera", (number, 0, 0))),
+        ("/tf", transform(STAMPS[0], "map", "camera", (0, 0, 0), (0, 0, 0, 0))),
+    ]
+    write(recording_path, broken + sound)
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    np.testing.assert_allclose(trajectory.reference_from_camera[:, 0, 3], range(5), atol=1e-12)
+
+
+def test_orthonormalised_is_the_nearest_rotation(seed):
+    """Rounded rotations become orthonormal and stay near."""
+    rng = np.random.default_rng(seed)
+    rotations = np.linalg.qr(rng.normal(size=(20, 3, 3)))[0]
+    rotations *= np.linalg.det(rotations)[:, None, None]
+    matrices = np.tile(np.eye(4), (20, 1, 1))
+    matrices[:, :3, :3] = rotations
+    rigid = orthonormalised(matrices.round(3))
+    gram = rigid[:, :3, :3] @ np.swapaxes(rigid[:, :3, :3], 1, 2)
+    np.testing.assert_allclose(gram, np.broadcast_to(np.eye(3), (20, 3, 3)), atol=1e-12)
+    np.testing.assert_allclose(rigid, matrices, atol=2e-3)
