@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import keyword
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -16,9 +18,10 @@ COMMANDS = (
     "synth",
     "slam",
     "review",
+    "eval",
     "doctor",
 )
-"""Subcommands in the order of a user's work; `voxscene NAME` is `command` in `pipeline.commands.NAME`."""
+"""Subcommands in the order of a user's work."""
 
 DAMAGED = 3
 """Exit code where part of a damaged input was lost and the rest was used."""
@@ -39,18 +42,27 @@ class Misuse(Failure):
 
 
 class LazyGroup(click.Group):
-    """A group that imports a subcommand only when it is named or listed, and tells mistakes in one line."""
+    """A group that imports a subcommand only when it is named or listed, and tells mistakes in one line.
+
+    Subcommand NAME is `command` in `PACKAGE.NAME`, or in `PACKAGE.NAME_` where NAME is a word of Python.
+    """
+
+    def __init__(self, *args: Any, package: str, members: Sequence[str], **kwargs: Any) -> None:
+        """A group of `members` that live in `package`."""
+        super().__init__(*args, **kwargs)
+        self._package = package
+        self._members = list(members)
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Names in the order of a user's work."""
-        return list(COMMANDS)
+        return self._members
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         """The subcommand of that name, imported now."""
-        if cmd_name not in COMMANDS:
+        if cmd_name not in self._members:
             return None
-        module = "import_" if cmd_name == "import" else cmd_name  # a word of Python
-        return importlib.import_module(f"pipeline.commands.{module}").command
+        module = f"{cmd_name}_" if keyword.iskeyword(cmd_name) else cmd_name
+        return importlib.import_module(f"{self._package}.{module}").command
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand; what the user can mend ends as a `Failure`."""
@@ -66,7 +78,12 @@ class LazyGroup(click.Group):
             raise Failure("interrupted; the same command goes on where it stopped") from error
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup,
+    package="pipeline.commands",
+    members=COMMANDS,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(package_name="voxscene")
 def voxscene() -> None:
     """Finds the camera, learns the shapes, parses the scene: from recorded depth, with uncertainty."""

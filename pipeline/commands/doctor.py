@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import platform
-
 import click
 
-PACKAGES = ("jax", "jaxlib", "numpy", "open3d-cpu", "open3d", "kiss-icp", "mcap", "rerun-sdk")
+from pipeline.options import Common, common_options
 
 
 @click.command(name="doctor")
-def command() -> None:
-    """Versions, JAX device, and missing system libraries with the package that holds them."""
-    click.echo(f"python {platform.python_version()} on {platform.platform()}")
-    for package in PACKAGES:
-        try:
-            click.echo(f"{package} {importlib.metadata.version(package)}")
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    import jax
+@common_options()
+@click.pass_context
+def command(ctx: click.Context, common: Common) -> None:
+    """Versions, JAX device, and missing system libraries with the package that holds them.
 
-    click.echo(f"jax device {jax.devices()[0]}")
+    Ends with exit code 1 where something that every command needs is missing.
+    """
+    from pipeline.quiet_stdout import stdout_to_stderr
+    from pipeline.system_check import checks
+
+    with stdout_to_stderr():
+        found = checks()
+    lines = [f"{'!' if one.remedy else ' '} {one.name}: {one.found}" for one in found]
+    lines += [f"to mend {one.name}: {one.remedy}" for one in found if one.remedy]
+    common.report([vars(one) for one in found], lines)
+    ctx.exit(int(any(one.remedy and one.required for one in found)))

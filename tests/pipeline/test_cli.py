@@ -10,7 +10,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from pipeline.cli import COMMANDS, LazyGroup, voxscene
+from pipeline.cli import LazyGroup, voxscene
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.options import Common, common_options
 from recordings.errors import RecordingError
@@ -42,14 +42,30 @@ def test_help_is_quick() -> None:
     assert min(seconds) < 0.5
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help(name: str) -> None:
-    """Its own file, and one sentence at least."""
-    command = voxscene.get_command(click.Context(voxscene), name)
+def leaves(group: click.Group, words: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], click.Command]]:
+    """Every command below a group with the words that call it."""
+    found = []
+    for name in group.list_commands(click.Context(group)):
+        command = group.get_command(click.Context(group), name)
+        assert command is not None
+        assert command.name == name
+        found.append(((*words, name), command))
+        if isinstance(command, click.Group):
+            found += leaves(command, (*words, name))
+    return found
 
-    assert command is not None
-    assert command.name == name
+
+@pytest.mark.parametrize(
+    ("words", "command"), [pytest.param(*leaf, id=" ".join(leaf[0])) for leaf in leaves(voxscene)]
+)
+def test_every_command_has_help_and_stands_in_the_readme(
+    words: tuple[str, ...], command: click.Command
+) -> None:
+    """One sentence at least, and where a newcomer looks."""
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+
     assert command.get_short_help_str()
+    assert f"voxscene {' '.join(words)}" in readme or isinstance(command, click.Group)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +92,7 @@ def test_mistakes_end_in_one_line(error: BaseException, line: str) -> None:
 
             return fail
 
-    result = CliRunner().invoke(Failing("voxscene"), ["fail"])
+    result = CliRunner().invoke(Failing("voxscene", package="", members=["fail"]), ["fail"])
 
     code = 2 if isinstance(error, ConfigError) else 1
     assert (result.exit_code, result.stdout, result.stderr) == (code, "", line)

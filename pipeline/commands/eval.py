@@ -1,0 +1,12 @@
+"""`voxscene eval`: runs against the truth."""
+
+from __future__ import annotations
+
+from pipeline.cli import LazyGroup
+
+command = LazyGroup(
+    name="eval",
+    package="pipeline.commands.evaluations",
+    members=(),
+    help="Compare a run with the truth, which nothing else reads.",
+)

@@ -1,0 +1,69 @@
+"""Agreement of a learned shape with the true mesh (MATH.md C): three intersections over unions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+import trimesh
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+
+from shapes.prior import ShapePrior
+
+INSIDE_RAYS = 7
+"""Rays that vote on whether a voxel's centre is inside; odd, so that leaks of one face do not decide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeAgreement:
+    """Intersections over unions of learned and true voxels.
+
+    Attributes:
+        solid: occupied or enclosed against the solid truth.
+        shell: the outer layer of occupied voxels against that of the truth.
+        observed: voxels that some ray decided, alone.
+    """
+
+    solid: float
+    shell: float
+    observed: float
+
+
+def shape_agreement(
+    shape: ShapePrior, mesh: trimesh.Trimesh, reference_from_mesh: NDArray[np.float64]
+) -> ShapeAgreement:
+    """Compare a learned shape with a true mesh posed in the same reference frame (4, 4)."""
+    truth = true_voxels(shape, mesh, reference_from_mesh)
+    decided = shape.seen_free | shape.seen_occupied
+    return ShapeAgreement(
+        solid=intersection_over_union(shape.solid, truth),
+        shell=intersection_over_union(_shell(shape.solid), _shell(truth)),
+        observed=intersection_over_union(shape.seen_occupied & decided, truth & decided),
+    )
+
+
+def true_voxels(
+    shape: ShapePrior, mesh: trimesh.Trimesh, reference_from_mesh: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Voxels (I, J, K) of a shape's grid whose centre lies inside the mesh (Open3D's ray parity)."""
+    centres = (np.moveaxis(np.indices(shape.phi.shape), 0, -1).reshape(-1, 3) + 0.5) * shape.pitch_m
+    mesh_from_grid = np.linalg.inv(reference_from_mesh) @ shape.reference_from_grid
+    scene = o3d.t.geometry.RaycastingScene()
+    tensor = o3d.core.Tensor.from_numpy
+    scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.faces.astype(np.uint32)))
+    points = trimesh.transform_points(centres, mesh_from_grid).astype(np.float32)
+    inside = scene.compute_occupancy(tensor(points), nsamples=INSIDE_RAYS).numpy()
+    return inside.reshape(shape.phi.shape) > 0.5
+
+
+def intersection_over_union(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    """Of two sets of voxels; 1 where both are empty."""
+    union = (one | other).sum()
+    return float((one & other).sum() / union) if union else 1.0
+
+
+def _shell(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Voxels with a face on the outside."""
+    return voxels & ~binary_erosion(voxels)
