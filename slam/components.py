@@ -25,11 +25,6 @@ def layer_sum(layers: jax.Array) -> jax.Array:
     return reduce(add, [layers[index] for index in range(len(layers))])
 
 
-def layer_minimum(layers: jax.Array) -> jax.Array:
-    """Minimum (...) over the leading axis of (M, ...), M small."""
-    return reduce(jnp.minimum, [layers[index] for index in range(len(layers))])
-
-
 def rotated(matrix: jax.Array, vectors: jax.Array) -> jax.Array:
     """`matrix` (3, 3) applied to vectors (3, ...)."""
     return jnp.stack([dot(matrix[i], vectors) for i in range(3)])

@@ -8,6 +8,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import jaxlie
+import numpy as np
 
 from recordings.types import DepthNoise
 from slam import pose_gaussian
@@ -23,7 +24,7 @@ from slam.alignment import (
 from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, DepthView
 from slam.image_density import STRIDE_PX, ScoredPixels, log_image_density, scored_pixels
 from slam.keyframes import Surface
-from slam.rendering import fused_planes, render
+from slam.rendering import MapImage, fused_planes, render
 
 STARTS = 4
 COARSE_STRIDE_PX = 8
@@ -85,7 +86,7 @@ def model_image(local_map: LocalMap, camera_pose: jax.Array, view: DepthView) ->
     """The map fused in the camera at `camera_pose` (7,)."""
     keyframes_from_camera = local_map.keyframes_from_camera(camera_pose)
     image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
-    planes, variance = fused_planes(image, keyframes_from_camera)
+    planes, variance = jax.lax.optimization_barrier(fused_planes(image, keyframes_from_camera))
     return ModelImage(planes, variance, view.camera)
 
 
@@ -131,11 +132,10 @@ def optimum_at(local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: ja
     """The density's optimum next to `pose` (7,), with the map rendered at `pose`."""
     keyframes_from_camera = local_map.keyframes_from_camera(pose)
     image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
-    planes, variance = fused_planes(image, keyframes_from_camera)
-    pixels = scored_pixels(view, image)
-    every = slice(None, None, STRIDE_PX)
-    lattice_planes = planes[:, every, every].reshape(3, -1)
-    lattice_variance = variance[every, every].ravel()
+    pixels = jax.lax.optimization_barrier(scored_pixels(view, image))
+    lattice_planes, lattice_variance = jax.lax.optimization_barrier(
+        fused_planes(MapImage(pixels.planes, pixels.weights), keyframes_from_camera)
+    )
     identity = jaxlie.SE3.identity().wxyz_xyz.astype(pose.dtype)
 
     def terms_at(relative: jax.Array) -> PixelTerms:
@@ -147,7 +147,7 @@ def optimum_at(local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: ja
         return pose_gaussian.displaced(relative, step), None
 
     relative, _ = jax.lax.scan(climb, identity, None, length=LATTICE_STEPS)
-    terms = terms_at(relative)
+    terms = jax.lax.optimization_barrier(terms_at(relative))
     optimum = (jaxlie.SE3(pose) @ jaxlie.SE3(relative)).wxyz_xyz
     log_density = log_image_density(
         pixels, local_map.keyframes_from_camera(optimum), noise, jnp.ones((), pose.dtype)
@@ -168,6 +168,7 @@ def block_variance(scores: jax.Array) -> jax.Array:
     Cooley and Davison 2012, section 2.2, for composite likelihoods).
     """
     rows, columns = CANVAS_HEIGHT // STRIDE_PX, CANVAS_WIDTH // STRIDE_PX
-    blocks = scores.reshape(6, rows // BLOCK_SIDE, BLOCK_SIDE, columns // BLOCK_SIDE, BLOCK_SIDE)
-    sums = blocks.sum((2, 4)).reshape(6, -1)
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    block = (row // BLOCK_SIDE) * (columns // BLOCK_SIDE) + column // BLOCK_SIDE
+    sums = scores @ jnp.asarray(np.eye(block.max() + 1, dtype=np.float32)[block])
     return sums @ sums.T

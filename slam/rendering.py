@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import jaxlie
 
 from shapes.camera import Camera
-from slam.components import dot, layer_minimum, layer_sum, moved, rotated
+from slam.components import dot, layer_sum, moved, rotated
 from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH
 from slam.keyframes import Surface
 
@@ -107,20 +107,22 @@ def render(
         camera: its intrinsics.
     """
 
-    def layer(arguments: tuple[Surface, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        surface, is_present, keyframe_from_camera = arguments
-        inverse = jaxlie.SE3(keyframe_from_camera).inverse().wxyz_xyz
-        index = visible_elements(surface, inverse, camera)
-        seen = (index >= 0) & is_present
-        element = jnp.maximum(index, 0)
-        planes = jnp.where(seen, surface.planes.reshape(3, -1)[:, element], 0.0)
-        weights = jnp.where(seen, 1.0 / surface.variance_m2.ravel()[element], 0.0)
-        depth = depth_on_rays(planes_in_frame(planes, keyframe_from_camera), rays)
-        return planes, jnp.where(jnp.isfinite(depth), weights, 0.0), depth
-
-    planes, weights, depth = jax.lax.map(layer, (surfaces, present, keyframes_from_camera))
-    nearest = layer_minimum(jnp.where(weights > 0, depth, jnp.inf))
-    return MapImage(planes, jnp.where(depth <= nearest[None] * (1.0 + ONE_SURFACE_BAND), weights, 0.0))
+    planes, weights, depths = [], [], []
+    for index in range(len(present)):
+        surface = jax.tree.map(lambda leaf, index=index: leaf[index], surfaces)
+        inverse = jaxlie.SE3(keyframes_from_camera[index]).inverse().wxyz_xyz
+        seen_element = visible_elements(surface, inverse, camera)
+        seen = (seen_element >= 0) & present[index]
+        element = jnp.maximum(seen_element, 0)
+        layer_planes = jnp.where(seen, surface.planes.reshape(3, -1)[:, element], 0.0)
+        layer_weights = jnp.where(seen, 1.0 / surface.variance_m2.ravel()[element], 0.0)
+        depth = depth_on_rays(planes_in_frame(layer_planes, keyframes_from_camera[index]), rays)
+        planes.append(layer_planes)
+        weights.append(jnp.where(jnp.isfinite(depth), layer_weights, 0.0))
+        depths.append(jnp.where(layer_weights > 0, depth, jnp.inf))
+    farthest = (1.0 + ONE_SURFACE_BAND) * reduce(jnp.minimum, depths)
+    in_front = [jnp.where(depth <= farthest, w, 0.0) for depth, w in zip(depths, weights, strict=True)]
+    return MapImage(jnp.stack(planes), jnp.stack(in_front))
 
 
 def fused_planes(image: MapImage, keyframes_from_camera: jax.Array) -> tuple[jax.Array, jax.Array]:
