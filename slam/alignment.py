@@ -55,13 +55,15 @@ class PixelTerms:
 
     Attributes:
         jacobian: (6, n) of the rendered depth.
-        weight: (n,) inverse variance times the probability that the pixel is not an outlier.
+        weight: (n,) inverse variance times `inlier`.
+        inlier: (n,) probability that the pixel is neither an outlier nor without a surface.
         residual: (n,) observed minus rendered depth, metres.
         agreement: over these pixels.
     """
 
     jacobian: jax.Array
     weight: jax.Array
+    inlier: jax.Array
     residual: jax.Array
     agreement: Agreement
 
@@ -132,7 +134,7 @@ def pixel_terms(
     inlier = jnp.where(hit, jax.nn.sigmoid(log_ratio), 0.0)
     count = jnp.maximum(returned.sum(), 1)
     return PixelTerms(
-        jacobian, inlier / variance, residual, Agreement(inlier.sum() / count, hit.sum() / count)
+        jacobian, inlier / variance, inlier, residual, Agreement(inlier.sum() / count, hit.sum() / count)
     )
 
 
@@ -147,7 +149,7 @@ def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: i
     return planes, model.variance_m2.ravel()[pixel], observed, rays
 
 
-def log_projected_density(
+def log_projected_factors(
     model: ModelImage,
     view: DepthView,
     noise: DepthNoise,
@@ -155,7 +157,7 @@ def log_projected_density(
     stride_px: int,
     surface_sigma_m: float,
 ) -> jax.Array:
-    """Approximate log density of every `stride_px`-th pixel of a view at model_from_camera (7,).
+    """Approximate log factors (n,) of every `stride_px`-th pixel of a view at model_from_camera (7,).
 
     The reverse projection: a pixel is compared with the element that its own observed point falls on,
     so the rendered depth depends on the observed one. It ranks candidates over a wide range without
@@ -166,7 +168,19 @@ def log_projected_density(
     depth, _ = depth_and_jacobian(planes, rays, pose)
     measured = view.measured[::stride_px, ::stride_px].ravel()
     sigma = jnp.sqrt(variance + surface_sigma_m**2)
-    return jnp.where(measured, depth_noise.log_density(noise, observed, depth, sigma), 0.0).sum()
+    return jnp.where(measured, depth_noise.log_density(noise, observed, depth, sigma), 0.0)
+
+
+def log_projected_density(
+    model: ModelImage,
+    view: DepthView,
+    noise: DepthNoise,
+    pose: jax.Array,
+    stride_px: int,
+    surface_sigma_m: float,
+) -> jax.Array:
+    """Sum of `log_projected_factors`."""
+    return log_projected_factors(model, view, noise, pose, stride_px, surface_sigma_m).sum()
 
 
 def aligned(

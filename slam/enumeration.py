@@ -1,4 +1,4 @@
-"""Grids of candidate poses over position and viewing angle."""
+"""Grids of candidate poses over position and viewing angle: near a prediction, or anywhere in the map."""
 
 from __future__ import annotations
 
@@ -6,14 +6,78 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 LOCAL_ANGLES_RAD = (-0.07, 0.0, 0.07)
-LOCAL_SHIFTS_M = (-0.06, 0.0, 0.06)
+LOCAL_SHIFTS_M = (-0.06, 0.06)
+ORBIT_STEP_DEG = 6
+ORBIT_ELEVATIONS_DEG = (0, 15, 30, 45, 60)
+ORBIT_DISTANCES = (0.9, 1.1, 1.35)
+"""Distances to the pivot of an orbit, in depths at the image centre."""
+TURNS_DEG = tuple(range(-180, 180, 15))
+TILTS_DEG = (-20, 0, 20)
 
 
 def local_grid() -> NDArray[np.float32]:
     """Offsets (G, 6) around a prediction: 27 viewing angles at 7 positions, translation first."""
     angles = itertools.product(LOCAL_ANGLES_RAD, repeat=3)
-    steps = [LOCAL_SHIFTS_M[0], LOCAL_SHIFTS_M[2]]
-    shifts = [np.zeros(3), *(step * axis for step in steps for axis in np.eye(3))]
+    shifts = [np.zeros(3), *(step * axis for step in LOCAL_SHIFTS_M for axis in np.eye(3))]
     return np.asarray([[*shift, *angle] for angle in angles for shift in shifts], np.float32)
+
+
+def orbit_steps(distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses last_from_camera (C, 4, 4) on whole circles round points ahead of the last camera.
+
+    The circle's axis is vertical for a camera that looks down by each of `ORBIT_ELEVATIONS_DEG`.
+    """
+    steps = []
+    azimuths = np.radians(np.arange(0, 360, ORBIT_STEP_DEG))
+    for elevation, distance in itertools.product(np.radians(ORBIT_ELEVATIONS_DEG), distances_m):
+        axis = np.asarray([0.0, -np.cos(elevation), -np.sin(elevation)])
+        pivot = np.asarray([0.0, 0.0, distance])
+        turn = np.tile(np.eye(4), (len(azimuths), 1, 1))
+        turn[:, :3, :3] = Rotation.from_rotvec(azimuths[:, None] * axis).as_matrix()
+        turn[:, :3, 3] = pivot - turn[:, :3, :3] @ pivot
+        steps.append(turn)
+    return np.concatenate(steps)
+
+
+def turns() -> NDArray[np.float64]:
+    """Poses last_from_camera (C, 4, 4) of a camera that turns and tilts on the spot."""
+    angles = list(itertools.product(TURNS_DEG, TILTS_DEG))
+    matrices = np.tile(np.eye(4), (len(angles), 1, 1))
+    matrices[:, :3, :3] = Rotation.from_euler("yx", np.asarray(angles, float), degrees=True).as_matrix()
+    return matrices
+
+
+def anywhere(
+    last: NDArray[np.float64], keyframes: NDArray[np.float64], distances_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Candidates reference_from_camera (C, 4, 4): orbits and turns from the last pose, and round each keyframe.
+
+    Args:
+        last: (4, 4) last known pose.
+        keyframes: (N, 4, 4) poses that the camera may have come back to.
+        distances_m: (D,) to the pivots of orbits.
+    """
+    tilted = Rotation.from_euler(
+        "yx", list(itertools.product((-20.0, 0.0, 20.0), (-12.0, 0.0, 12.0))), degrees=True
+    ).as_matrix()
+    looks = np.tile(np.eye(4), (len(tilted), 1, 1))
+    looks[:, :3, :3] = tilted
+    returns = (keyframes[:, None] @ looks[None]).reshape(-1, 4, 4)
+    return np.concatenate([last @ orbit_steps(distances_m), last @ turns(), returns])
+
+
+def distinct(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float) -> NDArray[np.int_]:
+    """Indices of the first `count` poses (C, 4, 4) that differ from each other, in their given order."""
+    chosen: list[int] = []
+    for index, pose in enumerate(poses):
+        relative = np.linalg.inv(poses[chosen]) @ pose if chosen else np.empty((0, 4, 4))
+        shift = np.linalg.norm(relative[:, :3, 3], axis=1)
+        cosine = 0.5 * (np.trace(relative[:, :3, :3], axis1=1, axis2=2) - 1.0)
+        if not ((shift < shift_m) & (cosine > np.cos(angle_rad))).any():
+            chosen.append(index)
+        if len(chosen) == count:
+            break
+    return np.asarray(chosen, int)

@@ -1,8 +1,8 @@
 """The camera filter: `init` on the first frame, `step` on each further one.
 
-A step finds local optima of the frame's density (`slam.localisation`), turns them into a mixture
-proposal (`slam.proposal`), runs the generic step of sequential Monte Carlo on it (`slam.smc`), and
-lets the frame refine the map or become a keyframe of it.
+A step finds local optima of the frame's density (`slam.search`), turns them into a mixture proposal
+(`slam.proposal`), runs the generic step of sequential Monte Carlo on it (`slam.smc`), and lets the
+frame refine the map or become a keyframe of it.
 """
 
 from __future__ import annotations
@@ -17,27 +17,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from slam import pose_gaussian, smc
+from slam import enumeration, pose_gaussian, smc
+from slam.calibration import Calibration
 from slam.config import SlamConfig
 from slam.depth_view import DepthView
-from slam.enumeration import local_grid
 from slam.fusion import fused
-from slam.keyframe_map import KeyframeMap, selected_keyframes
-from slam.keyframes import surface_of, with_planes_refitted
-from slam.localisation import LocalMap, Optimum, local_optimum
+from slam.keyframe_map import KeyframeMap
+from slam.keyframes import surface_of, with_noise, with_planes_refitted
 from slam.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
-from slam.particles import IDENTITY, CameraParticles, initial_particles, mean_and_covariance, with_capacity
-from slam.proposal import Component, Proposed, propose_all
+from slam.particles import (
+    IDENTITY,
+    CameraParticles,
+    grouped,
+    initial_particles,
+    mean_and_covariance,
+    with_capacity,
+)
+from slam.proposal import Component, Proposed, component_at, propose_all
+from slam.rigid import matrices_of, poses_of
+from slam.search import GroupMap, Located, Searcher, worth_keeping
 
 CAPACITY_STEP = 32
-DEFAULT_EXPONENT = 0.1
+COMPONENT_BUCKETS = (1, 2, 4, 8)
 KEYFRAME_SHIFT = 0.1
 """A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
 KEYFRAME_ANGLE_RAD = 0.2
 KEYFRAME_COVERAGE = 0.75
-LEAST_COVERED = 0.1
-LEAST_EXPLAINED = 0.5
-"""Of the returns that meet the map, the share that must lie on it for a frame to count as found."""
+LOOSE_RADIUS = 0.15
+"""Relative standard deviation of an orbit's radius that nobody gave."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +54,18 @@ class FilterState:
     Attributes:
         population: weighted `CameraParticles`.
         keyframe_map: shared surfaces.
-        noise: the sensor.
-        exponent: tempering of the image density.
+        calibration: of the sensor.
         motion: prior over motion.
         times_ns: stamps of the last two frames.
-        active: index of the keyframe that the last found frame was closest to.
+        last_found: (7,) mean pose of the last frame that was found.
     """
 
     population: smc.Population
     keyframe_map: KeyframeMap
-    noise: DepthNoise
-    exponent: float
+    calibration: Calibration
     motion: MotionPrior
     times_ns: tuple[int, int]
-    active: int
+    last_found: jax.Array
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,8 @@ class FrameInfo:
         anchor: index of a keyframe.
         relative_poses: (K, 7) anchor_from_camera, each particle's draw.
         relative_means: (K, 7) the same, centres of the components that the draws came from.
-        component_covariance: (6, 6) of the draws around their centres, camera chart.
+        component: (K,) which component that was.
+        component_covariances: (J, 6, 6) of the draws around their centres, camera chart.
         log_weights: (K,) normalised, after this frame.
         ancestors: (K,) particle before this frame that each one continues.
         log_evidence: increment.
@@ -80,12 +86,15 @@ class FrameInfo:
         lost: whether no pose agreed with the map.
         explained: share of returns on the map's surface.
         covered: share of returns that meet the map.
+        keyframes: number of keyframes after this frame.
+        components: number of components of the proposal.
     """
 
     anchor: int
     relative_poses: NDArray[np.float32]
     relative_means: NDArray[np.float32]
-    component_covariance: NDArray[np.float32]
+    component: NDArray[np.int32]
+    component_covariances: NDArray[np.float32]
     log_weights: NDArray[np.float32]
     ancestors: NDArray[np.int32]
     log_evidence: float
@@ -94,28 +103,27 @@ class FrameInfo:
     lost: bool
     explained: float
     covered: float
+    keyframes: int
+    components: int
 
 
 def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState, FrameInfo]:
     """The state after the first frame, which is the reference and the first keyframe."""
-    depth = np.asarray(view.depth_m)
-    radius = config.orbit_radius_m or _central_depth(depth)
+    radius = config.orbit_radius_m or _central_depth(view)
     motion: MotionPrior = FreeMotion.default()
     if config.motion == "orbit":
-        loose = None if config.orbit_radius_m else 0.15 * radius
-        motion = OrbitMotion.default() if loose is None else OrbitMotion.of_unknown_radius(loose)
-    noise = config.noise or DepthNoise()
-    surface = _surface_of(view, noise)
+        known = config.orbit_radius_m is not None
+        motion = OrbitMotion.default() if known else OrbitMotion.of_unknown_radius(LOOSE_RADIUS * radius)
+    calibration = Calibration.initial(config.noise, config.effective_pixel_share)
     pivot = np.asarray([0.0, 0.0, radius], np.float32)
     particles = initial_particles(config.particles, CAPACITY_STEP, pivot)
     state = FilterState(
         population=smc.uniform_population(particles),
-        keyframe_map=KeyframeMap().with_keyframe(surface),
-        noise=noise,
-        exponent=config.effective_pixel_share or DEFAULT_EXPONENT,
+        keyframe_map=KeyframeMap().with_keyframe(_surface_of(view, calibration.noise)),
+        calibration=calibration,
         motion=motion,
         times_ns=(time_ns, time_ns),
-        active=0,
+        last_found=jnp.asarray(IDENTITY, jnp.float32),
     )
     return state, _first_frame_info(config.particles)
 
@@ -127,7 +135,8 @@ def _first_frame_info(count: int) -> FrameInfo:
         anchor=0,
         relative_poses=at_anchor,
         relative_means=at_anchor,
-        component_covariance=np.zeros((6, 6), np.float32),
+        component=np.zeros(count, np.int32),
+        component_covariances=np.zeros((1, 6, 6), np.float32),
         log_weights=np.full(count, -np.log(count), np.float32),
         ancestors=np.arange(count, dtype=np.int32),
         log_evidence=0.0,
@@ -136,6 +145,8 @@ def _first_frame_info(count: int) -> FrameInfo:
         lost=False,
         explained=1.0,
         covered=1.0,
+        keyframes=1,
+        components=0,
     )
 
 
@@ -159,38 +170,27 @@ def step(
     """
     state = _with_room(state)
     particles: CameraParticles = state.population.particles
-    ratio = _velocity_ratio(state.times_ns, time_ns)
-    predicted = _predicted(particles, ratio)
-    weights = jnp.exp(state.population.log_weights)
-    pose, _ = _mean(particles.pose, weights)
-    ahead, _ = _mean(predicted, weights)
-    starts = [ahead, pose]
-    if odometry is not None:
-        starts.append(_composed(pose, odometry))
-    starts += [ahead] * (3 - len(starts))
-    indices, local_map = _local_map(state, ahead, view, config, weights)
-    optimum = local_optimum(local_map, view, state.noise, jnp.stack(starts), jnp.asarray(local_grid()))
-    explained, covered = float(optimum.agreement.explained), float(optimum.agreement.covered)
-    lost = covered < LEAST_COVERED or explained < LEAST_EXPLAINED * covered
-    history = MotionHistory(pose, ahead, particles.pivot[0])
-    group = -1 if lost else 0
-    component = _component(optimum, local_map, indices, group, history, state.motion, state.exponent)
+    predicted = _predicted(particles, _velocity_ratio(state.times_ns, time_ns))
+    weights = np.exp(np.asarray(state.population.log_weights, np.float64))
+    groups = grouped(matrices_of(particles.pose), weights)
+    found = _found(state, view, predicted, groups, weights, config, odometry)
+    components = _components(found, state, predicted)
     population, info, proposed = _advance(
         key,
         state.population,
         predicted,
-        component,
+        jnp.asarray(groups, jnp.int32),
+        components,
         state.motion,
-        state.noise,
-        state.exponent,
+        state.calibration.noise,
+        state.calibration.exponent,
         config.ess_threshold,
     )
-    anchor = int(indices[0])
-    frame_info = _frame_info(population, info, proposed, component, anchor, lost, explained, covered)
-    state = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), active=anchor)
+    lost = found[0].group < 0
+    moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns))
     if not lost:
-        state = _with_frame_in_map(state, view, optimum.pose, local_map.poses[0], anchor, covered)
-    return state, frame_info
+        moved = _with_frame_in_map(moved, view, found)
+    return moved, _frame_info(moved, info, proposed, components, found, lost)
 
 
 def _velocity_ratio(times_ns: tuple[int, int], time_ns: int) -> float:
@@ -208,72 +208,76 @@ def _predicted(particles: CameraParticles, ratio: float) -> jax.Array:
 
 
 _mean = jax.jit(mean_and_covariance)
+_surface_of = jax.jit(surface_of)
+_fused = jax.jit(fused)
+_refitted = jax.jit(with_planes_refitted)
+_with_noise = jax.jit(with_noise)
 
 
-def _composed(pose: jax.Array, matrix: NDArray[np.float64]) -> jax.Array:
-    step = jaxlie.SE3.from_matrix(jnp.asarray(matrix, jnp.float32))
-    return (jaxlie.SE3(pose) @ step).wxyz_xyz
+def _found(
+    state: FilterState,
+    view: DepthView,
+    predicted: jax.Array,
+    groups: NDArray[np.int_],
+    weights: NDArray[np.float64],
+    config: SlamConfig,
+    odometry: NDArray[np.float64] | None,
+) -> list[Located]:
+    """Optima worth proposing, the best first; a single one of group -1 where the camera is lost.
+
+    Each group of particles looks near its own prediction. Where none finds a convincing place, the
+    heaviest looks everywhere, for all particles.
+    """
+    particles: CameraParticles = state.population.particles
+    searcher = Searcher(state.keyframe_map, view, state.calibration.noise, config.keyframes_compared)
+    found = []
+    for group in range(groups.max() + 1):
+        group_map = _group_map(state, np.where(groups == group, weights, 0.0), group)
+        last = _mean(particles.pose, group_map.weights)[0]
+        starts = [] if odometry is None else [poses_of(matrices_of(last) @ odometry)]
+        if config.proposal != "kiss" or odometry is None:
+            starts = [_mean(predicted, group_map.weights)[0], last, *starts]
+        found.append(searcher.near(group_map, starts))
+    convincing = [located for located in found if located.is_convincing]
+    if not convincing:
+        everyone = _group_map(state, weights, 0)
+        distances = np.asarray(enumeration.ORBIT_DISTANCES) * _central_depth(view)
+        found += searcher.anywhere(everyone, state.last_found, distances)
+        convincing = [replace(located, group=0) for located in found]
+    kept = worth_keeping(convincing, state.calibration.exponent)
+    kept.sort(key=lambda located: -float(located.optimum.log_density))
+    return kept[: COMPONENT_BUCKETS[-1]] or [replace(found[0], group=-1)]
 
 
-def _matrices(poses: jax.Array) -> NDArray[np.float64]:
-    return np.asarray(jaxlie.SE3(poses).as_matrix(), np.float64)
-
-
-def _local_map(
-    state: FilterState, ahead: jax.Array, view: DepthView, config: SlamConfig, weights: jax.Array
-) -> tuple[NDArray[np.int_], LocalMap]:
-    """Indices (M,) of the keyframes to compare with, padded, and the group's mean map of them."""
+def _group_map(state: FilterState, weights: NDArray[np.float64], group: int) -> GroupMap:
     particles: CameraParticles = state.population.particles
     used = len(state.keyframe_map)
-    best = particles.keyframe_poses[jnp.argmax(weights), :used]
-    camera = view.camera
-    extent = np.argwhere(np.asarray(view.measured)).max(axis=0) + 1
-    intrinsics = np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, extent[1], extent[0]], np.float64)
-    chosen = selected_keyframes(
-        state.keyframe_map, _matrices(best), _matrices(ahead), intrinsics, config.keyframes_compared
-    )
-    present = np.arange(config.keyframes_compared) < len(chosen)
-    indices = np.where(present, np.resize(chosen, config.keyframes_compared), chosen[0])
-    poses = _mean_keyframes(particles.keyframe_poses[:, indices], weights)
-    return indices, LocalMap(state.keyframe_map.stacked(indices), jnp.asarray(present), poses)
+    share = jnp.asarray(weights / weights.sum(), jnp.float32)
+    heaviest = matrices_of(particles.keyframe_poses[int(np.argmax(weights)), :used])
+    return GroupMap(particles.keyframe_poses, share, heaviest, group)
 
 
-@jax.jit
-def _mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
-    return jax.vmap(mean_and_covariance, (1, None))(poses, weights)[0]
-
-
-@jax.jit
-def _component(
-    optimum: Optimum,
-    local_map: LocalMap,
-    indices: jax.Array,
-    group: int,
-    history: MotionHistory,
-    motion: MotionPrior,
-    exponent: float,
-) -> Component:
-    """The optimum of image density times prior, as a Gaussian that follows the keyframes."""
-
-    def residual(xi: jax.Array) -> jax.Array:
-        return motion.whitened_residual(history, pose_gaussian.displaced(optimum.pose, xi))
-
-    zero = jnp.zeros(6, jnp.float32)
-    jacobian, offset = jax.jacfwd(residual)(zero), residual(zero)
-    precision = exponent * optimum.layer_precisions.sum(0) + jacobian.T @ jacobian
-    covariance = jnp.linalg.inv(precision)
-    covariance = 0.5 * (covariance + covariance.T)
-    sensitivity = jnp.einsum("ij,mjk->mik", covariance, exponent * optimum.layer_precisions)
-    return Component(
-        pose=pose_gaussian.displaced(optimum.pose, -covariance @ jacobian.T @ offset),
-        scale=jnp.linalg.cholesky(covariance),
-        sensitivity=sensitivity,
-        log_score=exponent * optimum.log_density,
-        group=jnp.asarray(group, jnp.int32),
-        keyframes=indices,
-        mean_keyframe_poses=local_map.poses,
-        pixels=optimum.pixels,
-    )
+def _components(found: list[Located], state: FilterState, predicted: jax.Array) -> Component:
+    """The optima as components, stacked (J, ...), J padded to a bucket with components for nobody."""
+    particles: CameraParticles = state.population.particles
+    heaviest = int(jnp.argmax(state.population.log_weights))
+    history = MotionHistory(particles.pose[heaviest], predicted[heaviest], particles.pivot[heaviest])
+    components = [
+        component_at(
+            located.optimum,
+            located.local_map.poses,
+            jnp.asarray(located.indices, jnp.int32),
+            jnp.asarray(located.group, jnp.int32),
+            history,
+            state.motion,
+            state.calibration.exponent,
+        )
+        for located in found
+    ]
+    room = next(bucket for bucket in COMPONENT_BUCKETS if bucket >= len(components))
+    unused = replace(components[0], group=jnp.asarray(-1, jnp.int32))
+    components += [unused] * (room - len(components))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *components)
 
 
 @partial(jax.jit, static_argnames="ess_threshold")
@@ -281,77 +285,73 @@ def _advance(
     key: jax.Array,
     population: smc.Population,
     predicted: jax.Array,
-    component: Component,
+    groups: jax.Array,
+    components: Component,
     motion: MotionPrior,
     noise: DepthNoise,
     exponent: float,
     ess_threshold: float,
 ) -> tuple[smc.Population, smc.StepInfo, Proposed]:
     """The generic step with this frame's proposal; returns the new population and the draws."""
-    components = jax.tree.map(lambda leaf: leaf[None], component)
+    count = len(population.log_weights)
 
     def propose(
-        key: jax.Array, extended: tuple[CameraParticles, jax.Array]
+        key: jax.Array, extended: tuple[CameraParticles, jax.Array, jax.Array]
     ) -> tuple[tuple[CameraParticles, Proposed], jax.Array]:
-        particles, ahead = extended
-        count = len(particles.pose)
+        particles, ahead, group = extended
         history = MotionHistory(particles.pose, ahead, particles.pivot)
-        group = jnp.zeros(count, jnp.int32)
+        keys = jax.random.split(key, count)
         proposed, log_increments = propose_all(
-            jax.random.split(key, count),
-            particles.keyframe_poses,
-            group,
-            history,
-            components,
-            motion,
-            noise,
-            exponent,
+            keys, particles.keyframe_poses, group, history, components, motion, noise, exponent
         )
         moved = replace(particles, pose=proposed.pose, previous_pose=particles.pose)
         return (moved, proposed), log_increments
 
-    extended = smc.Population((population.particles, predicted), population.log_weights)
+    extended = smc.Population((population.particles, predicted, groups), population.log_weights)
     extended, info = smc.step(key, extended, propose, ess_threshold)
     particles, proposed = extended.particles
     return smc.Population(particles, extended.log_weights), info, proposed
 
 
 def _frame_info(
-    population: smc.Population,
+    state: FilterState,
     info: smc.StepInfo,
     proposed: Proposed,
-    component: Component,
-    anchor: int,
+    components: Component,
+    found: list[Located],
     lost: bool,
-    explained: float,
-    covered: float,
 ) -> FrameInfo:
-    particles: CameraParticles = population.particles
+    particles: CameraParticles = state.population.particles
+    anchor = int(found[0].indices[0])
     anchors = particles.keyframe_poses[:, anchor]
-    draws, means = _relative(anchors, proposed.pose), _relative(anchors, proposed.conditional_mean)
-    covariance = np.zeros((6, 6), np.float32) if lost else np.asarray(component.scale @ component.scale.T)
+    scales = np.zeros_like(components.scale) if lost else np.asarray(components.scale)
     return FrameInfo(
         anchor=anchor,
-        relative_poses=np.asarray(draws),
-        relative_means=np.asarray(means),
-        component_covariance=covariance,
-        log_weights=np.asarray(population.log_weights),
+        relative_poses=np.asarray(_relative(anchors, proposed.pose)),
+        relative_means=np.asarray(_relative(anchors, proposed.conditional_mean)),
+        component=np.asarray(proposed.component),
+        component_covariances=scales @ scales.transpose(0, 2, 1),
+        log_weights=np.asarray(state.population.log_weights),
         ancestors=np.asarray(info.ancestors),
         log_evidence=float(info.log_evidence),
         ess=float(info.ess),
         resampled=bool(info.resampled),
         lost=lost,
-        explained=explained,
-        covered=covered,
+        explained=found[0].explained,
+        covered=found[0].covered,
+        keyframes=len(state.keyframe_map),
+        components=0 if lost else len(found),
     )
 
 
 @jax.jit
 def _relative(anchors: jax.Array, poses: jax.Array) -> jax.Array:
     """anchor_from_camera (K, 7)."""
-    return jax.vmap(lambda anchor, pose: (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz)(
-        anchors, poses
-    )
+
+    def one(anchor: jax.Array, pose: jax.Array) -> jax.Array:
+        return (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz
+
+    return jax.vmap(one)(anchors, poses)
 
 
 def _with_room(state: FilterState) -> FilterState:
@@ -364,39 +364,56 @@ def _with_room(state: FilterState) -> FilterState:
     return replace(state, population=population)
 
 
-_fused = jax.jit(fused)
-_refitted = jax.jit(with_planes_refitted)
-_surface_of = jax.jit(surface_of)
+def _with_frame_in_map(state: FilterState, view: DepthView, found: list[Located]) -> FilterState:
+    """The frame teaches the sensor, and refines its anchor or, seen from elsewhere, becomes a keyframe.
 
-
-def _with_frame_in_map(
-    state: FilterState, view: DepthView, pose: jax.Array, anchor_pose: jax.Array, anchor: int, covered: float
-) -> FilterState:
-    """The frame refines its anchor, or, seen from elsewhere, becomes a keyframe at each particle's pose."""
-    relative = (jaxlie.SE3(anchor_pose).inverse() @ jaxlie.SE3(pose)).wxyz_xyz
-    shift = float(jnp.linalg.norm(relative[4:]))
-    angle = float(jnp.linalg.norm(jaxlie.SE3(relative).rotation().log()))
-    far = shift > KEYFRAME_SHIFT * _central_depth(np.asarray(view.depth_m)) or angle > KEYFRAME_ANGLE_RAD
-    keyframe_map = state.keyframe_map
-    if not far and covered >= KEYFRAME_COVERAGE:
-        refined = _fused(keyframe_map.surfaces[anchor], view, relative, state.noise)
+    A new keyframe stands where each particle has the camera. While several places compete, no depth is
+    fused: the surfaces are shared by particles that disagree.
+    """
+    best = found[0]
+    anchor = int(best.indices[0])
+    state = replace(_with_calibration(state, best), last_found=best.optimum.pose)
+    relative = jaxlie.SE3(best.local_map.poses[0]).inverse() @ jaxlie.SE3(best.optimum.pose)
+    shift = float(jnp.linalg.norm(relative.translation()))
+    angle = float(jnp.linalg.norm(relative.rotation().log()))
+    far = shift > KEYFRAME_SHIFT * _central_depth(view) or angle > KEYFRAME_ANGLE_RAD
+    keyframe_map, noise = state.keyframe_map, state.calibration.noise
+    if not far and best.covered >= KEYFRAME_COVERAGE:
+        if len(found) > 1:
+            return state
+        refined = _fused(keyframe_map.surfaces[anchor], view, relative.wxyz_xyz, noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
-    refitted = _refitted(keyframe_map.surfaces[anchor])
-    keyframe_map = keyframe_map.with_refined(anchor, refitted)
-    index = len(keyframe_map)
+    keyframe_map = keyframe_map.with_refined(anchor, _refitted(keyframe_map.surfaces[anchor]))
     particles: CameraParticles = state.population.particles
-    keyframe_poses = particles.keyframe_poses.at[:, index].set(particles.pose)
+    keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
     population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
     return replace(
-        state,
-        population=population,
-        keyframe_map=keyframe_map.with_keyframe(_surface_of(view, state.noise)),
-        active=index,
+        state, population=population, keyframe_map=keyframe_map.with_keyframe(_surface_of(view, noise))
     )
 
 
-def _central_depth(depth_m: NDArray[np.float32]) -> float:
+def _with_calibration(state: FilterState, located: Located) -> FilterState:
+    """The sensor after one frame more; surfaces keep the variances of the sensor that is now believed."""
+    calibration = state.calibration
+    if not calibration.is_learning:
+        return state
+    optimum = located.optimum
+    learnt = calibration.after(
+        np.asarray(optimum.squared_ratio, np.float64),
+        np.asarray(optimum.inlier_count, np.float64),
+        np.asarray(optimum.layer_precisions, np.float64).sum(0),
+        np.asarray(optimum.score_variance, np.float64),
+    )
+    surfaces = state.keyframe_map.surfaces
+    if not calibration.fixed_sigma:
+        surfaces = tuple(_with_noise(surface, calibration.noise, learnt.noise) for surface in surfaces)
+    keyframe_map = KeyframeMap(surfaces=surfaces, samples=state.keyframe_map.samples)
+    return replace(state, calibration=learnt, keyframe_map=keyframe_map)
+
+
+def _central_depth(view: DepthView) -> float:
     """Median depth of the image's middle ninth, or of all of it, or 1 m where nothing was measured."""
+    depth_m = np.asarray(view.depth_m)
     rows, columns = depth_m.shape
     middle = depth_m[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3]
     for region in (middle, depth_m):

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from numpy.typing import NDArray
 
 from slam.filter import FilterState, FrameInfo
 from slam.particles import CameraParticles, mean_and_covariance
 from slam.result import SlamResult
+from slam.rigid import matrices_of
 
 
 @dataclass(kw_only=True)
@@ -38,20 +38,21 @@ class History:
         lineage = np.arange(count)
         draws = np.empty((count, len(self.frames), 7), np.float32)
         means = np.empty_like(draws)
+        conditional = np.empty((count, len(self.frames), 6, 6), np.float32)
         for index in range(len(self.frames) - 1, -1, -1):
             info = self.frames[index]
             draws[:, index], means[:, index] = info.relative_poses[lineage], info.relative_means[lineage]
+            conditional[:, index] = info.component_covariances[info.component[lineage]]
             lineage = info.ancestors[lineage]
         anchors = particles.keyframe_poses[:, np.asarray([info.anchor for info in self.frames])]
-        conditional = np.stack([info.component_covariance for info in self.frames])
         mean, covariance = _marginals(
             anchors, jnp.asarray(means), state.population.log_weights, jnp.asarray(conditional)
         )
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
-            trajectories=_matrices(_composed(anchors, jnp.asarray(draws))),
+            trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
             log_weights=np.asarray(state.population.log_weights, np.float64),
-            mean=_matrices(mean),
+            mean=matrices_of(mean),
             covariance=np.asarray(covariance, np.float64),
             ess=np.asarray([info.ess for info in self.frames]),
             log_evidence=np.asarray([info.log_evidence for info in self.frames]),
@@ -69,21 +70,6 @@ def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
 def _marginals(
     anchors: jax.Array, relative_means: jax.Array, log_weights: jax.Array, conditional: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Means (T, 7) and covariances (T, 6, 6) over particles (K, T, 7) with conditional spread (T, 6, 6)."""
+    """Means (T, 7) and covariances (T, 6, 6) over particles (K, T, 7) with conditional spread (K, T, 6, 6)."""
     poses = _composed(anchors, relative_means)
-    mean, between = jax.vmap(mean_and_covariance, (1, None))(poses, jnp.exp(log_weights))
-    return mean, between + conditional
-
-
-def _matrices(poses: jax.Array) -> NDArray[np.float64]:
-    """(..., 4, 4) float64, rotations orthonormal to float64."""
-    poses64 = np.asarray(poses, np.float64)
-    wxyz = poses64[..., :4] / np.linalg.norm(poses64[..., :4], axis=-1, keepdims=True)
-    w, x, y, z = np.moveaxis(wxyz, -1, 0)
-    matrices = np.zeros((*poses64.shape[:-1], 4, 4))
-    matrices[..., 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1)
-    matrices[..., 1, :3] = np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1)
-    matrices[..., 2, :3] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
-    matrices[..., :3, 3] = poses64[..., 4:]
-    matrices[..., 3, 3] = 1.0
-    return matrices
+    return jax.vmap(mean_and_covariance, (1, None, 1))(poses, jnp.exp(log_weights), conditional)

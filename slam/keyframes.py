@@ -47,3 +47,11 @@ def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
 def with_planes_refitted(surface: Surface) -> Surface:
     """The surface with tangent planes of its refined depth."""
     return replace(surface, planes=tangent_planes(surface.depth_m, surface.rays, surface.camera))
+
+
+def with_noise(surface: Surface, believed: DepthNoise, learnt: DepthNoise) -> Surface:
+    """The surface with variances as if it had been measured by the sensor that is now known."""
+    ratio = depth_noise.standard_deviation(learnt, surface.depth_m) / depth_noise.standard_deviation(
+        believed, surface.depth_m
+    )
+    return replace(surface, variance_m2=surface.variance_m2 * ratio**2)

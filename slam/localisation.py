@@ -19,8 +19,10 @@ from slam.alignment import (
     PixelTerms,
     aligned,
     log_projected_density,
+    log_projected_factors,
     pixel_terms,
 )
+from slam.calibration import BIN_EDGES_M
 from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, DepthView
 from slam.image_density import STRIDE_PX, ScoredPixels, log_image_density, scored_pixels
 from slam.keyframes import Surface
@@ -29,6 +31,7 @@ from slam.rendering import MapImage, fused_planes, render
 STARTS = 4
 COARSE_STRIDE_PX = 8
 COARSE_SURFACE_SIGMA_M = 0.03
+WIDE_SURFACE_SIGMA_M = 0.06
 COARSE_SCHEDULE = (Passes(4, (8.0, 4.0, 2.0, 2.0)),)
 FINE_SCHEDULE = (Passes(2, (2.0, 1.0, 1.0)), Passes(1, (1.0, 1.0)))
 LATTICE_STEPS = 3
@@ -71,6 +74,8 @@ class Optimum:
         agreement: with the map.
         score_variance: (6, 6) variance of the gradient, estimated from the spread of the scores of blocks
             of pixels; equals the precision where pixels are independent and the noise is right.
+        squared_ratio: (B,) by depth, sum of inlier probability times squared residual over its variance.
+        inlier_count: (B,) by depth, sum of inlier probabilities.
         pixels: the image and what the map shows it.
     """
 
@@ -79,6 +84,8 @@ class Optimum:
     log_density: jax.Array
     agreement: Agreement
     score_variance: jax.Array
+    squared_ratio: jax.Array
+    inlier_count: jax.Array
     pixels: ScoredPixels
 
 
@@ -156,8 +163,17 @@ def optimum_at(local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: ja
     layer_precisions = jnp.stack(
         [(terms.jacobian * terms.weight * share) @ terms.jacobian.T for share in shares]
     )
+    depth_bin = jnp.searchsorted(jnp.asarray(BIN_EDGES_M[1:-1], jnp.float32), pixels.observed_m)
+    in_bin = jax.nn.one_hot(depth_bin, len(BIN_EDGES_M) - 1)
     return Optimum(
-        optimum, layer_precisions, log_density, terms.agreement, block_variance(terms.scores()), pixels
+        pose=optimum,
+        layer_precisions=layer_precisions,
+        log_density=log_density,
+        agreement=terms.agreement,
+        score_variance=block_variance(terms.scores()),
+        squared_ratio=(terms.weight * terms.residual**2) @ in_bin,
+        inlier_count=terms.inlier @ in_bin,
+        pixels=pixels,
     )
 
 
@@ -172,3 +188,35 @@ def block_variance(scores: jax.Array) -> jax.Array:
     block = (row // BLOCK_SIDE) * (columns // BLOCK_SIDE) + column // BLOCK_SIDE
     sums = scores @ jnp.asarray(np.eye(block.max() + 1, dtype=np.float32)[block])
     return sums @ sums.T
+
+
+@jax.jit
+def log_map_scores(
+    surfaces: Surface,
+    present: jax.Array,
+    keyframe_poses: jax.Array,
+    view: DepthView,
+    noise: DepthNoise,
+    candidates: jax.Array,
+) -> jax.Array:
+    """Approximate log densities (C,) of a frame at candidates (C, 7) anywhere in the map.
+
+    The reverse projection into each of M keyframes at (M, 7); a pixel has the density of the keyframe
+    that explains it best. Nothing is rendered, so candidates may be far apart (see
+    `log_projected_density`).
+    """
+
+    def score(candidate: jax.Array) -> jax.Array:
+        camera = jaxlie.SE3(candidate)
+        best = jnp.full((), -jnp.inf)
+        for index in range(len(present)):
+            keyframe = jax.tree.map(lambda leaf, index=index: leaf[index], surfaces)
+            model = ModelImage(keyframe.planes, keyframe.variance_m2, keyframe.camera)
+            relative = (jaxlie.SE3(keyframe_poses[index]).inverse() @ camera).wxyz_xyz
+            factors = log_projected_factors(
+                model, view, noise, relative, COARSE_STRIDE_PX, WIDE_SURFACE_SIGMA_M
+            )
+            best = jnp.maximum(best, jnp.where(present[index], factors, -jnp.inf))
+        return best.sum()
+
+    return jax.lax.map(score, candidates, batch_size=64)

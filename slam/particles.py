@@ -71,3 +71,31 @@ def mean_and_covariance(
     if covariances is None:
         return mean, between
     return mean, between + jnp.einsum("k,kij->ij", weights, covariances)
+
+
+GROUP_SHIFT_M = 0.1
+GROUP_ANGLE_RAD = 0.1
+MOST_GROUPS = 4
+LEAST_GROUP_WEIGHT = 1e-3
+
+
+def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int_]:
+    """Group (K,) of each particle by its camera pose (K, 4, 4); group 0 holds the heaviest.
+
+    Particles join the first leader within reach, leaders being the heaviest particles. Groups of
+    negligible weight, and all beyond `MOST_GROUPS`, join group 0: a search for them would be wasted.
+    """
+    groups = np.full(len(poses), -1)
+    count = 0
+    for leader in np.argsort(-weights, kind="stable"):
+        if groups[leader] >= 0:
+            continue
+        relative = np.linalg.inv(poses[leader]) @ poses
+        near = np.linalg.norm(relative[:, :3, 3], axis=1) < GROUP_SHIFT_M
+        near &= 0.5 * (np.trace(relative[:, :3, :3], axis1=1, axis2=2) - 1) > np.cos(GROUP_ANGLE_RAD)
+        members = near & (groups < 0)
+        members[leader] = True
+        negligible = weights[members].sum() < LEAST_GROUP_WEIGHT or count == MOST_GROUPS
+        groups[members] = 0 if count and negligible else count
+        count += not (count and negligible)
+    return groups

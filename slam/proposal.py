@@ -18,6 +18,7 @@ import jaxlie
 from recordings.types import DepthNoise
 from slam import pose_gaussian
 from slam.image_density import ScoredPixels, log_image_density
+from slam.localisation import Optimum
 from slam.motion import MotionHistory, MotionPrior
 
 PRIOR_SHARE = 0.05
@@ -65,6 +66,42 @@ class Proposed:
     pose: jax.Array
     conditional_mean: jax.Array
     component: jax.Array
+
+
+@jax.jit
+def component_at(
+    optimum: Optimum,
+    mean_keyframe_poses: jax.Array,
+    keyframes: jax.Array,
+    group: jax.Array,
+    history: MotionHistory,
+    motion: MotionPrior,
+    exponent: float,
+) -> Component:
+    """The optimum of the tempered image density times the motion prior, as a Gaussian.
+
+    The prior enters by its Gauss-Newton terms at the image's optimum, for the past of one particle.
+    """
+
+    def residual(xi: jax.Array) -> jax.Array:
+        return motion.whitened_residual(history, pose_gaussian.displaced(optimum.pose, xi))
+
+    zero = jnp.zeros(6, jnp.float32)
+    jacobian, offset = jax.jacfwd(residual)(zero), residual(zero)
+    precision = exponent * optimum.layer_precisions.sum(0) + jacobian.T @ jacobian
+    covariance = jnp.linalg.inv(precision)
+    covariance = 0.5 * (covariance + covariance.T)
+    sensitivity = jnp.einsum("ij,mjk->mik", covariance, exponent * optimum.layer_precisions)
+    return Component(
+        pose=pose_gaussian.displaced(optimum.pose, -covariance @ jacobian.T @ offset),
+        scale=jnp.linalg.cholesky(covariance),
+        sensitivity=sensitivity,
+        log_score=exponent * optimum.log_density,
+        group=group,
+        keyframes=keyframes,
+        mean_keyframe_poses=mean_keyframe_poses,
+        pixels=optimum.pixels,
+    )
 
 
 def centre_for(component: Component, keyframe_poses: jax.Array) -> jax.Array:

@@ -106,7 +106,6 @@ def render(
         rays: (3, H, W) of the camera.
         camera: its intrinsics.
     """
-
     planes, weights, depths = [], [], []
     for index in range(len(present)):
         surface = jax.tree.map(lambda leaf, index=index: leaf[index], surfaces)

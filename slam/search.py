@@ -1,0 +1,172 @@
+"""Where to look for the camera: near each group's prediction, and anywhere in the map where that fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from slam import enumeration
+from slam.depth_view import DepthView
+from slam.keyframe_map import KeyframeMap, selected_keyframes
+from slam.localisation import LocalMap, Optimum, local_optimum, log_map_scores
+from slam.particles import mean_and_covariance
+from slam.rigid import matrices_of, poses_of
+
+CONVINCING_EXPLAINED = 0.75
+CONVINCING_COVERED = 0.2
+"""An optimum near the prediction is taken without a further search if this share of the returns meets the
+map and that share of those lies on it."""
+PLAUSIBLE_EXPLAINED = 0.6
+PLAUSIBLE_COVERED = 0.1
+"""The least with which the camera counts as found at all."""
+WIDE_REFINED = 6
+WIDE_KEYFRAMES = 8
+WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
+SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
+NEGLIGIBLE_LOG_SHARE = 15.0
+
+
+@dataclass(frozen=True)
+class Located:
+    """An optimum and what it was compared with.
+
+    Attributes:
+        optimum: of the image density for the mean map.
+        indices: (M,) keyframes; the first is the closest view.
+        local_map: their surfaces and mean poses.
+        group: of particles, to which it belongs.
+    """
+
+    optimum: Optimum
+    indices: NDArray[np.int_]
+    local_map: LocalMap
+    group: int
+
+    @property
+    def explained(self) -> float:
+        """Share of the returns on the map's surface."""
+        return float(self.optimum.agreement.explained)
+
+    @property
+    def covered(self) -> float:
+        """Share of the returns that meet the map."""
+        return float(self.optimum.agreement.covered)
+
+    @property
+    def is_convincing(self) -> bool:
+        """No need to look elsewhere."""
+        return self.covered >= CONVINCING_COVERED and self.explained >= CONVINCING_EXPLAINED * self.covered
+
+    @property
+    def is_plausible(self) -> bool:
+        """Fit to be believed at all."""
+        return self.covered >= PLAUSIBLE_COVERED and self.explained >= PLAUSIBLE_EXPLAINED * self.covered
+
+
+@dataclass(frozen=True)
+class GroupMap:
+    """A group of particles' view of the map.
+
+    Attributes:
+        keyframe_poses: (K, N, 7) of all particles.
+        weights: (K,) of the group's members, zero elsewhere.
+        representative: (N, 4, 4) keyframe poses of its heaviest member.
+        group: its number.
+    """
+
+    keyframe_poses: jax.Array
+    weights: jax.Array
+    representative: NDArray[np.float64]
+    group: int
+
+
+@dataclass(frozen=True)
+class Searcher:
+    """One frame, and what it is searched in.
+
+    Attributes:
+        keyframe_map: the surfaces.
+        view: the frame.
+        noise: the sensor.
+        compared: M, keyframes compared with at once.
+    """
+
+    keyframe_map: KeyframeMap
+    view: DepthView
+    noise: DepthNoise
+    compared: int
+
+    def near(self, group: GroupMap, starts: list[jax.Array]) -> Located:
+        """The best optimum near the starts (7,), the likeliest first, and on the grid around that one."""
+        indices, local_map = self._local_map(group, starts[0])
+        padded = jnp.stack([*starts, *[starts[0]] * (3 - len(starts))])
+        optimum = local_optimum(
+            local_map, self.view, self.noise, padded, jnp.asarray(enumeration.local_grid())
+        )
+        return Located(optimum, indices, local_map, group.group)
+
+    def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
+        """Distinct optima anywhere in the map, best first."""
+        candidates = enumeration.anywhere(matrices_of(last), group.representative, distances_m)
+        scores = self._map_scores(group, candidates)
+        order = np.argsort(-scores, kind="stable")[: 40 * WIDE_REFINED]
+        chosen = enumeration.distinct(candidates[order], WIDE_REFINED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)
+        found = [self.near(group, [poses_of(candidates[order[index]])]) for index in chosen]
+        found.sort(key=lambda located: -float(located.optimum.log_density))
+        poses = np.stack([matrices_of(located.optimum.pose) for located in found])
+        kept = enumeration.distinct(poses, WIDE_REFINED, SAME_SHIFT_M, SAME_ANGLE_RAD)
+        return [found[index] for index in kept]
+
+    def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
+        camera = self.view.camera
+        extent = np.argwhere(np.asarray(self.view.measured)).max(axis=0) + 1
+        intrinsics = np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, extent[1], extent[0]], float)
+        chosen = selected_keyframes(
+            self.keyframe_map, group.representative, matrices_of(pose), intrinsics, self.compared
+        )
+        return self._stacked(group, chosen, self.compared)
+
+    def _stacked(
+        self, group: GroupMap, chosen: NDArray[np.int_], count: int
+    ) -> tuple[NDArray[np.int_], LocalMap]:
+        present = np.arange(count) < len(chosen)
+        indices = np.where(present, np.resize(chosen, count), chosen[0])
+        poses = _mean_keyframes(group.keyframe_poses[:, indices], group.weights)
+        return indices, LocalMap(self.keyframe_map.stacked(indices), jnp.asarray(present), poses)
+
+    def _map_scores(self, group: GroupMap, candidates: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
+        room = -(-len(candidates) // 256) * 256
+        padded = poses_of(
+            np.concatenate([candidates, np.tile(candidates[:1], (room - len(candidates), 1, 1))])
+        )
+        scores = []
+        for first in range(0, len(self.keyframe_map), WIDE_KEYFRAMES):
+            chosen = np.arange(first, min(first + WIDE_KEYFRAMES, len(self.keyframe_map)))
+            _, local_map = self._stacked(group, chosen, WIDE_KEYFRAMES)
+            scores.append(
+                log_map_scores(
+                    local_map.surfaces, local_map.present, local_map.poses, self.view, self.noise, padded
+                )
+            )
+        return np.max([np.asarray(score) for score in scores], axis=0)[: len(candidates)]
+
+
+@jax.jit
+def _mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
+    return jax.vmap(mean_and_covariance, (1, None))(poses, weights)[0]
+
+
+def worth_keeping(found: list[Located], exponent: float) -> list[Located]:
+    """Plausible optima whose tempered share is not negligible beside the best one's."""
+    plausible = [located for located in found if located.is_plausible]
+    if not plausible:
+        return []
+    best = max(float(located.optimum.log_density) for located in plausible)
+    limit = NEGLIGIBLE_LOG_SHARE / exponent
+    return [located for located in plausible if float(located.optimum.log_density) > best - limit]
