@@ -149,28 +149,6 @@ def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: i
     return planes, model.variance_m2.ravel()[pixel], observed, rays
 
 
-def log_projected_factors(
-    model: ModelImage,
-    view: DepthView,
-    noise: DepthNoise,
-    pose: jax.Array,
-    stride_px: int,
-    surface_sigma_m: float,
-) -> jax.Array:
-    """Approximate log factors (n,) of every `stride_px`-th pixel of a view at model_from_camera (7,).
-
-    The reverse projection: a pixel is compared with the element that its own observed point falls on,
-    so the rendered depth depends on the observed one. It ranks candidates over a wide range without
-    rendering each of them; the proposal may use it, the weights never do. The surface is blurred by
-    `surface_sigma_m` so that a coarse grid of candidates cannot step over a mode.
-    """
-    planes, variance, observed, rays = associated(model, view, pose, stride_px)
-    depth, _ = depth_and_jacobian(planes, rays, pose)
-    measured = view.measured[::stride_px, ::stride_px].ravel()
-    sigma = jnp.sqrt(variance + surface_sigma_m**2)
-    return jnp.where(measured, depth_noise.log_density(noise, observed, depth, sigma), 0.0)
-
-
 def log_projected_density(
     model: ModelImage,
     view: DepthView,
@@ -179,8 +157,18 @@ def log_projected_density(
     stride_px: int,
     surface_sigma_m: float,
 ) -> jax.Array:
-    """Sum of `log_projected_factors`."""
-    return log_projected_factors(model, view, noise, pose, stride_px, surface_sigma_m).sum()
+    """Approximate log density of every `stride_px`-th pixel of a view at model_from_camera (7,).
+
+    The reverse projection: a pixel is compared with the element that its own observed point falls on,
+    so the rendered depth depends on the observed one. It ranks candidates near one rendering; the
+    proposal may use it, the weights never do. The surface is blurred by `surface_sigma_m` so that a
+    coarse grid of candidates cannot step over a mode.
+    """
+    planes, variance, observed, rays = associated(model, view, pose, stride_px)
+    depth, _ = depth_and_jacobian(planes, rays, pose)
+    measured = view.measured[::stride_px, ::stride_px].ravel()
+    sigma = jnp.sqrt(variance + surface_sigma_m**2)
+    return jnp.where(measured, depth_noise.log_density(noise, observed, depth, sigma), 0.0).sum()
 
 
 def aligned(

@@ -53,7 +53,7 @@ def turns() -> NDArray[np.float64]:
 def anywhere(
     last: NDArray[np.float64], keyframes: NDArray[np.float64], distances_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Candidates reference_from_camera (C, 4, 4): orbits and turns from the last pose, and round each keyframe.
+    """Candidates reference_from_camera (C, 4, 4): orbits and turns from the last pose, looks from keyframes.
 
     Args:
         last: (4, 4) last known pose.

@@ -70,6 +70,6 @@ def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
 def _marginals(
     anchors: jax.Array, relative_means: jax.Array, log_weights: jax.Array, conditional: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Means (T, 7) and covariances (T, 6, 6) over particles (K, T, 7) with conditional spread (K, T, 6, 6)."""
+    """Means (T, 7) and covariances (T, 6, 6) over particles (K, T, 7) with spreads (K, T, 6, 6)."""
     poses = _composed(anchors, relative_means)
     return jax.vmap(mean_and_covariance, (1, None, 1))(poses, jnp.exp(log_weights), conditional)

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from recordings.types import DepthNoise
+from recordings.types import NO_RETURN, DepthNoise
+from shapes import depth_noise
 from slam import pose_gaussian
 from slam.alignment import (
     Agreement,
@@ -19,14 +20,21 @@ from slam.alignment import (
     PixelTerms,
     aligned,
     log_projected_density,
-    log_projected_factors,
     pixel_terms,
 )
 from slam.calibration import BIN_EDGES_M
+from slam.components import dot, moved
 from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, DepthView
-from slam.image_density import STRIDE_PX, ScoredPixels, log_image_density, scored_pixels
+from slam.image_density import (
+    STRIDE_PX,
+    ScoredPixels,
+    expected_from_the_left,
+    log_image_density,
+    log_unknown_factors,
+    scored_pixels,
+)
 from slam.keyframes import Surface
-from slam.rendering import MapImage, fused_planes, render
+from slam.rendering import MapImage, fused_planes, pixels_of, render
 
 STARTS = 4
 COARSE_STRIDE_PX = 8
@@ -192,31 +200,38 @@ def block_variance(scores: jax.Array) -> jax.Array:
 
 @jax.jit
 def log_map_scores(
-    surfaces: Surface,
-    present: jax.Array,
-    keyframe_poses: jax.Array,
-    view: DepthView,
-    noise: DepthNoise,
-    candidates: jax.Array,
+    local_map: LocalMap, view: DepthView, noise: DepthNoise, candidates: jax.Array
 ) -> jax.Array:
-    """Approximate log densities (C,) of a frame at candidates (C, 7) anywhere in the map.
+    """Approximate log densities (C,) of a frame at candidates (C, 7) that may be far apart.
 
-    The reverse projection into each of M keyframes at (M, 7); a pixel has the density of the keyframe
-    that explains it best. Nothing is rendered, so candidates may be far apart (see
-    `log_projected_density`).
+    The reverse projection: a point of the frame lies on the surface of some keyframe, or in space that
+    a keyframe saw through, or where no keyframe looked. Nothing is rendered for a candidate; the
+    proposal may use this, the weights never do. Surfaces are blurred by `WIDE_SURFACE_SIGMA_M` so that
+    a coarse grid of candidates cannot step over a mode.
     """
+    every = slice(COARSE_STRIDE_PX // 2, None, COARSE_STRIDE_PX)
+    observed = view.depth_m[every, every]
+    log_unknown = log_unknown_factors(observed, expected_from_the_left(observed), noise).ravel()
+    rays, depth = view.rays[:, every, every].reshape(3, -1), observed.ravel()
+    returned = depth > NO_RETURN
+    sigma = jnp.hypot(depth_noise.standard_deviation(noise, depth), WIDE_SURFACE_SIGMA_M)
+    log_contradicted = jnp.log(noise.outlier_probability / noise.max_range_m)
 
     def score(candidate: jax.Array) -> jax.Array:
         camera = jaxlie.SE3(candidate)
-        best = jnp.full((), -jnp.inf)
-        for index in range(len(present)):
-            keyframe = jax.tree.map(lambda leaf, index=index: leaf[index], surfaces)
-            model = ModelImage(keyframe.planes, keyframe.variance_m2, keyframe.camera)
-            relative = (jaxlie.SE3(keyframe_poses[index]).inverse() @ camera).wxyz_xyz
-            factors = log_projected_factors(
-                model, view, noise, relative, COARSE_STRIDE_PX, WIDE_SURFACE_SIGMA_M
-            )
-            best = jnp.maximum(best, jnp.where(present[index], factors, -jnp.inf))
-        return best.sum()
+        log_explained, seen_through = jnp.full(depth.shape, -jnp.inf), jnp.zeros(depth.shape, bool)
+        for index in range(len(local_map.present)):
+            keyframe = jax.tree.map(lambda leaf, index=index: leaf[index], local_map.surfaces)
+            relative = jaxlie.SE3(local_map.poses[index]).inverse() @ camera
+            points = moved(relative.rotation().as_matrix(), relative.translation(), rays * depth)
+            pixel, inside = pixels_of(points, keyframe.camera)
+            nearness = dot(keyframe.planes.reshape(3, -1)[:, pixel], points)
+            known = inside & (nearness > 0) & local_map.present[index]
+            gap = points[2] * (1.0 - 1.0 / jnp.where(known, nearness, 1.0))
+            log_normal = -0.5 * (gap / sigma) ** 2 - jnp.log(sigma) - 0.5 * jnp.log(2.0 * jnp.pi)
+            log_explained = jnp.maximum(log_explained, jnp.where(known, log_normal, -jnp.inf))
+            seen_through |= known & (gap < -3.0 * sigma)
+        otherwise = jnp.where(seen_through, log_contradicted, log_unknown)
+        return jnp.where(returned, jnp.maximum(log_explained, otherwise), 0.0).sum()
 
     return jax.lax.map(score, candidates, batch_size=64)

@@ -27,6 +27,9 @@ PLAUSIBLE_COVERED = 0.1
 WIDE_REFINED = 6
 WIDE_KEYFRAMES = 8
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
+FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
+REFINEMENTS = 2
+"""Rounds of rendering anew and aligning again, while the optimum lies far from where it was rendered."""
 SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
 NEGLIGIBLE_LOG_SHARE = 15.0
 
@@ -103,11 +106,19 @@ class Searcher:
 
     def near(self, group: GroupMap, starts: list[jax.Array]) -> Located:
         """The best optimum near the starts (7,), the likeliest first, and on the grid around that one."""
-        indices, local_map = self._local_map(group, starts[0])
         padded = jnp.stack([*starts, *[starts[0]] * (3 - len(starts))])
-        optimum = local_optimum(
-            local_map, self.view, self.noise, padded, jnp.asarray(enumeration.local_grid())
-        )
+        located = self._near(group, padded)
+        for _ in range(REFINEMENTS):
+            if _is_near(located.optimum.pose, padded[0]):
+                break
+            padded = jnp.stack([located.optimum.pose] * 3)
+            located = self._near(group, padded)
+        return located
+
+    def _near(self, group: GroupMap, starts: jax.Array) -> Located:
+        indices, local_map = self._local_map(group, starts[0])
+        grid = jnp.asarray(enumeration.local_grid())
+        optimum = local_optimum(local_map, self.view, self.noise, starts, grid)
         return Located(optimum, indices, local_map, group.group)
 
     def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
@@ -149,12 +160,15 @@ class Searcher:
         for first in range(0, len(self.keyframe_map), WIDE_KEYFRAMES):
             chosen = np.arange(first, min(first + WIDE_KEYFRAMES, len(self.keyframe_map)))
             _, local_map = self._stacked(group, chosen, WIDE_KEYFRAMES)
-            scores.append(
-                log_map_scores(
-                    local_map.surfaces, local_map.present, local_map.poses, self.view, self.noise, padded
-                )
-            )
+            scores.append(log_map_scores(local_map, self.view, self.noise, padded))
         return np.max([np.asarray(score) for score in scores], axis=0)[: len(candidates)]
+
+
+def _is_near(pose: jax.Array, start: jax.Array) -> bool:
+    """Whether a rendering at `start` shows what a camera at `pose` would see."""
+    relative = np.linalg.inv(matrices_of(start)) @ matrices_of(pose)
+    shift = np.linalg.norm(relative[:3, 3])
+    return bool(shift < FAR_SHIFT_M and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(FAR_ANGLE_RAD))
 
 
 @jax.jit
