@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 
 MISSING_M = 1.0
 """Error of an object that was not found."""
-MODEL_POINTS = 4000
+MODEL_POINTS = 20_000
+"""So many that turning a symmetric object of everyday size about its axis adds under a millimetre."""
 
 
 def model_points(mesh: trimesh.Trimesh) -> NDArray[np.float64]:

@@ -21,7 +21,8 @@ from slam.result import SlamResult
 
 def common(seed: int = 0, overrides: tuple[str, ...] = ()) -> Common:
     """A quiet command."""
-    return Common(as_json=False, quiet=True, seed=seed, settings=Settings.read(None, overrides))
+    settings = Settings.read(None, (*overrides, f"run.seed={seed}"))
+    return Common(as_json=False, quiet=True, settings=settings)
 
 
 class Tracker:

@@ -28,7 +28,7 @@ def test_add_s_is_the_mean_distance_to_the_nearest_point(seed: int) -> None:
 
 def test_a_true_estimate_has_no_error_and_a_missing_one_a_metre() -> None:
     """Symmetries included: a turned cylinder is where it was."""
-    can = trimesh.creation.cylinder(0.04, 0.1, sections=512)
+    can = trimesh.creation.cylinder(0.03, 0.2, sections=512)
     points = model_points(can)
     turn = trimesh.transformations.rotation_matrix(1.0, [0, 0, 1])
 
@@ -36,7 +36,7 @@ def test_a_true_estimate_has_no_error_and_a_missing_one_a_metre() -> None:
     assert add_s_m(points, np.eye(4), None) == MISSING_M
     assert add_s_m(points, np.eye(4), turn) < 0.001
     side = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
-    assert add_s_m(points, np.eye(4), side) > 0.01
+    assert add_s_m(points, np.eye(4), side) > 0.02
 
 
 def test_model_points_cover_the_surface_alike_each_time() -> None:
