@@ -57,7 +57,7 @@ class Settings:
         Raises:
             ConfigError: the file cannot be read, or an override has no such form or section.
         """
-        values = _read_file(path) if path else {}
+        values = checked_sections(read_toml(path), path) if path else {}
         for override in overrides:
             key, separator, text = override.partition("=")
             names = key.strip().split(".")
@@ -69,6 +69,10 @@ class Settings:
                 )
             _put(values, names, _toml_value(text.strip()), f"-s {override}")
         return cls(values)
+
+    def over(self, values: Mapping[str, Mapping[str, Any]]) -> Settings:
+        """These settings, and beneath them others that hold where these say nothing."""
+        return Settings(_merged(values, self._values))
 
     def section(self, name: str, kind: type[T], options: Mapping[str, Any] | None = None) -> T:
         """The dataclass `kind` filled from a section.
@@ -127,19 +131,42 @@ def plain_values(config: Any) -> Any:
     return config
 
 
-def _read_file(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot read settings {path}: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} is not TOML: {error}") from error
+
+
+def checked_sections(values: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The same values if they are sections of settings.
+
+    Raises:
+        ConfigError: a section is not known or is no table; `path` says where.
+    """
     for name, section in values.items():
         if name not in SECTIONS:
             raise ConfigError(f"{path}: no section {name!r}; {_choices(name, SECTIONS)}")
         if not isinstance(section, dict):
             raise ConfigError(f"{path}: {name} must be a table, [{name}]")
     return values
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables of both, merged; single values are taken from above."""
+    both = {
+        name: _merged(below[name], above[name])
+        for name in below.keys() & above.keys()
+        if isinstance(below[name], Mapping) and isinstance(above[name], Mapping)
+    }
+    return {**below, **above, **both}
 
 
 def _toml_value(text: str) -> Any:

@@ -28,14 +28,19 @@ class Common:
     Attributes:
         as_json: print exactly one JSON document on stdout.
         quiet: no progress, no talk.
-        seed: root of all randomness.
-        settings: from --config and -s.
+        settings: from --config, -s and --seed.
     """
 
     as_json: bool
     quiet: bool
-    seed: int
     settings: Settings
+
+    @property
+    def seed(self) -> int:
+        """Root of all randomness."""
+        from pipeline.config import RunConfig
+
+        return self.settings.section("run", RunConfig).seed
 
     def progress(self, label: str, unit: str) -> Progress:
         """A progress display that keeps to --quiet."""
@@ -69,11 +74,11 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             overrides: tuple[str, ...],
             **kwargs: Any,
         ) -> Any:
-            from pipeline.config import RunConfig, Settings
+            from pipeline.config import Settings
 
-            settings = Settings.read(config_file, overrides, ("run", *sections))
-            seed = settings.section("run", RunConfig, {"seed": seed}).seed
-            common = Common(as_json=as_json, quiet=quiet, seed=seed, settings=settings)
+            seeding = () if seed is None else (f"run.seed={seed}",)
+            settings = Settings.read(config_file, (*overrides, *seeding), ("run", *sections))
+            common = Common(as_json=as_json, quiet=quiet, settings=settings)
             return command(*args, common=common, **kwargs)
 
         options = [

@@ -1,0 +1,116 @@
+"""Projects: many recordings, all stages, one run folder.
+
+    [run]
+    seed = 0
+
+    [slam]                     # settings of the stages, as in any settings file
+    particles = 64
+
+    [[recording]]
+    path = "mug.mcap"          # relative to the project file
+    stage = "learn"
+    name = "mug"               # the file's stem unless given
+
+    [[recording]]
+    path = "table.mcap"
+    stage = "parse"
+    objects = ["mug", "can"]   # every learned shape unless given
+
+A recording may also have the settings of reading: depth_topic, every, start_s and so on. Each recording's
+run stands in RUN/recordings/STEM; what was learned is gathered in RUN/shapes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from pipeline.config import build, checked_sections, read_toml
+from pipeline.errors import ConfigError
+from pipeline.options import READING
+
+FILE_NAME = r"\w[\w.-]*"
+"""Names that are files' names too."""
+
+Stage = Literal["slam", "learn", "parse"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectRecording:
+    """One recording of a project and what is to be done with it.
+
+    Attributes:
+        path: the recording.
+        stage: the last stage to run; those before it run too.
+        name: of the learned shape; the recording's stem unless given.
+        objects: shapes to look for; None takes every one that is learned.
+        reading: settings of reading, by name.
+    """
+
+    path: Path
+    stage: Stage
+    name: str | None = None
+    objects: tuple[str, ...] | None = None
+    reading: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.name is not None and not re.fullmatch(FILE_NAME, self.name):
+            raise ValueError("name must be letters, digits, dots, dashes and underscores")
+
+    @property
+    def stem(self) -> str:
+        """Name of its folder in the run."""
+        return self.path.name.partition(".")[0]
+
+    @property
+    def shape(self) -> str:
+        """Name of the shape that is learned."""
+        return self.name or self.stem
+
+
+@dataclass(frozen=True, kw_only=True)
+class Project:
+    """What a project file says.
+
+    Attributes:
+        recordings: in the order of the work: shapes are learned before they are looked for.
+        settings: of the stages, by section.
+    """
+
+    recordings: tuple[ProjectRecording, ...]
+    settings: Mapping[str, Mapping[str, Any]]
+
+
+def read_project(path: Path) -> Project:
+    """Read a project file.
+
+    Raises:
+        ConfigError: it cannot be read, or says something that is not understood.
+    """
+    content = read_toml(path)
+    entries = content.pop("recording", [])
+    if not isinstance(entries, list) or not entries:
+        raise ConfigError(f"{path} has no [[recording]]: each needs a path and a stage")
+    recordings = [_recording(path, number, entry) for number, entry in enumerate(entries, start=1)]
+    for what, names in (
+        ("recordings", [one.stem for one in recordings]),
+        ("shapes", [one.shape for one in recordings if one.stage == "learn"]),
+    ):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ConfigError(f"{path}: two {what} are named {twice[0]}; each needs a name of its own")
+    return Project(
+        recordings=tuple(sorted(recordings, key=lambda one: one.stage == "parse")),
+        settings=checked_sections(content, path),
+    )
+
+
+def _recording(path: Path, number: int, entry: Mapping[str, Any]) -> ProjectRecording:
+    where = f"{path}, recording {number}"
+    reading = {name: value for name, value in entry.items() if name in READING}
+    own = {name: value for name, value in entry.items() if name not in READING}
+    recording = build(ProjectRecording, {**own, "reading": reading}, where)
+    return replace(recording, path=path.parent / recording.path)

@@ -1,0 +1,99 @@
+"""Project files are read, ordered and checked before any work begins."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.config import Settings
+from pipeline.errors import ConfigError
+from pipeline.project import Project, read_project
+from slam.config import SlamConfig
+
+
+def project(tmp_path: Path, text: str) -> Project:
+    """A project file with this text."""
+    path = tmp_path / "project.toml"
+    path.write_text(text)
+    return read_project(path)
+
+
+def test_shapes_are_learned_before_they_are_looked_for(tmp_path: Path) -> None:
+    """Paths count from the project file; names are the files' unless given."""
+    found = project(
+        tmp_path,
+        """
+        [slam]
+        particles = 16
+        [[recording]]
+        path = "table.mcap"
+        stage = "parse"
+        objects = ["cup", "can"]
+        every = 2
+        [[recording]]
+        path = "data/mug.mcap"
+        stage = "learn"
+        name = "cup"
+        [[recording]]
+        path = "can.mcap.zstd"
+        stage = "learn"
+        """,
+    )
+
+    assert [(one.path, one.stage, one.stem, one.shape) for one in found.recordings] == [
+        (tmp_path / "data/mug.mcap", "learn", "mug", "cup"),
+        (tmp_path / "can.mcap.zstd", "learn", "can", "can"),
+        (tmp_path / "table.mcap", "parse", "table", "table"),
+    ]
+    assert found.recordings[2].objects == ("cup", "can")
+    assert found.recordings[2].reading == {"every": 2}
+    assert found.settings == {"slam": {"particles": 16}}
+
+
+def test_the_command_lines_settings_stand_over_the_projects(tmp_path: Path) -> None:
+    """Key by key."""
+    found = project(
+        tmp_path,
+        "[slam]\nparticles = 16\nmotion = 'orbit'\n[[recording]]\npath = 'a.mcap'\nstage = 'slam'\n",
+    )
+    settings = Settings.read(None, ("slam.particles=32",)).over(found.settings)
+
+    assert settings.section("slam", SlamConfig) == SlamConfig(particles=32, motion="orbit")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no [[recording]]"),
+        ("[recording]\nevery = 2", "has no [[recording]]"),
+        (
+            "[[recording]]\npath = 'a'\nstage = 'see'",
+            "recording 1.stage: input should be 'slam', 'learn' or 'parse'",
+        ),
+        ("[[recording]]\nstage = 'slam'", "recording 1.path: field required"),
+        ("[[recording]]\npath = 'a'\nstage = 'slam'\nnmae = 'b'", "recording 1.nmae; did you mean 'name'?"),
+        ("[[recording]]\npath = 'a'\nstage = 'learn'\nname = '../b'", "name must be letters, digits"),
+        (
+            "[[recording]]\npath = 'a'\nstage = 'slam'\n[[recording]]\npath = 'x/a'\nstage = 'slam'",
+            "two recordings are named a",
+        ),
+        (
+            "[[recording]]\npath = 'a'\nstage = 'learn'\nname = 'c'\n"
+            "[[recording]]\npath = 'b'\nstage = 'learn'\nname = 'c'",
+            "two shapes are named c",
+        ),
+        ("[slum]\n[[recording]]\npath = 'a'\nstage = 'slam'", "no section 'slum'"),
+        ("[[recording", "is not TOML"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, text: str, message: str) -> None:
+    """With the number of the recording."""
+    with pytest.raises(ConfigError) as caught:
+        project(tmp_path, text)
+
+    assert message in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    """With its path."""
+    with pytest.raises(ConfigError, match="cannot read settings"):
+        read_project(tmp_path / "none.toml")
