@@ -12,6 +12,7 @@ from slam.config import SlamConfig
 from slam.depth_view import view_of_frame
 from slam.filter import FilterState, FrameInfo
 from slam.history import History
+from slam.odometry import KissOdometry
 from slam.result import SlamResult
 
 OnFrame = Callable[[FrameInfo], None]
@@ -38,13 +39,15 @@ def track(
     """
     state: FilterState | None = None
     history = History()
+    odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, frame in enumerate(frames):
         view = view_of_frame(frame, intrinsics)
+        motion = odometry.register(frame) if odometry else None
         if state is None:
             state, info = camera_filter.init(view, frame.time_ns, config)
         else:
             frame_key = jax.random.fold_in(key, index)
-            state, info = camera_filter.step(frame_key, state, view, frame.time_ns, config)
+            state, info = camera_filter.step(frame_key, state, view, frame.time_ns, config, motion)
         history.append(frame.time_ns, info)
         if on_frame is not None:
             on_frame(info)

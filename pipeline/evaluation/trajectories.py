@@ -1,0 +1,114 @@
+"""A run's trajectory against a reference, and peers on the same frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import PipelineError
+from pipeline.peers.registry import best_of
+from recordings.options import ReadOptions
+from recordings.poses.recorded import recorded_trajectory
+from recordings.reading import open_recording
+from recordings.types import CameraIntrinsics, Frame, Trajectory
+from shapes.poses import orthonormalised
+from slam.result import SlamResult
+from slam.trajectory_errors import coverage, matched, squared_distances, trajectory_errors
+
+TUM_COLUMNS = 8
+
+
+def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
+    """The reference in a TUM file, or the recorded poses of a recording.
+
+    Raises:
+        PipelineError: there are no poses in it.
+    """
+    if path.is_file() and path.suffix not in (".mcap", ".zstd"):
+        return _read_tum(path)
+    trajectory = recorded_trajectory(path, options)
+    if trajectory is None:
+        raise PipelineError(f"{path} has no recorded poses; give a TUM file with --reference")
+    return trajectory
+
+
+def _read_tum(path: Path) -> Trajectory:
+    from scipy.spatial.transform import Rotation
+
+    try:
+        rows = np.loadtxt(path, ndmin=2, comments="#")
+    except (OSError, ValueError) as error:
+        raise PipelineError(f"{path} is not a TUM trajectory: {error}") from error
+    if rows.size == 0 or rows.shape[1] != TUM_COLUMNS or not np.isfinite(rows).all():
+        raise PipelineError(f"{path} is not a TUM trajectory: each line needs `stamp x y z qx qy qz qw`")
+    if (np.linalg.norm(rows[:, 4:], axis=1) == 0).any():
+        raise PipelineError(f"{path}: a quaternion is zero")
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
+    poses[:, :3, 3] = rows[:, 1:4]
+    return Trajectory(times_ns=np.round(rows[:, 0] * 1e9).astype(np.int64), reference_from_camera=poses)
+
+
+def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:
+    """Errors and coverage of a run, as they are printed.
+
+    Raises:
+        PipelineError: fewer than two frames have a reference pose.
+    """
+    frames, poses = compared(result.times_ns, reference)
+    errors = trajectory_errors(result.mean[frames], poses)
+    from_first = np.linalg.inv(result.mean[frames[0]]) @ result.mean[frames]
+    truth = np.linalg.inv(poses[0]) @ poses
+    squared = squared_distances(from_first, result.covariance[frames], truth)[1:]
+    return {
+        **asdict(errors),
+        "lost_frames": int(result.lost.sum()),
+        "coverage": {f"{level:g}": share for level, share in coverage(squared).items()},
+    }
+
+
+def compared(
+    times_ns: NDArray[np.int64], reference: Trajectory
+) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
+    """Frames (n,) that have a reference pose, and those poses (n, 4, 4).
+
+    Raises:
+        PipelineError: they are fewer than two.
+    """
+    frames, nearest = matched(times_ns, reference)
+    if len(frames) < 2:
+        raise PipelineError("fewer than two frames have a reference pose within 20 ms; do the stamps agree?")
+    return frames, orthonormalised(reference.reference_from_camera[nearest])
+
+
+def peer_errors(
+    names: Sequence[str],
+    frames: Sequence[Frame],
+    intrinsics: CameraIntrinsics,
+    poses: NDArray[np.float64],
+    on_peer: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """Errors of peers on the frames that have reference poses (T, 4, 4), each with its best setting."""
+    document: dict[str, Any] = {}
+    for index, name in enumerate(names):
+        on_peer(index, len(names))
+        run = best_of(name, frames, intrinsics, lambda estimate: trajectory_errors(estimate, poses).ate_m)
+        if run.poses is None:
+            document[name] = {"lost": True, "problem": run.problem}
+        else:
+            document[name] = {"setting": run.name, **asdict(trajectory_errors(run.poses, poses))}
+    return document
+
+
+def frames_at(
+    path: Path, options: ReadOptions, times_ns: NDArray[np.int64]
+) -> tuple[list[Frame], CameraIntrinsics]:
+    """The frames of a recording with the given stamps, in memory: peers need them several times."""
+    recording = open_recording(path, options)
+    wanted = {int(time) for time in times_ns}
+    return [frame for frame in recording if frame.time_ns in wanted], recording.intrinsics

@@ -1,0 +1,1 @@
+"""Other people's trackers on the same arrays, each with several settings of which the best counts."""

@@ -1,0 +1,108 @@
+"""Errors of an estimated trajectory against a reference: absolute, relative, and coverage of its regions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from recordings.types import Trajectory
+
+LEVELS = (0.5, 0.9, 0.95)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajectoryErrors:
+    """How far a trajectory is from its reference.
+
+    Attributes:
+        frames: compared, of those that both have.
+        ate_m: root mean square distance of positions after the best rigid alignment (Umeyama, no scale).
+        ate_first_pose_m: the same with only the first poses aligned.
+        rpe_translation_m: root mean square translation error of the motion between successive frames.
+        rpe_rotation_rad: the same of rotations.
+    """
+
+    frames: int
+    ate_m: float
+    ate_first_pose_m: float
+    rpe_translation_m: float
+    rpe_rotation_rad: float
+
+
+def matched(
+    times_ns: NDArray[np.int64], reference: Trajectory, tolerance_ns: int = 20_000_000
+) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Indices of frames and of the reference poses nearest to them in time, within the tolerance."""
+    order = np.argsort(reference.times_ns, kind="stable")
+    sorted_times = reference.times_ns[order]
+    after = np.clip(np.searchsorted(sorted_times, times_ns), 1, max(len(sorted_times) - 1, 1))
+    after = np.minimum(after, len(sorted_times) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(sorted_times[before] - times_ns) <= np.abs(sorted_times[after] - times_ns)
+    nearest = np.where(nearer, before, after)
+    close = np.abs(sorted_times[nearest] - times_ns) <= tolerance_ns
+    return np.nonzero(close)[0], order[nearest[close]]
+
+
+def trajectory_errors(estimate: NDArray[np.float64], reference: NDArray[np.float64]) -> TrajectoryErrors:
+    """Errors of poses (T, 4, 4) against reference poses (T, 4, 4) of the same frames.
+
+    Raises:
+        ValueError: there are not at least two frames.
+    """
+    if len(estimate) < 2 or len(estimate) != len(reference):
+        raise ValueError(f"need at least two frames of both, got {len(estimate)} and {len(reference)}")
+    aligned = rigid_alignment(estimate[:, :3, 3], reference[:, :3, 3]) @ estimate
+    first = reference[0] @ np.linalg.inv(estimate[0]) @ estimate
+    relative = np.linalg.inv(_steps(reference)) @ _steps(estimate)
+    return TrajectoryErrors(
+        frames=len(estimate),
+        ate_m=_root_mean_square(aligned[:, :3, 3] - reference[:, :3, 3]),
+        ate_first_pose_m=_root_mean_square(first[:, :3, 3] - reference[:, :3, 3]),
+        rpe_translation_m=_root_mean_square(relative[:, :3, 3]),
+        rpe_rotation_rad=_root_mean_square(Rotation.from_matrix(relative[:, :3, :3]).as_rotvec()),
+    )
+
+
+def rigid_alignment(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rigid transform (4, 4) that brings points (n, 3) closest to others (Umeyama 1991, scale 1)."""
+    source_mean, target_mean = source.mean(0), target.mean(0)
+    u, _, vt = np.linalg.svd((target - target_mean).T @ (source - source_mean))
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    transform = np.eye(4)
+    transform[:3, :3] = rotation
+    transform[:3, 3] = target_mean - rotation @ source_mean
+    return transform
+
+
+def squared_distances(
+    mean: NDArray[np.float64], covariance: NDArray[np.float64], truth: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mahalanobis distances squared (T,) of true poses (T, 4, 4) under marginals in the mean's tangent.
+
+    Directions in which a marginal has no spread at all count only if the truth differs there.
+    """
+    relative = np.linalg.inv(mean) @ truth
+    rotation = Rotation.from_matrix(relative[:, :3, :3]).as_rotvec()
+    tangent = np.concatenate([relative[:, :3, 3], rotation], axis=1)
+    ridge = 1e-12 * np.eye(6)
+    solved = np.linalg.solve(covariance + ridge, tangent[..., None])[..., 0]
+    return (tangent * solved).sum(1)
+
+
+def coverage(squared: NDArray[np.float64], levels: Sequence[float] = LEVELS) -> dict[float, float]:
+    """Share of distances squared (T,) inside the regions of each nominal level (chi-square, 6 degrees)."""
+    return {level: float((squared <= stats.chi2.ppf(level, 6)).mean()) for level in levels}
+
+
+def _steps(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.inv(poses[:-1]) @ poses[1:]
+
+
+def _root_mean_square(vectors: NDArray[np.float64]) -> float:
+    return float(np.sqrt((vectors**2).sum(-1).mean()))
