@@ -17,6 +17,7 @@ COMMANDS = (
     "import",
     "synth",
     "slam",
+    "run",
     "review",
     "eval",
     "doctor",

@@ -55,6 +55,7 @@ class StageRecord:
         fingerprint: hash of everything that the value depends on.
         value_hash: SHA-256 of the value's file.
         settings: the settings it was computed with, by section, as plain values.
+        notes: what else was to be remembered.
         seconds: time to compute it, without compiling.
         compile_s: time in JAX's compile phase.
     """
@@ -62,6 +63,7 @@ class StageRecord:
     fingerprint: str
     value_hash: str
     settings: Mapping[str, Any]
+    notes: Mapping[str, Any]
     seconds: float
     compile_s: float
 
@@ -71,13 +73,11 @@ class RunFolder:
 
     Attributes:
         path: the folder.
-        has_computed: True if a stage was computed and not just read back.
     """
 
     def __init__(self, path: Path, *, force: bool) -> None:
         """Use `path`; `force` computes stages again."""
         self.path = path
-        self.has_computed = False
         self._force = force
 
     def stage(
@@ -88,6 +88,7 @@ class RunFolder:
         *,
         settings: Mapping[str, Any],
         inputs: Mapping[str, str],
+        notes: Callable[[], Mapping[str, Any]] = dict,
     ) -> V:
         """The value of a stage, computed only where no committed value was made from the same things.
 
@@ -97,6 +98,7 @@ class RunFolder:
             compute: makes the value.
             settings: configuration dataclasses and plain values, by section of the settings file.
             inputs: hashes of what it is made from, by name; `fingerprint` gives those of other stages.
+            notes: what else the record is to say, asked for when the value has been computed.
         """
         plain = plain_values(settings)
         fingerprint = _canonical_hash({"stage": name, "format": FORMAT, "settings": plain, "inputs": inputs})
@@ -105,7 +107,6 @@ class RunFolder:
             path, record_path = self.value_path(name), self._record_path(name)
             record_path.unlink(missing_ok=True)
             log.info("%s: computing", name)
-            self.has_computed = True
             with timed() as timing, stdout_to_stderr():
                 value = compute()
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -114,6 +115,7 @@ class RunFolder:
                 fingerprint=fingerprint,
                 value_hash=file_hash(path),
                 settings=plain,
+                notes=dict(notes()),
                 seconds=round(timing.seconds, 6),
                 compile_s=round(timing.compile_s, 6),
             )

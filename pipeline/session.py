@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline.atomic import write_json
 from pipeline.errors import PipelineError
 from pipeline.jax_setup import keep_compiled_kernels
 from pipeline.options import Common, Source
@@ -74,18 +72,19 @@ class Session:
             compute,
             settings={**general, **settings},
             inputs={"recording": self._recording_hash, **(inputs or {})},
+            notes=lambda: {"damage": vars(self.recording.damage)},
         )
 
     @property
     def damage(self) -> Damage:
-        """What was lost of the recording when it was last read from end to end for this run."""
-        note = self.run.path / "stages" / "damage.json"
-        if self.run.has_computed:
-            write_json(note, vars(self.recording.damage))
-        try:
-            return Damage(**json.loads(note.read_text()))
-        except (OSError, ValueError, TypeError):
-            return Damage()
+        """What was lost of the recording when the run's stages read it."""
+        records = [self.run.record(name) for name in self.run.stages()]
+        found = [Damage(**record.notes["damage"]) for record in records if record]
+        return Damage(
+            lost_messages=max((one.lost_messages for one in found), default=0),
+            lost_chunks=max((one.lost_chunks for one in found), default=0),
+            verified=all(one.verified for one in found),
+        )
 
 
 @contextmanager
