@@ -31,6 +31,8 @@ from recordings.stamps import in_order_of_stamps, selected
 from recordings.types import CameraIntrinsics, Damage, Frame
 
 _DEFAULT_OPTIONS = ReadOptions()
+_KEPT_FOR_COLOUR = 1 << 26
+"""Colour is read behind the depth, by as many frames as are put in the order of stamps."""
 
 
 def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapRecording:
@@ -73,6 +75,8 @@ class McapRecording:
             else:
                 self._depth = DepthImages(topic, cameras, options)
                 self._colour = registered_colour(decoded, self._depth, self.frame_id, cameras)
+                if self._colour:
+                    decoded.bag.keep_blocks(_KEPT_FOR_COLOUR)
         except UndecodableMessage as error:
             raise RecordingError(f"{decoded.bag.path}, {topic.name}: {error}") from error
         self._losses: Counter[str] = Counter()

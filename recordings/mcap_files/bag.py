@@ -32,6 +32,11 @@ class Bag:
         if not self.files:
             raise RecordingError(f"{path} has none of the files that its metadata.yaml lists")
 
+    def keep_blocks(self, size: int) -> None:
+        """Keep so many bytes of what is read, for readers of several topics that go on side by side."""
+        for file in self.files:
+            file.cache.size = size
+
     @property
     def topics(self) -> list[Topic]:
         """What the recording's channels carry, by name; a topic with two schemas stands there twice."""

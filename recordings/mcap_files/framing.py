@@ -40,16 +40,6 @@ class RecordSpan(NamedTuple):
     end: int
 
 
-class MessageRecord(NamedTuple):
-    """One message as it stands in the file."""
-
-    channel_id: int
-    sequence: int
-    log_time_ns: int
-    publish_time_ns: int
-    data: bytes
-
-
 class _ExactStream(ReadDataStream):
     """Reads that fail where the body ends; the library's own give what is left."""
 
@@ -83,16 +73,16 @@ def spans(data: bytes) -> Iterator[RecordSpan]:
         yield RecordSpan(opcode, start, position)
 
 
-def parse_message(body: bytes) -> MessageRecord:
-    """A Message record.
+def parse_message_head(data: bytes, start: int, end: int) -> tuple[int, int]:
+    """Channel id and log time of the Message record whose body lies from `start` to `end`.
 
     Raises:
         MalformedRecord: the body is shorter than a message's head.
     """
-    if len(body) < MESSAGE_HEAD_SIZE:
+    if end - start < MESSAGE_HEAD_SIZE:
         raise MalformedRecord("a message record is too short")
-    channel_id, sequence, log_time_ns, publish_time_ns = _MESSAGE_HEAD.unpack_from(body)
-    return MessageRecord(channel_id, sequence, log_time_ns, publish_time_ns, body[MESSAGE_HEAD_SIZE:])
+    channel_id, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(data, start)
+    return channel_id, log_time_ns
 
 
 def parse(kind: type[Record], body: bytes) -> Record:

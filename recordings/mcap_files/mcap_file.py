@@ -11,14 +11,13 @@ from typing import NamedTuple
 from mcap.opcode import Opcode
 
 from recordings.errors import RecordingError
-from recordings.mcap_files.chunks import DamagedBlock
-from recordings.mcap_files.framing import MAGIC, MalformedRecord, parse_message, spans
-from recordings.mcap_files.index import NO_CRC, Block, FileIndex, Loss, indexed_message_counts, read_block
+from recordings.mcap_files.block_reader import BlockCache, read_blocks
+from recordings.mcap_files.framing import MAGIC, MESSAGE_HEAD_SIZE, MalformedRecord, parse_message_head, spans
+from recordings.mcap_files.index import NO_CRC, FileIndex, Loss, indexed_message_counts
 from recordings.mcap_files.recovery import rebuild_index
 from recordings.mcap_files.sources import Source, open_source
 from recordings.mcap_files.summary import index_of_summary, read_summary
 
-_CACHED_BLOCKS = 2
 _MAGIC_BYTES_THAT_MAY_BE_WRONG = 2
 
 
@@ -67,7 +66,7 @@ class McapFile:
         self._losses = {loss.offset: loss for loss in self.index.losses}
         self._missing: Counter[int] = Counter()
         self._unverified = not self.index.definitions_verified
-        self._cache: dict[int, bytes] = {}
+        self.cache = BlockCache(size=0)
 
     @property
     def topics(self) -> set[Topic]:
@@ -92,51 +91,30 @@ class McapFile:
         """Whether everything read so far stood under a checksum that held."""
         return not self._unverified
 
-    def expected_count(self, topic: str) -> int | None:
-        """How many messages of a topic the file says it holds, where it says so under a checksum."""
-        if self.index.expected_messages is None:
-            return None
-        return sum(
-            count
-            for channel_id, count in self.index.expected_messages.items()
-            if channel_id in self._topics and self._topics[channel_id].name == topic
-        )
-
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of the named topics, or of all: chunks by log time, each in its own order."""
         wanted = {id_ for id_, topic in self._topics.items() if topics is None or topic.name in topics}
+        blocks = [b for b in self._blocks if b.channel_ids is None or not wanted.isdisjoint(b.channel_ids)]
         counts: Counter[int] = Counter()
         with open_source(self.path) as source:
-            for block in self._blocks:
-                if block.channel_ids is not None and wanted.isdisjoint(block.channel_ids):
+            for block, records in read_blocks(source, blocks, self.cache):
+                if isinstance(records, Loss):
+                    self._losses[block.offset] = records
                     continue
+                data, crc = records
+                if crc == NO_CRC and (block.is_chunk or not self.index.loose_records_verified):
+                    self._unverified = True
                 try:
-                    data = self._read(source, block)
-                    for opcode, start, end in spans(data):
-                        if opcode != Opcode.MESSAGE:
-                            continue
-                        message = parse_message(data[start:end])
-                        counts[message.channel_id] += 1
-                        if message.channel_id in wanted:
-                            yield Message(self._topics[message.channel_id], message.log_time_ns, message.data)
-                except (DamagedBlock, MalformedRecord) as error:
+                    for channel_id, log_time_ns, start, end in _message_spans(data):
+                        counts[channel_id] += 1
+                        if channel_id in wanted:
+                            yield Message(self._topics[channel_id], log_time_ns, data[start:end])
+                except MalformedRecord as error:
                     counted = indexed_message_counts(source, block)
                     self._losses[block.offset] = Loss(
                         offset=block.offset, reason=str(error), messages=counted
                     )
         self._compare_counts(wanted, counts)
-
-    def _read(self, source: Source, block: Block) -> bytes:
-        """The records of a block; the last few are kept, for readers that go through a file together."""
-        if block.offset in self._cache:
-            return self._cache[block.offset]
-        data, crc = read_block(source, block)
-        if crc == NO_CRC and (block.is_chunk or not self.index.loose_records_verified):
-            self._unverified = True
-        self._cache[block.offset] = data
-        while len(self._cache) > _CACHED_BLOCKS:
-            del self._cache[next(iter(self._cache))]
-        return data
 
     def _compare_counts(self, wanted: set[int], counts: Counter[int]) -> None:
         """Hold what a complete pass gave against what the file says it holds."""
@@ -146,6 +124,13 @@ class McapFile:
         for channel_id in wanted:
             expected = (self.index.expected_messages or {}).get(channel_id, 0)
             self._missing[channel_id] = max(0, expected - counts[channel_id])
+
+
+def _message_spans(data: bytes) -> Iterator[tuple[int, int, int, int]]:
+    """Channel id, log time and place of the content of every message in a block."""
+    for opcode, start, end in spans(data):
+        if opcode == Opcode.MESSAGE:
+            yield *parse_message_head(data, start, end), start + MESSAGE_HEAD_SIZE, end
 
 
 def _index(source: Source) -> FileIndex:

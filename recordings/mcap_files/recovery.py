@@ -28,7 +28,7 @@ from recordings.mcap_files.framing import (
     MalformedRecord,
     is_known,
     parse,
-    parse_message,
+    parse_message_head,
     spans,
 )
 from recordings.mcap_files.index import NO_CRC, Block, FileIndex, Loss
@@ -140,19 +140,20 @@ class _Recovery:
         return True
 
     def _take_message(self, step: Step) -> bool:
+        head = self._source.read(step.body_offset, MESSAGE_HEAD_SIZE)
         try:
-            message = parse_message(self._source.read(step.body_offset, MESSAGE_HEAD_SIZE))
+            channel_id, log_time_ns = parse_message_head(head, 0, len(head))
         except MalformedRecord:
             return False
         if (
-            message.channel_id not in self._channels
+            channel_id not in self._channels
             or step.body_size > MAX_BLOCK_SIZE
             or not is_whole(self._source, step)
         ):
             return False
         if not self._run.reaches(step):
             self._close_run()
-        self._run.add(step, message.channel_id, message.log_time_ns)
+        self._run.add(step, channel_id, log_time_ns)
         return True
 
     def _take_chunk(self, step: Step, body: bytes) -> None:
