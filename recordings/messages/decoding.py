@@ -21,6 +21,8 @@ def decoder_of(topic: Topic) -> Decoder | None:
     try:
         if topic.message_encoding == MessageEncoding.CDR:
             decode = ros2.decoder(topic.schema_name, topic.schema_encoding, topic.schema_data)
+        elif topic.message_encoding == MessageEncoding.ROS1:
+            decode = ros2.ros1_decoder(topic.schema_name)
         elif topic.message_encoding == MessageEncoding.Protobuf:
             decode = foxglove.protobuf_decoder(topic.schema_name, topic.schema_encoding, topic.schema_data)
         elif topic.message_encoding == MessageEncoding.JSON:

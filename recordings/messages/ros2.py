@@ -15,7 +15,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
 from recordings.mcap_files.framing import MAX_BLOCK_SIZE
-from recordings.messages.ros2_standard import standard_definition
+from recordings.messages.ros2_standard import cdr_from_ros1, standard_definition
 from recordings.messages.types import (
     CameraMessage,
     CompressedImageMessage,
@@ -56,6 +56,13 @@ def decoder(
     parse = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
     assert parse is not None
     return lambda data: convert(parse(_unpacked(data)))
+
+
+def ros1_decoder(schema_name: str) -> Callable[[bytes], DecodedMessage] | None:
+    """The decoder of a ROS 1 type, whose messages differ from those of ROS 2 in encoding alone."""
+    name = canonical_name(schema_name)
+    decode = decoder(name, "", b"")
+    return None if decode is None else lambda data: decode(cdr_from_ros1(data, name))
 
 
 def _unpacked(data: bytes) -> bytes:

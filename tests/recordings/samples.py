@@ -11,10 +11,14 @@ import numpy as np
 from google.protobuf.message import Message as ProtobufMessage
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 SECOND_NS = 1_000_000_000
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+ROS1_STORE = get_typestore(Stores.ROS1_NOETIC)
+ROS1_STORE.register(
+    get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+)
 
 CONTAINERS: dict[str, dict[str, Any]] = {
     "zstd": {},
@@ -141,6 +145,25 @@ def pose(translation=(0, 0, 0), xyzw=(0, 0, 0, 1)) -> Any:
         position=new("geometry_msgs/msg/Point", x=x, y=y, z=z),
         orientation=new("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
     )
+
+
+def ros1_bytes(message: Any) -> bytes:
+    """A ROS 2 message as ROS 1 writes it: headers count, matrices are in capitals."""
+    name = message.__msgtype__
+    return bytes(ROS1_STORE.serialize_ros1(_as_ros1(message), name))
+
+
+def _as_ros1(message: Any) -> Any:
+    kind: Any = ROS1_STORE.types[message.__msgtype__]
+    fields: dict[str, Any] = {}
+    for key in kind.__dataclass_fields__:
+        if key != "__msgtype__":
+            value = 3 if key == "seq" else getattr(message, key, None)
+            value = getattr(message, key.lower()) if value is None else value
+            if isinstance(value, list):
+                value = [_as_ros1(item) for item in value]
+            fields[key] = _as_ros1(value) if hasattr(value, "__msgtype__") else value
+    return kind(**fields)
 
 
 class Scribe:

@@ -240,6 +240,27 @@ def test_damaged_compressed_images_are_lost_not_fatal(format_, data, millimetres
     assert recording.damage.lost_messages == 1
 
 
+def test_a_useless_first_image_does_not_decide(millimetres, recording_path):
+    """The size of the recording is that of the first image that holds what it claims."""
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/depth/camera_info", camera_info(STAMP, (40, 30), K), STAMP)
+        scribe.ros2("/depth/image", image(STAMP, "16UC1", millimetres, height=2**31), STAMP)
+        scribe.ros2("/depth/image", image(STAMP + 1, "16UC1", millimetres), STAMP + 1)
+    recording = open_recording(recording_path)
+    assert [frame.time_ns for frame in recording] == [STAMP + 1]
+    assert recording.damage.lost_messages == 1
+
+
+def test_images_of_the_wrong_size_throughout_are_one_clear_line(millimetres, recording_path):
+    """If no image holds what it claims, the error says so and names the topic."""
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/depth/camera_info", camera_info(STAMP, (40, 30), K), STAMP)
+        for i in range(3):
+            scribe.ros2("/depth/image", image(STAMP + i, "16UC1", millimetres, step=10), STAMP + i)
+    with pytest.raises(RecordingError, match=r"/depth/image: no message can be used; the first has 2400"):
+        open_recording(recording_path)
+
+
 def test_infrared_is_not_depth_beside_depth(millimetres, recording_path):
     """A mono16 topic counts as depth only where nothing else does."""
     with Scribe(recording_path) as scribe:

@@ -10,7 +10,6 @@ from PIL import Image
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from recordings.errors import RecordingError
 from recordings.importers.dataset import ALL_FRAMES
@@ -19,7 +18,15 @@ from recordings.poses.recorded import recorded_trajectory
 from recordings.poses.rigid import orthonormalised
 from recordings.reading import open_recording
 from recordings.truth import recorded_scene_truth
-from tests.recordings.samples import SECOND_NS, STORE, camera_info, image, transform
+from tests.recordings.samples import (
+    ROS1_STORE,
+    SECOND_NS,
+    STORE,
+    camera_info,
+    image,
+    ros1_bytes,
+    transform,
+)
 
 THIRTIETH_NS = [round(i * SECOND_NS / 30) for i in range(2000)]
 
@@ -237,35 +244,13 @@ def bag_messages() -> list[tuple[str, object, int]]:
 
 def write_ros1(path: Path) -> None:
     """A ROS 1 bag, whose headers have a sequence number."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    name = "tf2_msgs/msg/TFMessage"
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
     with Rosbag1Writer(path) as writer:
         connections = {}
         for topic, message, stamp in bag_messages():
             name = message.__msgtype__  # type: ignore[attr-defined]
             if topic not in connections:
-                connections[topic] = writer.add_connection(topic, name, typestore=store)
-            data = bytes(store.serialize_ros1(_with_sequence(store, message), name))
-            writer.write(connections[topic], stamp + 5, data)
-
-
-def _with_sequence(store, message):
-    """The ROS 1 message with the fields of a ROS 2 one."""
-    name = message.__msgtype__
-    fields = {}
-    for key in store.types[name].__dataclass_fields__:
-        if key == "__msgtype__":
-            continue
-        value = getattr(message, key, None) if hasattr(message, key) else getattr(message, key.lower(), None)
-        if name == "std_msgs/msg/Header" and key == "seq":
-            value = 3
-        elif isinstance(value, list):
-            value = [_with_sequence(store, item) for item in value]
-        elif hasattr(value, "__msgtype__"):
-            value = _with_sequence(store, value)
-        fields[key] = value
-    return store.types[name](**fields)
+                connections[topic] = writer.add_connection(topic, name, typestore=ROS1_STORE)
+            writer.write(connections[topic], stamp + 5, ros1_bytes(message))
 
 
 def write_ros2(path: Path) -> None:

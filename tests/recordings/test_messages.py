@@ -11,7 +11,7 @@ from recordings.messages.ros2 import canonical_name
 from recordings.messages.types import quaternion_xyzw, rigid_matrix
 from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
-from tests.recordings.samples import STORE, Scribe, camera_info, image, transform
+from tests.recordings.samples import ROS1_STORE, STORE, Scribe, camera_info, image, ros1_bytes, transform
 
 K = (35.0, 36.0, 18.5, 15.25)
 STAMPS = [1_700_000_000_000_000_000 + i * 33_333_333 for i in range(3)]
@@ -30,6 +30,21 @@ def write_ros2(path, *, schema=None, spelling=lambda name: name):
             }.items():
                 name = spelling(message.__msgtype__)
                 scribe.ros2(topic, message, stamp + 1000, schema_name=name, schema=schema)
+
+
+def write_ros1(path):
+    """The same as ROS 1 messages."""
+    with Scribe(path) as scribe:
+        for i, stamp in enumerate(STAMPS):
+            for topic, message in {
+                "/c/camera_info": camera_info(stamp, (40, 30), K),
+                "/c/depth": image(stamp, "16UC1", DEPTH),
+                "/tf": transform(stamp, "world", "camera", (i, 0, 0)),
+            }.items():
+                name = message.__msgtype__
+                text = ROS1_STORE.generate_msgdef(name)[0].encode()
+                schema = (name.replace("/msg/", "/"), "ros1msg", text)
+                scribe.raw(topic, schema, "ros1", ros1_bytes(message), stamp)
 
 
 def write_protobuf(path):
@@ -99,6 +114,7 @@ WRITERS = {
     "ROS 2, names of DDS": lambda path: write_ros2(
         path, schema=IDL, spelling=lambda n: n.replace("/msg/", "::msg::dds_::") + "_"
     ),
+    "ROS 1": write_ros1,
     "Foxglove protobuf": write_protobuf,
     "Foxglove JSON": write_json,
 }
