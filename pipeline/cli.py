@@ -17,10 +17,10 @@ COMMANDS = (
     "import",
     "synth",
     "slam",
+    "parse",
     "run",
     "review",
     "eval",
-    "bench",
     "doctor",
 )
 """Subcommands in the order of a user's work."""

@@ -9,6 +9,7 @@ from typing import Any
 import tomli_w
 
 from pipeline.atomic import write_json, write_text
+from pipeline.publishing.bop_poses import bop_lines
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.summary import summary_of, timing_of
 from pipeline.publishing.trajectory_files import kitti_lines, tum_lines
@@ -37,6 +38,8 @@ def publish(run: RunFolder) -> None:
     if values.slam is not None:
         write_text(run.path / "trajectory.tum", tum_lines(values.slam.times_ns, values.slam.mean))
         write_text(run.path / "trajectory.kitti", kitti_lines(values.slam.mean))
+    if values.scene is not None:
+        write_text(run.path / "poses.csv", bop_lines(values.scene))
     write_messages(run.path / "run.mcap", values, settings)
     write_rrd(run.path / "run.rrd", run.path.resolve().name, values)
     write_json(run.path / "stages" / "published.json", state)
@@ -57,7 +60,11 @@ def _is_published(run: RunFolder, state: Mapping[str, str]) -> bool:
         published = json.loads((run.path / "stages" / "published.json").read_text())
     except (OSError, ValueError):
         return False
-    files = [*ALWAYS, *(("trajectory.tum", "trajectory.kitti") if "slam" in state else ())]
+    files = [
+        *ALWAYS,
+        *(("trajectory.tum", "trajectory.kitti") if "slam" in state else ()),
+        *(("poses.csv",) if "parse" in state else ()),
+    ]
     return published == state and all((run.path / name).is_file() for name in files)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
+from scene.result import FACES, TABLE, SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
@@ -19,6 +20,8 @@ def summary_of(values: RunValues) -> dict[str, Any]:
         summary["slam"] = _slam(values.slam)
     if values.shapes:
         summary["learn"] = {name: _shape(shape) for name, shape in values.shapes.items()}
+    if values.scene is not None:
+        summary["parse"] = _scene(values.scene)
     return summary
 
 
@@ -57,4 +60,40 @@ def _shape(shape: ShapePrior) -> dict[str, Any]:
         "seen_free": int(shape.seen_free.sum()),
         "enclosed": int(shape.enclosed.sum()),
         "size_m": np.round(np.ptp(shape.bounding_box_m, axis=0), 9).tolist() if shape.solid.any() else None,
+    }
+
+
+def _scene(scene: SceneResult) -> dict[str, Any]:
+    """Objects that were found, and the edges between them, in the camera of the first frame used."""
+    found = np.flatnonzero(scene.found)
+    names = [*scene.names.tolist(), TABLE]
+    return {
+        "frames": scene.frames.tolist(),
+        "objects": [
+            {
+                "name": names[one],
+                "presence": float(scene.presence[one]),
+                "camera_from_object": scene.camera_from_object[one].tolist(),
+                "position_std_m": float(scene.position_std_m[one]),
+                "rotation_std_rad": float(scene.rotation_std_rad[one]),
+                "visible_fraction": float(scene.visible_fraction[one]),
+                "modes": [
+                    {"camera_from_object": pose.tolist(), "probability": float(share)}
+                    for pose, share in zip(scene.mode_poses[one], scene.mode_probabilities[one], strict=True)
+                    if share > 0
+                ],
+            }
+            for one in found
+        ],
+        "graph": [
+            {
+                "child": names[child],
+                "parent": names[parent],
+                "probability": float(scene.edge_probabilities[child, parent]),
+                "child_face": FACES[scene.edge_faces[child, parent, 0]],
+                "parent_face": FACES[scene.edge_faces[child, parent, 1]],
+            }
+            for child in found
+            for parent in np.flatnonzero(scene.edge_probabilities[child] > 0)
+        ],
     }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pipeline.room import RoomView
 from pipeline.run_folder import RunFolder
+from scene.result import SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
@@ -18,11 +19,13 @@ class RunValues:
         slam: the camera's trajectory.
         room: what was seen along it.
         shapes: learned shapes by name.
+        scene: which objects stand where.
     """
 
     slam: SlamResult | None
     room: RoomView | None
     shapes: dict[str, ShapePrior]
+    scene: SceneResult | None = None
 
     @classmethod
     def load(cls, run: RunFolder) -> RunValues:
@@ -36,4 +39,5 @@ class RunValues:
                 for name in stages
                 if name.startswith("learn/")
             },
+            scene=SceneResult.load(run.value_path("parse")) if "parse" in stages else None,
         )

@@ -1,1 +1,0 @@
-"""The subcommands of `voxscene bench`, one file each."""

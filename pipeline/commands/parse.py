@@ -1,0 +1,102 @@
+"""`voxscene parse`: which objects stand where, what rests on what, and how sure are we."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pipeline.damage import report_damage
+from pipeline.errors import ConfigError
+from pipeline.options import Common, Source, common_options, recording_options, run_options
+
+
+class FrameNumbers(click.ParamType):
+    """`0`, `0,5,9` or `0:5` (up to and without 5)."""
+
+    name = "FRAMES"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The numbers, as a tuple."""
+        text = str(value)
+        try:
+            if ":" in text:
+                low, high = text.split(":")
+                numbers = tuple(range(int(low or 0), int(high)))
+            else:
+                numbers = tuple(int(part) for part in text.split(","))
+        except ValueError:
+            numbers = ()
+        if not numbers:
+            self.fail(f"{value!r} names no frames; write 0, 0,5,9 or 0:5", param, ctx)
+        return numbers
+
+
+@click.command(name="parse")
+@run_options
+@click.option(
+    "--shapes",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Learned shapes, a RUN that holds some, or meshes.",
+)
+@click.option("--units", type=click.Choice(["m", "mm"]), help="Of meshes; metres unless BOP's.")
+@click.option("--objects", metavar="A,B|any", help="What to look for; any of the shapes by default.")
+@click.option("--frames", type=FrameNumbers(), metavar="N|N:M", help="Depth frames; the first by default.")
+@click.option(
+    "--graph", type=click.Choice(["infer", "fixed"]), help="Infer what rests on what, or let all float."
+)
+@click.option("--presence", type=float, metavar="P", help="Prior probability that an object is there.")
+@recording_options
+@common_options("recording", "parse", "slam")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    common: Common,
+    source: Source,
+    run_path: Path,
+    force: bool,
+    shapes: Path,
+    units: Any,
+    objects: str | None,
+    frames: tuple[int, ...] | None,
+    graph: str | None,
+    presence: float | None,
+) -> None:
+    """Find the objects in REC, with their poses, what rests on what, and the uncertainty of both."""
+    from pipeline.publishing.publish import stage_document
+    from pipeline.session import open_session
+    from pipeline.stages.parse import parse_stage
+
+    options = {"objects": _names(objects), "frames": frames, "graph": graph, "presence": presence}
+    with open_session(common, source, run_path, force=force) as session:
+        parse_stage(session, shapes, units, options)
+        damage = session.damage
+    document = stage_document(session.run, "parse")
+    lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]
+    lines.append(f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s")
+    common.report(document, lines)
+    ctx.exit(report_damage(source.path, damage))
+
+
+def _names(objects: str | None) -> tuple[str, ...] | None:
+    if objects is None or objects == "any":
+        return None
+    names = tuple(name.strip() for name in objects.split(","))
+    if not all(names):
+        raise ConfigError(f"--objects {objects}: write names with commas between them, or any")
+    return names
+
+
+def _line(one: dict[str, Any], graph: list[dict[str, Any]]) -> str:
+    """What a person wants to know of an object."""
+    place = ", ".join(f"{row[3] * 100:.1f}" for row in one["camera_from_object"][:3])
+    spread = f"+- {one['position_std_m'] * 1000:.1f} mm"
+    text = f"{one['name']}: ({place}) cm {spread}, presence {one['presence']:.2f}"
+    edges = [edge for edge in graph if edge["child"] == one["name"]]
+    if not edges:
+        return f"{text}, floating"
+    best = max(edges, key=lambda edge: edge["probability"])
+    return f"{text}, on {best['parent']} ({best['probability']:.2f})"

@@ -1,0 +1,73 @@
+"""A folder of shapes to look for: learned ones, or meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import PipelineError
+from pipeline.meshes import Units, load_meshes
+from pipeline.run_folder import file_hash
+from shapes.prior import ShapePrior
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A closed surface in metres, in the object's own frame."""
+
+    vertices_m: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, Surface]:
+    """Every shape of a folder by name: learned shapes (npz) if it holds any, else meshes.
+
+    A run folder stands for the shapes that were learned in it.
+
+    Raises:
+        PipelineError: there is none, or one cannot be used.
+    """
+    folder = _shapes_of(folder)
+    learned = sorted(folder.glob("*.npz"))
+    if not learned:
+        meshes = load_meshes(folder, units)
+        return {
+            name: Surface(vertices_m=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
+            for name, mesh in meshes.items()
+        }
+    return {path.stem: _learned_surface(path) for path in learned}
+
+
+def surface_hashes(folder: Path) -> dict[str, str]:
+    """Hashes of the folder's files by name, to tell whether a shape has changed."""
+    return {path.name: file_hash(path) for path in sorted(_shapes_of(folder).iterdir()) if path.is_file()}
+
+
+def chosen(surfaces: Mapping[str, Surface], names: tuple[str, ...]) -> dict[str, Surface]:
+    """The surfaces of these names, all of them where none is named.
+
+    Raises:
+        PipelineError: a name is unknown.
+    """
+    missing = sorted(set(names) - set(surfaces))
+    if missing:
+        raise PipelineError(f"no shape {missing[0]!r}; there are {', '.join(sorted(surfaces))}")
+    return {name: surfaces[name] for name in names or surfaces}
+
+
+def _shapes_of(folder: Path) -> Path:
+    if not folder.is_dir():
+        raise PipelineError(f"no folder of shapes {folder}")
+    return folder / "shapes" if (folder / "shapes").is_dir() else folder
+
+
+def _learned_surface(path: Path) -> Surface:
+    try:
+        mesh = ShapePrior.load(path).surface()
+    except (OSError, ValueError) as error:
+        raise PipelineError(f"cannot use the shape {path}: {error}") from error
+    return Surface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64))

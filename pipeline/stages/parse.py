@@ -1,0 +1,92 @@
+"""The stage `parse`: which objects stand where in the recording, and what rests on what."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import PipelineError
+from pipeline.meshes import Units
+from pipeline.session import Session
+from pipeline.shape_folder import chosen, load_surfaces, surface_hashes
+from pipeline.stages.slam import slam_stage
+from recordings.types import DepthNoise, Frame
+from scene.config import ParseConfig
+from scene.parsing import parse_scene
+from scene.result import SceneResult
+from scene.scene_object import scene_object
+
+
+def parse_stage(
+    session: Session, shapes: Path, units: Units | None = None, options: Mapping[str, Any] | None = None
+) -> SceneResult:
+    """The scene in the session's recording.
+
+    Args:
+        session: the recording and the run folder.
+        shapes: folder of learned shapes or meshes.
+        units: of meshes.
+        options: what the command's own options say, by key of `ParseConfig`.
+
+    Raises:
+        PipelineError: a shape or frame is missing, or the first frame shows nothing.
+    """
+    config = session.common.settings.section("parse", ParseConfig, options)
+    inputs = {f"shapes/{name}": digest for name, digest in surface_hashes(shapes).items()}
+    poses = np.eye(4)[None]
+    if len(config.frames) > 1:
+        trajectory = slam_stage(session)
+        inputs["slam"] = session.run.fingerprint("slam")
+        poses = _relative_poses(trajectory.mean, config.frames)
+
+    def compute() -> SceneResult:
+        surfaces = chosen(load_surfaces(shapes, units), config.objects)
+        objects = [scene_object(name, one.vertices_m, one.faces) for name, one in surfaces.items()]
+        with session.common.progress("parse", "blocks") as progress:
+            try:
+                return parse_scene(
+                    session.key("parse"),
+                    _frames(session, config.frames),
+                    config.frames,
+                    poses,
+                    session.recording.intrinsics,
+                    DepthNoise(),
+                    objects,
+                    config,
+                    progress,
+                )
+            except ValueError as error:
+                raise PipelineError(f"{session.source.path}: {error}") from error
+
+    return session.stage("parse", SceneResult.load, compute, {"parse": config}, inputs)
+
+
+def _frames(session: Session, numbers: tuple[int, ...]) -> list[Frame]:
+    """The depth frames of these numbers.
+
+    Raises:
+        PipelineError: the recording ends before the last of them.
+    """
+    wanted = set(numbers)
+    head = itertools.islice(session.recording, max(numbers) + 1)
+    frames = [frame for number, frame in enumerate(head) if number in wanted]
+    if len(frames) < len(numbers):
+        raise PipelineError(f"{session.source.path} has no depth frame {max(numbers)}")
+    return frames
+
+
+def _relative_poses(
+    reference_from_camera: NDArray[np.float64], numbers: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Poses (F, 4, 4) of the frames' cameras in that of the first of them."""
+    if max(numbers) >= len(reference_from_camera):
+        raise PipelineError(
+            f"there is no frame {max(numbers)}; the recording has {len(reference_from_camera)}"
+        )
+    poses = reference_from_camera[list(numbers)]
+    return np.linalg.inv(poses[0]) @ poses

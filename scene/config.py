@@ -1,0 +1,61 @@
+"""How a scene is parsed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParseConfig:
+    """Settings of `voxscene parse`; metres and radians.
+
+    Attributes:
+        objects: names of the objects to look for; none means all that are known.
+        frames: numbers of the depth frames that are used.
+        graph: `infer` samples scene graphs, `fixed` keeps every object floating (the ablation 3DP3*).
+        presence: prior probability that an object is there.
+        rounds: of renewed search on what is left unexplained.
+        pool: poses an object and round that are compared jointly.
+        chains: Markov chains.
+        moves: of each chain, of which the first third is dropped.
+        thinning: moves from one kept sample to the next.
+        pixel_weight: effective over actual number of pixels in the likelihood (their errors are alike).
+        model_error_m: error of shapes and calibration, added in quadrature to the sensor's.
+        search_error_m: the same during the search, where poses are coarse.
+        outlier_probability: share of pixels that show what nobody models.
+        contact_sigma_m: standard deviation of the gap between faces in contact.
+        contact_concentration: kappa of the direction of contact about flush.
+        slack_share: weight of rests that are not flush with a face.
+    """
+
+    objects: tuple[str, ...] = ()
+    frames: tuple[int, ...] = (0,)
+    graph: Literal["infer", "fixed"] = "infer"
+    presence: float = 0.9
+    rounds: int = 2
+    pool: int = 48
+    chains: int = 4
+    moves: int = 600
+    thinning: int = 4
+    pixel_weight: float = 0.02
+    model_error_m: float = 0.002
+    search_error_m: float = 0.005
+    outlier_probability: float = 0.1
+    contact_sigma_m: float = 0.005
+    contact_concentration: float = 500.0
+    slack_share: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not self.frames or min(self.frames) < 0 or list(self.frames) != sorted(set(self.frames)):
+            raise ValueError(f"frames must be increasing numbers from 0, got {self.frames}")
+        if not 0 < self.presence < 1:
+            raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")
+        if not 0 < self.pixel_weight <= 1:
+            raise ValueError(f"pixel_weight must lie in (0, 1], got {self.pixel_weight}")
+        if min(self.rounds + 1, self.pool, self.chains, self.moves, self.thinning) < 1:
+            raise ValueError("rounds must not be negative; pool, chains, moves and thinning at least 1")
+        if min(self.contact_sigma_m, self.contact_concentration, self.search_error_m) <= 0:
+            raise ValueError("contact_sigma_m, contact_concentration and search_error_m must be positive")
+        if not 0 <= self.slack_share < 1 or not 0 < self.outlier_probability < 1:
+            raise ValueError("slack_share must lie in [0, 1), outlier_probability between 0 and 1")

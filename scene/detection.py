@@ -1,0 +1,149 @@
+"""What Open3D finds on the host: the plane on which things stand, and clusters of points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+SAMPLED_POINTS = 8000
+PLANES = 6
+SMALLEST_SHARE = 0.03
+"""A plane with a smaller share of the points is not worth a look."""
+LOWEST_M, HIGHEST_M = 0.01, 0.4
+"""Heights over a plane at which points speak for things that stand on it."""
+FITTED_POINTS = 20000
+BEND_M, SETTLED_M = 0.012, 0.003
+"""Scales of the robust fit of the bend, first and last."""
+CONNECTED_M = 0.05
+"""A gap in a plane's points at which another piece of furniture of the same height begins."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SupportPlane:
+    """The table: a rectangle on which objects stand.
+
+    Attributes:
+        camera_from_table: (4, 4) float64; the origin is the rectangle's middle, z its upward normal.
+        half_size_m: (2,) along x and y.
+        bend: (6,) height of the seen surface over the plane, as coefficients of 1, x, y, x^2, xy, y^2:
+            depth cameras bend planes by millimetres.
+    """
+
+    camera_from_table: NDArray[np.float64]
+    half_size_m: NDArray[np.float64]
+    bend: NDArray[np.float64]
+
+    def in_table_frame(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Camera points (..., 3) in the table's frame."""
+        rotation, origin = self.camera_from_table[:3, :3], self.camera_from_table[:3, 3]
+        return (points_m - origin) @ rotation
+
+    def heights(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Heights (...) of camera points (..., 3) over the surface that the camera sees."""
+        inside = self.in_table_frame(points_m)
+        within = np.clip(inside[..., :2], -self.half_size_m, self.half_size_m)
+        return inside[..., 2] - _quadratic(within) @ self.bend
+
+
+def support_plane(
+    points_m: NDArray[np.floating], seed: int, tolerance_m: float = 0.006
+) -> SupportPlane | None:
+    """The plane with the most points standing over its own extent, seen from above; None where none has.
+
+    Args:
+        points_m: (N, 3) in the camera frame.
+        seed: of the random samples.
+        tolerance_m: distance at which a point lies in a plane.
+    """
+    o3d.utility.random.seed(seed)
+    rng = np.random.default_rng(seed)
+    sampled = points_m[rng.permutation(len(points_m))[:SAMPLED_POINTS]]
+    rest = sampled
+    fewest = max(int(SMALLEST_SHARE * len(rest)), 50)
+    planes = []
+    while len(planes) < PLANES and len(rest) > fewest:
+        _, inliers = _cloud(rest).segment_plane(tolerance_m, 3, 500)
+        inliers = np.asarray(inliers)
+        if len(inliers) < fewest:
+            break
+        labels = np.asarray(_cloud(rest[inliers]).cluster_dbscan(CONNECTED_M, 5))
+        piece = inliers[labels == np.bincount(labels[labels >= 0]).argmax()] if labels.max() >= 0 else inliers
+        if len(piece) >= fewest:
+            planes.append(rest[piece])
+        rest = np.delete(rest, piece, axis=0)
+    tables = [_table(members) for members in planes]
+    standing = [_count_standing(table, sampled) for table in tables]
+    if not tables or max(standing) == 0:
+        return None
+    return _settled(
+        tables[int(np.argmax(standing))], points_m[rng.permutation(len(points_m))[:FITTED_POINTS]]
+    )
+
+
+def clusters(
+    points_m: NDArray[np.floating], scales_m: Sequence[float], fewest: int = 10
+) -> NDArray[np.float64]:
+    """Centres (C, 3) of DBSCAN clusters at several neighbourhood sizes, large clusters first.
+
+    Close objects merge at a coarse scale and come apart at a fine one; sparse ones the other way round.
+    """
+    centres, sizes = [np.zeros((0, 3))], []
+    for scale in scales_m:
+        labels = np.asarray(_cloud(points_m).cluster_dbscan(scale, fewest))
+        members = [points_m[labels == label] for label in range(labels.max(initial=-1) + 1)]
+        centres += [(member.min(axis=0) + member.max(axis=0))[None] / 2 for member in members]
+        sizes += [len(member) for member in members]
+    return np.concatenate(centres)[np.argsort(-np.array(sizes), kind="stable")]
+
+
+def _table(members: NDArray[np.float64]) -> SupportPlane:
+    """The plane's least-squares fit, its normal towards the camera, its extent that of its points."""
+    middle = members.mean(axis=0)
+    normal = np.linalg.svd(members - middle, full_matrices=False)[2][2]
+    normal = normal * np.sign(-normal @ middle)
+    right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    if np.linalg.norm(right) < 0.1:
+        right = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(normal, right), normal], axis=1)
+    inside = (members - middle) @ rotation
+    low, high = np.percentile(inside[:, :2], [0.5, 99.5], axis=0)
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = middle + rotation[:, :2] @ ((low + high) / 2)
+    return SupportPlane(camera_from_table=pose, half_size_m=(high - low) / 2, bend=np.zeros(6))
+
+
+def _settled(table: SupportPlane, points_m: NDArray[np.floating]) -> SupportPlane:
+    """The same table with its bend, by iterated reweighting: what stands on it does not pull it up."""
+    inside = table.in_table_frame(points_m)
+    close = (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1) & (np.abs(inside[:, 2]) < BEND_M)
+    terms, height = _quadratic(inside[close, :2]), inside[close, 2]
+    bend = np.zeros(6)
+    for scale in np.geomspace(BEND_M, SETTLED_M, 12):
+        weights = (1 + ((height - terms @ bend) / scale) ** 2) ** -2
+        bend = np.linalg.lstsq(terms * np.sqrt(weights)[:, None], height * np.sqrt(weights), rcond=None)[0]
+    return replace(table, bend=bend)
+
+
+def _quadratic(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Terms (..., 6) of a quadratic surface at places (..., 2)."""
+    x, y = places_m[..., 0], places_m[..., 1]
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+
+def _count_standing(table: SupportPlane, points_m: NDArray[np.floating]) -> float:
+    """Points over the table; walls, which face the camera as tables do from above, count less."""
+    inside = table.in_table_frame(points_m)
+    over = (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1)
+    count = (over & (inside[:, 2] > LOWEST_M) & (inside[:, 2] < HIGHEST_M)).sum()
+    upward = -table.camera_from_table[1, 2]
+    return float(count * max(upward, 0.1))
+
+
+def _cloud(points_m: NDArray[np.floating]) -> o3d.geometry.PointCloud:
+    return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(points_m, np.float64)))

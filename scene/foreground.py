@@ -1,0 +1,124 @@
+"""Which pixels may show an object, and what is behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from recordings.types import NO_RETURN, CameraIntrinsics
+from scene.detection import SupportPlane, support_plane
+from scene.initialisation import SceneData
+from scene.observation import pooled_view
+from scene.window import PixelWindow, window_over
+
+VIEW_WIDTH = 320
+LOWEST_M = 0.006
+HIGHEST_M = 0.5
+TABLE_MARGIN_M = 0.05
+FARTHEST_M = 2.5
+FEWEST_PIXELS = 100
+
+
+def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed: int) -> SceneData:
+    """The table, the foreground and the background of a depth image.
+
+    Raises:
+        ValueError: nothing is in front of the camera.
+    """
+    points = _unprojected(depth_m, intrinsics)
+    near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
+    if near.sum() < FEWEST_PIXELS:
+        raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
+    table = support_plane(points[near], seed)
+    return _data_over(table, depth_m, points, intrinsics)
+
+
+def frame_data(
+    depth_m: NDArray[np.float32],
+    intrinsics: CameraIntrinsics,
+    first: SceneData,
+    first_camera_from_camera: NDArray[np.float64],
+) -> SceneData:
+    """The same for another frame of the scene, with the table found in the first."""
+    table = first.table
+    if table is not None:
+        moved = np.linalg.inv(first_camera_from_camera) @ table.camera_from_table
+        table = replace(table, camera_from_table=moved)
+    return _data_over(table, depth_m, _unprojected(depth_m, intrinsics), intrinsics)
+
+
+def _data_over(
+    table: SupportPlane | None,
+    depth_m: NDArray[np.float32],
+    points: NDArray[np.float64],
+    intrinsics: CameraIntrinsics,
+) -> SceneData:
+    near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
+    foreground = near & _over(table, points)
+    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
+    factor = max(1, round(intrinsics.width / VIEW_WIDTH))
+    pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
+    window = window_over(foreground, depth_m, intrinsics)
+    return SceneData(
+        view=replace(view, unexplained=jnp.asarray(pooled_foreground)),
+        foreground=pooled_foreground,
+        window=window,
+        window_foreground=np.asarray(
+            binary_dilation(window.of(foreground) & window.inside, iterations=2), bool
+        ),
+        rest_m=_background(table, window.of(foreground), window, intrinsics),
+        table=table,
+    )
+
+
+def _over(table: SupportPlane | None, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    if table is None:
+        return np.ones(points_m.shape[:2], bool)
+    inside = table.in_table_frame(points_m)
+    beside = np.abs(inside[..., :2]) - table.half_size_m
+    heights = table.heights(points_m)
+    return (beside < TABLE_MARGIN_M).all(axis=-1) & (heights > LOWEST_M) & (heights < HIGHEST_M)
+
+
+def _background(
+    table: SupportPlane | None,
+    foreground: NDArray[np.bool_],
+    window: PixelWindow,
+    intrinsics: CameraIntrinsics,
+) -> NDArray[np.float32]:
+    """What was seen where no object may be, else the depth of the table; +inf where there is neither."""
+    observed_m = window.depth_m
+    plane = np.full(observed_m.shape, np.inf)
+    if table is not None:
+        rays = np.stack(
+            np.broadcast_arrays(
+                ((window.columns - intrinsics.cx) / intrinsics.fx)[None, :],
+                ((window.rows - intrinsics.cy) / intrinsics.fy)[:, None],
+                1.0,
+            ),
+            axis=-1,
+        )
+        normal, origin = table.camera_from_table[:3, 2], table.camera_from_table[:3, 3]
+        depth = (normal @ origin) / (rays @ normal)
+        inside = table.in_table_frame(rays * depth[..., None])
+        on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + TABLE_MARGIN_M).all(axis=-1)
+        plane = np.where(on_table, depth, np.inf)
+    elsewhere = ~foreground & (observed_m != NO_RETURN)
+    return np.where(elsewhere, observed_m, plane).astype(np.float32)
+
+
+def _pooled_any(mask: NDArray[np.bool_], factor: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    rows, columns = shape
+    blocks = mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return blocks.mean(axis=(1, 3)) >= 0.25
+
+
+def _unprojected(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
+    columns = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
+    rows = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy
+    rays = np.stack(np.broadcast_arrays(columns[None, :], rows[:, None], 1.0), axis=-1)
+    return rays * depth_m[..., None].astype(np.float64)

@@ -1,0 +1,47 @@
+"""Grids of orientations to start a search from."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+
+def cube_rotations() -> NDArray[np.float64]:
+    """The 24 rotations (24, 3, 3) of a cube onto itself."""
+    signed = [
+        np.diag(signs)[list(order)]
+        for order in itertools.permutations(range(3))
+        for signs in itertools.product((1.0, -1.0), repeat=3)
+    ]
+    return np.array([matrix for matrix in signed if np.linalg.det(matrix) > 0])
+
+
+def spread_rotations(count: int) -> NDArray[np.float64]:
+    """Rotations (n, 3, 3) spread evenly over all (super-Fibonacci spiral, Alexa 2022)."""
+    psi = 1.533751168755204288118041
+    place = np.arange(count) + 0.5
+    low, high = np.sqrt(place / count), np.sqrt(1 - place / count)
+    first, second = 2 * np.pi * place / np.sqrt(2), 2 * np.pi * place / psi
+    xyzw = [low * np.sin(first), low * np.cos(first), high * np.sin(second), high * np.cos(second)]
+    return Rotation.from_quat(np.stack(xyzw, axis=1)).as_matrix()
+
+
+def resting_rotations(rests: NDArray[np.floating], yaws: int) -> NDArray[np.float64]:
+    """Rotations (R * yaws, 3, 3) into a frame with z up, in which each rest's direction points down."""
+    down = np.array([0.0, 0.0, -1.0])
+    turns = Rotation.from_rotvec(np.outer(np.arange(yaws) * 2 * np.pi / yaws, -down)).as_matrix()
+    upright = np.array([_shortest(rest, down) for rest in rests])
+    return (turns[None] @ upright[:, None]).reshape(-1, 3, 3)
+
+
+def _shortest(source: NDArray[np.floating], target: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The smallest rotation that carries one direction to another."""
+    axis, cosine = np.cross(source, target), float(source @ target)
+    if cosine < -1 + 1e-9:
+        across = np.linalg.svd(np.asarray(source)[None])[2][1]
+        return 2 * np.outer(across, across) - np.eye(3)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)

@@ -1,0 +1,216 @@
+"""The stage `parse`: from depth frames and known objects to a posterior over scene graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import CameraIntrinsics, DepthNoise, Frame
+from scene.chain import Kernel, run_block, scene_kernel
+from scene.config import ParseConfig
+from scene.contact import TOP_FACE
+from scene.depth_images import DepthImages
+from scene.foreground import frame_data, scene_data
+from scene.graph import Bodies, floating_scene
+from scene.initialisation import Initialisation, SceneData, initialise
+from scene.model import ChainState, SceneModel, start_chain
+from scene.pose_mixture import PoseMixture
+from scene.poses import composed, pose_of
+from scene.prior import PosePrior, UniformTrees
+from scene.rendering import ObjectRenderer
+from scene.result import SceneResult
+from scene.scene_object import SceneObject
+from scene.structure_move import StructureMove
+from scene.summary import Samples, summarise
+
+HEIGHT_M = 0.6
+"""Floating objects are up to this far over the table."""
+TABLE_HALF_THICKNESS_M = 0.01
+FREE_HALF_SIZE_M = 1.5
+"""Of the cuboid in front of the camera that holds objects where there is no table."""
+UNINFORMATIVE = 0.5
+"""Probability of no return, with and without a surface: dark and grazing surfaces make it say little."""
+COMPONENTS = 8
+COMPONENT_SIGMA_M, COMPONENT_SIGMA_RAD = 0.002, 0.03
+WALK_M, WALK_RAD = 0.004, 0.05
+PRIOR_SHARE = 0.05
+BLOCK = 120
+"""Moves between two reports of progress: whole cycles of the kernel."""
+
+
+def parse_scene(
+    key: jax.Array,
+    frames: Sequence[Frame],
+    frame_indices: Sequence[int],
+    first_camera_from_camera: NDArray[np.float64],
+    intrinsics: CameraIntrinsics,
+    noise: DepthNoise,
+    objects: Sequence[SceneObject],
+    config: ParseConfig,
+    progress: Callable[[int, int], None] | None = None,
+) -> SceneResult:
+    """Parse the scene that the frames show.
+
+    Args:
+        key: random key.
+        frames: depth frames of a scene at rest, at least one.
+        frame_indices: their numbers in the recording.
+        first_camera_from_camera: (F, 4, 4) poses relative to the first of them.
+        intrinsics: of the camera.
+        noise: of the sensor.
+        objects: what to look for.
+        config: settings.
+        progress: called with blocks of moves done and in all.
+
+    Raises:
+        ValueError: the first frame shows nothing to parse.
+    """
+    seed_key, search_key, chain_key = jax.random.split(key, 3)
+    data = scene_data(frames[0].depth_m, intrinsics, int(jax.random.randint(seed_key, (), 0, 2**31 - 1)))
+    renderer = ObjectRenderer.of(objects)
+    noise = replace(
+        noise,
+        outlier_probability=config.outlier_probability,
+        none_hit_probability=UNINFORMATIVE,
+        none_miss_probability=UNINFORMATIVE,
+    )
+    start = initialise(
+        search_key,
+        data,
+        objects,
+        renderer,
+        noise,
+        config.search_error_m,
+        rounds=config.rounds,
+        pool=config.pool,
+    )
+    views = [data] + [
+        frame_data(frame.depth_m, intrinsics, data, pose)
+        for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)
+    ]
+    with jax.enable_x64(True):
+        camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
+        world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
+        poses = [np.linalg.inv(world_from_camera @ pose) for pose in first_camera_from_camera]
+        likelihood = _likelihood(views, poses, renderer, noise, config)
+        model = _model(data, objects, likelihood, config)
+        samples = _sample(chain_key, model, start, world_from_camera, config, progress)
+        return summarise(samples, model, start, world_from_camera, objects, np.asarray(frame_indices), config)
+
+
+def _likelihood(
+    views: Sequence[SceneData],
+    camera_from_world: Sequence[NDArray[np.float64]],
+    renderer: ObjectRenderer,
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> DepthImages:
+    return DepthImages(
+        renderer=renderer,
+        cameras=jax.tree.map(lambda *leaves: jnp.stack(leaves), *[view.window.camera for view in views]),
+        camera_from_world=jax.vmap(pose_of)(jnp.asarray(np.stack(camera_from_world))),
+        observed_m=jnp.stack([jnp.asarray(view.window.depth_m) for view in views]),
+        rest_m=jnp.stack([jnp.asarray(view.rest_m) for view in views]),
+        inside=jnp.stack([jnp.asarray(view.window.inside, jnp.float32) for view in views]),
+        noise=noise,
+        surface_sigma_m=jnp.asarray(config.model_error_m, jnp.float32),
+        pixel_weight=jnp.asarray(config.pixel_weight),
+        objects=len(renderer.library),
+    )
+
+
+def _model(
+    data: SceneData, objects: Sequence[SceneObject], likelihood: DepthImages, config: ParseConfig
+) -> SceneModel:
+    """The target in the table's frame; the table is the last body, a slab under z = 0."""
+    half_extents = [one.half_extents_m for one in objects]
+    low, high = np.full(3, -FREE_HALF_SIZE_M), np.full(3, FREE_HALF_SIZE_M)
+    movable = [True] * len(objects)
+    supporting = [[True] * 6 for _ in objects]
+    if data.table is not None:
+        half_extents.append(np.append(data.table.half_size_m, TABLE_HALF_THICKNESS_M))
+        low = np.append(-data.table.half_size_m, -TABLE_HALF_THICKNESS_M)
+        high = np.append(data.table.half_size_m, HEIGHT_M)
+        movable.append(False)
+        supporting.append([face == TOP_FACE for face in range(6)])
+    else:
+        low[2], high[2] = 0.0, 2 * FREE_HALF_SIZE_M
+    bodies = Bodies(jnp.asarray(np.stack(half_extents)), jnp.asarray(movable), jnp.asarray(supporting))
+    prior = PosePrior(
+        low_m=jnp.asarray(low),
+        high_m=jnp.asarray(high),
+        contact_sigma_m=jnp.asarray(config.contact_sigma_m),
+        contact_concentration=jnp.asarray(config.contact_concentration),
+        slack_share=jnp.asarray(config.slack_share),
+    )
+    return SceneModel(bodies, prior, UniformTrees(), likelihood)
+
+
+def _sample(
+    key: jax.Array,
+    model: SceneModel,
+    start: Initialisation,
+    world_from_camera: NDArray[np.float64],
+    config: ParseConfig,
+    progress: Callable[[int, int], None] | None,
+) -> Samples:
+    """Chains from the best scene found: first the graph alone finds its place, then all moves run."""
+    start_key, graph_key, run_key = jax.random.split(key, 3)
+    world = pose_of(jnp.asarray(world_from_camera))
+    count, bodies = len(start.poses), len(model.bodies.movable)
+    poses = jax.vmap(lambda pose: composed(world, pose))(jnp.asarray(start.poses))
+    table = jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]])[: bodies - count]
+    scene = floating_scene(
+        jnp.concatenate([poses, table]),
+        jnp.concatenate([jnp.asarray(start.found), jnp.ones(bodies - count, bool)]),
+    )
+    kernel = _kernel(model, start, world, config)
+    states = jax.vmap(lambda key: start_chain(key, model, scene))(jax.random.split(start_key, config.chains))
+    if config.graph == "infer" and start.found.any():
+        graph_alone = Kernel(kernel.moves, jnp.zeros(1, jnp.int32))
+        states, _, _ = run_block(graph_key, states, model, graph_alone, BLOCK, _recorded)
+    blocks = -(-config.moves // BLOCK)
+    kept = []
+    for block in range(blocks if start.found.any() else 0):
+        block_key = jax.random.fold_in(run_key, block)
+        states, recorded, _ = run_block(block_key, states, model, kernel, BLOCK, _recorded)
+        kept.append(recorded)
+        if progress:
+            progress(block + 1, blocks)
+    if not kept:
+        kept = [jax.tree.map(lambda leaf: leaf[None], jax.vmap(_recorded)(states))]
+    return Samples.thinned(kept, burn_in=blocks * BLOCK // 3, thinning=config.thinning)
+
+
+def _recorded(state: ChainState) -> Samples:
+    scene = state.scene
+    return Samples(scene.poses, scene.parents, scene.parent_faces, scene.child_faces, state.log_posterior)
+
+
+def _kernel(model: SceneModel, start: Initialisation, world: jax.Array, config: ParseConfig) -> Kernel:
+    """The production kernel; its mixtures sit on the best hypotheses of the search."""
+    count, bodies = len(start.poses), len(model.bodies.movable)
+    gains = start.log_gains[:, : start.pools.shape[1]]
+    best = np.argsort(-gains, axis=1)[:, :COMPONENTS]
+    log_weights = config.pixel_weight * np.take_along_axis(gains, best, axis=1)
+    centres = np.take_along_axis(start.pools, best[..., None], axis=1)
+    centres = jax.vmap(jax.vmap(lambda pose: composed(world, pose)))(jnp.asarray(centres))
+    spare = bodies - count
+    covariance = jnp.diag(jnp.array([COMPONENT_SIGMA_M] * 3 + [COMPONENT_SIGMA_RAD] * 3) ** 2)
+    mixture = PoseMixture.build(
+        jnp.pad(jnp.asarray(log_weights), ((0, spare), (0, 0))),
+        jnp.concatenate([centres, jnp.tile(centres[:1], (spare, 1, 1))]),
+        jnp.broadcast_to(covariance, (bodies, COMPONENTS, 6, 6)),
+    )
+    return scene_kernel(
+        mixture,
+        prior_share=PRIOR_SHARE,
+        translation_m=jnp.full(bodies, WALK_M),
+        rotation_rad=jnp.full(bodies, WALK_RAD),
+        structure=StructureMove() if config.graph == "infer" else None,
+    )

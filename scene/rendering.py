@@ -1,0 +1,67 @@
+"""Depth layers of scene objects, in windows and in views, through one library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+
+from scene.observation import DepthView
+from scene.scene_object import SceneObject
+from scene.window import WINDOW_HEIGHT, WINDOW_WIDTH, PixelWindow
+from shapes.camera import Camera
+from shapes.depth_rendering import render_layers
+from shapes.object_library import ObjectLibrary, joined
+from shapes.ray_casting import PosedObjects
+
+OUT_OF_SIGHT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+"""A pose behind the camera, for what is not there."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ObjectRenderer:
+    """The objects' library, with the step from box frames to the objects' own.
+
+    Attributes:
+        library: N objects.
+        centres_m: (N, 3) float32, the boxes' centres in the objects' frames.
+    """
+
+    library: ObjectLibrary
+    centres_m: jax.Array
+
+    @classmethod
+    def of(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
+        """The renderer of these objects, in order."""
+        centres = np.stack([one.centre_m for one in objects])
+        return cls(joined([one.library for one in objects]), jnp.asarray(centres, jnp.float32))
+
+    def layers(self, indices: jax.Array, poses: jax.Array, window: PixelWindow) -> jax.Array:
+        """Depth (n, WINDOW_HEIGHT, WINDOW_WIDTH) of n objects alone, at poses (n, 7) camera_from_box."""
+        return self._render(indices, poses, window.camera, WINDOW_HEIGHT, WINDOW_WIDTH)
+
+    def view_layers(self, indices: jax.Array, poses: jax.Array, view: DepthView) -> jax.Array:
+        """The same in the pixels of a view."""
+        return self._render(indices, poses, view.camera, *view.depth_m.shape)
+
+    def _render(
+        self, indices: jax.Array, poses: jax.Array, camera: Camera, height: int, width: int
+    ) -> jax.Array:
+        posed = self.posed(indices, poses, jnp.zeros(len(indices), jnp.int32))
+        cameras = jax.tree.map(lambda leaf: leaf[None], camera)
+        return render_layers(self.library, posed, cameras, height, width)
+
+    def posed(self, indices: jax.Array, poses: jax.Array, camera_index: jax.Array) -> PosedObjects:
+        """Objects at poses (n, 7) camera_from_box as the engine takes them."""
+
+        def matrix(index: jax.Array, pose: jax.Array) -> jax.Array:
+            back = jaxlie.SE3.from_translation(-self.centres_m[index])
+            return (jaxlie.SE3(pose.astype(jnp.float32)) @ back).as_matrix()
+
+        indices = indices.astype(jnp.int32)
+        return PosedObjects(indices, jax.vmap(matrix)(indices, poses), camera_index.astype(jnp.int32))

@@ -1,0 +1,102 @@
+"""The value that parsing a scene gives: which objects stand where, on what, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shapes.archive import load_arrays, save_arrays
+
+FORMAT_VERSION = 1
+TABLE = "table"
+FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneResult:
+    """Posterior over the scene of one recording, in the camera of the first depth frame used.
+
+    N objects were looked for; those that were not found stay in the arrays with `presence` below 1/2.
+
+    Attributes:
+        names: (N,) str.
+        frames: (F,) int64 indices of the depth frames used.
+        camera_from_object: (N, 4, 4) float64, the most probable scene found.
+        mean: (N, 4, 4) posterior mean within the mode of that scene.
+        covariance: (N, 6, 6) in the right tangent at the mean, translation first, within that mode.
+        presence: (N,) probability that the object is there.
+        visible_fraction: (N,) share of its pixels in the first frame that nothing hides.
+        mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.
+        mode_probabilities: (N, M), 0 where there are fewer.
+        edge_probabilities: (N, N + 1) of resting on each object, and on the table (last).
+        edge_faces: (N, N + 1, 2) int32 own and parent's face most often seen on that edge; -1 without.
+        sample_poses: (S, N, 7) float64 camera_from_object, wxyz_xyz.
+        sample_parents: (S, N) int32, -1 floating, N the table.
+        sample_log_posteriors: (S,) not normalised.
+        chain: (S,) int32 the chain of each sample.
+    """
+
+    names: NDArray[np.str_]
+    frames: NDArray[np.int64]
+    camera_from_object: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    presence: NDArray[np.float64]
+    visible_fraction: NDArray[np.float64]
+    mode_poses: NDArray[np.float64]
+    mode_probabilities: NDArray[np.float64]
+    edge_probabilities: NDArray[np.float64]
+    edge_faces: NDArray[np.int32]
+    sample_poses: NDArray[np.float64]
+    sample_parents: NDArray[np.int32]
+    sample_log_posteriors: NDArray[np.float64]
+    chain: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        """Number of objects looked for."""
+        return len(self.names)
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """(N,) objects more probably there than not."""
+        return self.presence >= 0.5
+
+    @property
+    def position_std_m(self) -> NDArray[np.float64]:
+        """(N,) root mean square distance from the mean position."""
+        return np.sqrt(np.trace(self.covariance[:, :3, :3], axis1=1, axis2=2))
+
+    @property
+    def rotation_std_rad(self) -> NDArray[np.float64]:
+        """(N,) root mean square angle from the mean orientation."""
+        return np.sqrt(np.trace(self.covariance[:, 3:, 3:], axis1=1, axis2=2))
+
+    def save(self, path: Path) -> None:
+        """Write an npz file, whole or not at all; equal results give equal bytes.
+
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        save_arrays(
+            path, {"format_version": FORMAT_VERSION, **{f.name: getattr(self, f.name) for f in fields(self)}}
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> SceneResult:
+        """Read what `save` wrote.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file is damaged, or not a scene result of this format.
+        """
+        arrays = load_arrays(path)
+        version = arrays.pop("format_version", np.asarray(0))
+        if version != FORMAT_VERSION:
+            raise ValueError(f"{path} is not a scene result of format {FORMAT_VERSION}")
+        missing = {field.name for field in fields(cls)} ^ set(arrays)
+        if missing:
+            raise ValueError(f"{path} is not a scene result: {', '.join(sorted(missing))}")
+        return cls(**arrays)

@@ -1,0 +1,150 @@
+"""Where in a depth view might an object be: surface points matched by projection, then ICP.
+
+Every hypothesis puts one visible point of the object on one observed point (so that depth is given), or
+the box's centre on the centre of a cluster. A few surface points tell most hypotheses apart, all points
+the rest; the best ones that differ are refined.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+
+from scene.icp import align, look_up, seen
+from scene.observation import DepthView
+
+TOLERANCE_M = 0.012
+BEHIND = 2.5
+"""Tolerances by which a surface may be seen behind the object before it speaks against it."""
+TAKEN = 0.5
+"""Weight against the object of a point that agrees with a surface explained by something else."""
+FEW_POINTS = 24
+PER_ANCHOR, PER_CENTRE = 14, 32
+"""Hypotheses that every place may put forward: a large face elsewhere must not crowd the right ones out."""
+SAME_PLACE_M = 0.015
+SAME_ANGLE_COSINE = 0.94
+"""Cosine of 20 degrees."""
+NEIGHBOURHOOD_M, CROWDING = 0.05, 0.04
+"""Each chosen pose lowers the scores round it, for the pool to spread."""
+ICP_FIRST_M, ICP_LAST_M, ICP_ITERATIONS = 0.012, 0.003, 15
+
+_CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
+"""Which visible points are put on observed ones: places in the outline's bounding rectangle."""
+
+
+@partial(jax.jit, static_argnames="count")
+def search(
+    view: DepthView,
+    points_m: jax.Array,
+    normals: jax.Array,
+    rotations: jax.Array,
+    anchors_m: jax.Array,
+    centres_m: jax.Array,
+    count: int,
+) -> tuple[jax.Array, jax.Array]:
+    """The best `count` poses (n, 7) camera_from_box that differ, and their scores (n,), best first.
+
+    Args:
+        view: the observation.
+        points_m: (P, 3) surface points in the box frame, any prefix well spread.
+        normals: (P, 3).
+        rotations: (O, 3, 3) camera_from_box.
+        anchors_m: (A, 3) observed points.
+        centres_m: (C, 3) where the box's centre may be.
+        count: of poses.
+    """
+    offsets = jax.lax.map(lambda r: _offsets(points_m, normals, r, anchors_m, centres_m), rotations)
+    score_few = partial(_score, view, points_m[:FEW_POINTS], normals[:FEW_POINTS])
+    coarse = jax.lax.map(
+        lambda pair: jax.vmap(score_few, in_axes=(None, 0))(pair[0], pair[1]), (rotations, offsets)
+    )
+    places = _best_everywhere(coarse, len(anchors_m))
+    turned, placed = rotations[places // offsets.shape[1]], offsets.reshape(-1, 3)[places]
+    scores = jax.vmap(partial(_score, view, points_m, normals))(turned, placed)
+    chosen = _distinct(turned, placed, scores, count)
+    poses = jax.vmap(_pose)(turned[chosen], placed[chosen])
+    everything = jnp.ones((count, len(points_m)), bool)
+    refined = align(view, points_m, normals, everything, poses, ICP_FIRST_M, ICP_LAST_M, ICP_ITERATIONS)
+    return refined, scores[chosen]
+
+
+def _offsets(
+    points_m: jax.Array, normals: jax.Array, rotation: jax.Array, anchors_m: jax.Array, centres_m: jax.Array
+) -> jax.Array:
+    """Positions (A * 5 + C, 3) of the box's centre for one orientation."""
+    forward = jnp.mean(anchors_m, axis=0)
+    forward = forward / jnp.linalg.norm(forward)
+    turned, outward = points_m @ rotation.T, normals @ rotation.T
+    facing = jnp.sum(outward * forward[None], axis=-1) < -0.2
+    right = jnp.array([1.0, 0.0, 0.0]) - forward[0] * forward
+    right = right / jnp.linalg.norm(right)
+    flat = jnp.stack([turned @ right, turned @ jnp.cross(forward, right)], axis=1)
+    low = jnp.min(jnp.where(facing[:, None], flat, jnp.inf), axis=0)
+    high = jnp.max(jnp.where(facing[:, None], flat, -jnp.inf), axis=0)
+    targets = low[None] + (high - low)[None] * jnp.asarray(_CONTACTS)
+    distance = jnp.sum((flat[None] - targets[:, None]) ** 2, axis=-1)
+    contacts = turned[jnp.argmin(jnp.where(facing[None], distance, jnp.inf), axis=1)]
+    touching = (anchors_m[:, None] - contacts[None]).reshape(-1, 3)
+    return jnp.concatenate([touching, centres_m])
+
+
+def _score(
+    view: DepthView, points_m: jax.Array, normals: jax.Array, rotation: jax.Array, offset_m: jax.Array
+) -> jax.Array:
+    """Share of the points that should be seen and are, less those that are seen through.
+
+    Where the table or another object explains the pixel already, to agree with it speaks against the
+    object: else every flat one would be found inside the table's top.
+    """
+    placed, outward = points_m @ rotation.T + offset_m[None], normals @ rotation.T
+    should = seen(placed, outward)
+    observed = look_up(view, placed)
+    gap = (observed.surface_m[:, 2] - placed[:, 2]) / TOLERANCE_M
+    known = jnp.any(observed.normal != 0, axis=-1)
+    cosine = jnp.sum(observed.normal * outward, axis=-1)
+    alike = jnp.where(known, jnp.clip(cosine, 0, 1) ** 2, 0.5) * jnp.exp(-0.5 * gap**2)
+    evidence = jnp.where(observed.unexplained, alike, -TAKEN * alike) - (gap > BEHIND)
+    return jnp.sum(jnp.where(should & observed.measured, evidence, 0.0)) / jnp.maximum(jnp.sum(should), 1)
+
+
+def _best_everywhere(coarse: jax.Array, anchors: int) -> jax.Array:
+    """Flat places of the best scores (O, A * 5 + C) of every anchor and every centre."""
+    number = jnp.arange(coarse.size).reshape(coarse.shape)
+    split = anchors * len(_CONTACTS)
+
+    def by_place(table: jax.Array) -> jax.Array:
+        grouped = table[:, :split].reshape(len(table), anchors, -1)
+        return jnp.moveaxis(grouped, 1, 0).reshape(anchors, -1)
+
+    _, near_anchors = jax.lax.top_k(by_place(coarse), PER_ANCHOR)
+    _, near_centres = jax.lax.top_k(coarse[:, split:].T, PER_CENTRE)
+    chosen = (
+        jnp.take_along_axis(by_place(number), near_anchors, axis=1),
+        jnp.take_along_axis(number[:, split:].T, near_centres, axis=1),
+    )
+    return jnp.concatenate([places.ravel() for places in chosen])
+
+
+def _distinct(rotations: jax.Array, offsets_m: jax.Array, scores: jax.Array, count: int) -> jax.Array:
+    """Places (count,) of the best scores, none next to a better one; repeats the best when few differ."""
+
+    def take(index: int, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        left, chosen = state
+        best = jnp.argmax(left)
+        best = jnp.where(jnp.isfinite(left[best]), best, chosen[0])
+        distance2 = jnp.sum((offsets_m - offsets_m[best][None]) ** 2, axis=1)
+        cosine = (jnp.sum(rotations * rotations[best][None], axis=(1, 2)) - 1) / 2
+        same = (distance2 < SAME_PLACE_M**2) & (cosine > SAME_ANGLE_COSINE)
+        crowded = left - CROWDING * jnp.exp(-0.5 * distance2 / NEIGHBOURHOOD_M**2)
+        left = jnp.where(same, -jnp.inf, crowded)
+        return left, chosen.at[index].set(best)
+
+    start = scores, jnp.full(count, jnp.argmax(scores))
+    return jax.lax.fori_loop(0, count, take, start)[1]
+
+
+def _pose(rotation: jax.Array, offset_m: jax.Array) -> jax.Array:
+    return jnp.concatenate([jaxlie.SO3.from_matrix(rotation).wxyz, offset_m])

@@ -1,0 +1,98 @@
+"""`voxscene parse` finds objects on a table from their surfaces, and never from the truth."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner, Result
+
+from pipeline.cli import voxscene
+from pipeline.evaluation.object_poses import add_s_m, model_points
+from pipeline.synthesis.filming import film_table
+from pipeline.synthesis.objects import built_in_object
+from pipeline.synthesis.paths import PathConfig
+from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.synthesis.rooms import RoomConfig
+from pipeline.synthesis.scenarios import TableScene
+from pipeline.synthesis.writing import write_recording
+from recordings.writer import RecordingWriter
+
+SHAPES = ("box", "mug")
+SHORT = ("-s", "parse.rounds=0", "-s", "parse.moves=120", "-s", "parse.chains=2")
+
+
+@pytest.fixture(scope="module")
+def table() -> SyntheticRecording:
+    """One frame of a box and a mug on a table."""
+    scene = TableScene(room=RoomConfig(kind="none"), path=PathConfig(frames=1, radius_m=0.8), objects=2)
+    return film_table({name: built_in_object(name) for name in SHAPES}, scene, 4)
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same objects as files."""
+    folder = tmp_path_factory.mktemp("meshes")
+    for name in SHAPES:
+        built_in_object(name).export(folder / f"{name}.ply")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def parsed(table: SyntheticRecording, meshes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder."""
+    folder = tmp_path_factory.mktemp("parsed")
+    write_recording(table, folder / "table.mcap")
+    result = parse(folder / "table.mcap", meshes, folder / "run")
+    assert result.exit_code == 0, result.output
+    return folder / "run"
+
+
+def parse(recording: Path, shapes: Path, run: Path, *more: str) -> Result:
+    """The command."""
+    arguments = ["parse", str(recording), "--shapes", str(shapes), "-o", str(run), "--quiet", *SHORT, *more]
+    return CliRunner().invoke(voxscene, arguments)
+
+
+def test_objects_stand_where_they_are(table: SyntheticRecording, parsed: Path) -> None:
+    """Both within 5 mm ADD-S, on the table."""
+    document = json.loads((parsed / "summary.json").read_text())["parse"]
+    found = {one["name"]: np.array(one["camera_from_object"]) for one in document["objects"]}
+    camera_from_world = np.linalg.inv(table.trajectory.reference_from_camera[0])
+    for true in table.truth.objects:
+        points = model_points(trimesh.Trimesh(true.vertices_m, true.faces))
+        assert add_s_m(points, camera_from_world @ true.world_from_object, found[true.shape]) < 0.005
+    on_table = {edge["child"]: edge["probability"] for edge in document["graph"] if edge["parent"] == "table"}
+    assert on_table["box"] > 0.5
+    assert len((parsed / "poses.csv").read_text().splitlines()) == 1 + len(found)
+
+
+def test_truth_and_recorded_poses_are_not_used(
+    table: SyntheticRecording, meshes: Path, parsed: Path, tmp_path: Path
+) -> None:
+    """The same bytes without them."""
+    unit = 0.001 if table.sensor.in_millimetres else None
+    with RecordingWriter(tmp_path / "table.mcap", table.intrinsics, depth_unit_m=unit) as writer:
+        for frame in table:
+            writer.write_depth(frame)
+    result = parse(tmp_path / "table.mcap", meshes, tmp_path / "run")
+    assert result.exit_code == 0, result.output
+    for name in ("parse.npz", "summary.json", "poses.csv"):
+        assert (tmp_path / "run" / name).read_bytes() == (parsed / name).read_bytes()
+
+
+def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Path) -> None:
+    """An unknown name, a frame past the end, a folder without shapes."""
+    recording = parsed.parent / "table.mcap"
+    (tmp_path / "empty").mkdir()
+    for shapes, more, told in [
+        (meshes, ("--objects", "cup"), "no shape 'cup'; there are box, mug"),
+        (meshes, ("--frames", "7"), "no depth frame 7"),
+        (tmp_path / "empty", (), "holds no meshes"),
+        (tmp_path / "nowhere", (), "no folder of shapes"),
+    ]:
+        result = parse(recording, shapes, tmp_path / "run", *more)
+        assert result.exit_code == 1
+        assert told in result.output
+        assert "Traceback" not in result.output
