@@ -149,26 +149,43 @@ def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: i
     return planes, model.variance_m2.ravel()[pixel], observed, rays
 
 
-def log_projected_density(
+def projected_scores(
     model: ModelImage,
     view: DepthView,
     noise: DepthNoise,
-    pose: jax.Array,
+    poses: jax.Array,
     stride_px: int,
     surface_sigma_m: float,
 ) -> jax.Array:
-    """Approximate log density of every `stride_px`-th pixel of a view at model_from_camera (7,).
+    """Scores (C,) of every `stride_px`-th pixel of a view at candidates model_from_camera (C, 7).
 
-    The reverse projection: a pixel is compared with the element that its own observed point falls on,
-    so the rendered depth depends on the observed one. It ranks candidates near one rendering; the
-    proposal may use it, the weights never do. The surface is blurred by `surface_sigma_m` so that a
-    coarse grid of candidates cannot step over a mode.
+    The reverse projection: a pixel is compared with the element that its own observed point falls on.
+    Its log factor is the larger one of the surface's Normal, blurred by `surface_sigma_m` so that a
+    coarse grid of candidates cannot step over a mode, and of an outlier; or that of a miss. It ranks
+    candidates near one rendering; the proposal may use it, the weights never do.
     """
-    planes, variance, observed, rays = associated(model, view, pose, stride_px)
-    depth, _ = depth_and_jacobian(planes, rays, pose)
-    measured = view.measured[::stride_px, ::stride_px].ravel()
-    sigma = jnp.sqrt(variance + surface_sigma_m**2)
-    return jnp.where(measured, depth_noise.log_density(noise, observed, depth, sigma), 0.0).sum()
+    rays = view.rays[:, ::stride_px, ::stride_px].reshape(3, -1)
+    observed = view.depth_m[::stride_px, ::stride_px].ravel()
+    points = rays * observed[None]
+    log_outlier = jnp.log(noise.outlier_probability / noise.max_range_m)
+    log_miss = jnp.log1p(-noise.none_miss_probability) - jnp.log(noise.max_range_m)
+    elements = jnp.concatenate([model.planes.reshape(3, -1), model.variance_m2.reshape(1, -1)]).T
+
+    def score(pose: jax.Array) -> jax.Array:
+        model_from_camera = jaxlie.SE3(pose)
+        rotation, translation = model_from_camera.rotation().as_matrix(), model_from_camera.translation()
+        pixel, inside = pixels_of(moved(rotation, translation, points), model.camera)
+        element = elements[pixel].T
+        height = 1.0 - dot(translation, element[:3])
+        slope = dot(element[:3], rotated(rotation, rays))
+        hit = inside & (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
+        depth = jnp.where(hit, height / jnp.where(hit, slope, 1.0), 0.0)
+        variance = element[3] + surface_sigma_m**2 + depth_noise.standard_deviation(noise, depth) ** 2
+        log_normal = -0.5 * ((observed - depth) ** 2 / variance + jnp.log(2.0 * jnp.pi * variance))
+        log_factor = jnp.where(hit, jnp.maximum(log_normal, log_outlier), log_miss)
+        return jnp.where(observed > NO_RETURN, log_factor, 0.0).sum()
+
+    return jax.vmap(score)(poses)
 
 
 def aligned(
