@@ -17,7 +17,12 @@ def describe(damage: Damage) -> str:
     """What was lost, in a few words."""
     if not damage:
         return "nothing lost" if damage.verified else "nothing lost as far as can be told"
-    return f"{damage.lost_chunks} chunks and at least {damage.lost_messages} messages lost"
+    lost = [
+        f"{count} {noun}{'s' * (count != 1)}"
+        for count, noun in ((damage.lost_chunks, "chunk"), (damage.lost_messages, "message"))
+        if count
+    ]
+    return f"at least {' and '.join(lost)} lost"
 
 
 def report_damage(path: Path, damage: Damage) -> int:

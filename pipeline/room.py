@@ -123,6 +123,8 @@ class _Cloud:
     def fused(self) -> tuple[NDArray[np.float32], NDArray[np.uint8] | None]:
         """Means over voxels that more than one point fell into."""
         points = np.concatenate(self._points)
+        if not len(points):
+            return points, None
         coloured = len(self._colours) == len(self._points)
         values = np.concatenate([points, np.concatenate(self._colours)], axis=1) if coloured else points
         cell = np.floor((points - points.min(axis=0)) / VOXEL_M).astype(np.int64)

@@ -20,6 +20,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -99,6 +100,9 @@ class RunFolder:
             settings: configuration dataclasses and plain values, by section of the settings file.
             inputs: hashes of what it is made from, by name; `fingerprint` gives those of other stages.
             notes: what else the record is to say, asked for when the value has been computed.
+
+        Raises:
+            PipelineError: the value cannot be written.
         """
         plain = plain_values(settings)
         fingerprint = _canonical_hash({"stage": name, "format": FORMAT, "settings": plain, "inputs": inputs})
@@ -110,7 +114,10 @@ class RunFolder:
             with timed() as timing, stdout_to_stderr():
                 value = compute()
             path.parent.mkdir(parents=True, exist_ok=True)
-            value.save(path)
+            try:
+                value.save(path)
+            except OSError as error:
+                raise PipelineError(f"cannot write {path}: {error.strerror or error}") from error
             record = StageRecord(
                 fingerprint=fingerprint,
                 value_hash=file_hash(path),
@@ -178,6 +185,7 @@ def open_run_folder(path: Path, inputs: Mapping[str, str], *, force: bool = Fals
             if any(path.iterdir()) and not marker.parent.is_dir():
                 raise PipelineError(f"{path} is not empty and not a run folder; name another with -o")
             held.enter_context(_held_alone(path))
+            held.push(partial(_remove_if_fruitless, path))
             marker.parent.mkdir(exist_ok=True)
             _remove_partial_files(path)
             made_from = _read_inputs(marker)
@@ -228,10 +236,19 @@ def _clear(path: Path) -> None:
             member.unlink()
 
 
+def _remove_if_fruitless(path: Path, kind: type[BaseException] | None, *_: object) -> None:
+    """Leave nothing of a run that failed before anything was committed; an interrupted one may go on."""
+    if kind is None or not issubclass(kind, Exception):
+        return
+    _remove_partial_files(path)
+    if {file.name for file in path.rglob("*") if file.is_file()} <= {"inputs.json", "log.txt"}:
+        shutil.rmtree(path, ignore_errors=True)
+
+
 def _remove_partial_files(path: Path) -> None:
     """Remove what a killed process did not finish to write."""
-    for partial in path.rglob(".*.partial*"):
-        partial.unlink()
+    for unfinished in path.rglob(".*.partial*"):
+        unfinished.unlink()
 
 
 def _canonical_hash(content: Any) -> str:
@@ -270,11 +287,19 @@ def _held_alone(path: Path) -> Iterator[None]:
 @contextmanager
 def _logging_to(path: Path) -> Iterator[None]:
     """Append the program's log to a file, without clock times."""
-    handler = logging.FileHandler(path, encoding="utf-8")
+    handler = _LogFile(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
     log.addHandler(handler)
     try:
         yield
     finally:
         log.removeHandler(handler)
-        handler.close()
+        with suppress(OSError):
+            handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log that a full disk does not turn into a failure: what matters is told elsewhere."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """Go on without the line."""

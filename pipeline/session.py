@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline.errors import PipelineError
 from pipeline.jax_setup import keep_compiled_kernels
 from pipeline.options import Common, Source
 from pipeline.publishing.publish import publish
@@ -33,13 +32,14 @@ class Session:
         recording: the frames.
     """
 
-    def __init__(self, common: Common, source: Source, run: RunFolder, recording_hash: str) -> None:
-        """Open the recording for a run folder that is held."""
+    def __init__(
+        self, common: Common, source: Source, run: RunFolder, recording: McapRecording, recording_hash: str
+    ) -> None:
+        """Work on an open recording in a run folder that is held."""
         self.common = common
         self.source = source
         self.run = run
-        self._reading = source.read_options(common.settings)
-        self.recording: McapRecording = open_recording(source.path, self._reading)
+        self.recording = recording
         self._recording_hash = recording_hash
 
     def key(self, stage: Stage) -> jax.Array:
@@ -65,7 +65,7 @@ class Session:
             settings: the stage's configuration, by section of the settings file.
             inputs: hashes of what else it is made from: `run.fingerprint` of the stages that it uses.
         """
-        general = {"recording": self._reading, "run": {"seed": self.common.seed}}
+        general = {"recording": self.recording.options, "run": {"seed": self.common.seed}}
         return self.run.stage(
             name,
             load,
@@ -96,10 +96,8 @@ def open_session(common: Common, source: Source, run_path: Path, *, force: bool 
         PipelineError: the run folder cannot be used, or a setting.
     """
     keep_compiled_kernels()
-    try:
-        recording_hash = file_hash(source.path)
-    except OSError as error:
-        raise PipelineError(f"cannot read {source.path}: {error.strerror or error}") from error
+    recording = open_recording(source.path, source.read_options(common.settings))
+    recording_hash = file_hash(source.path)
     with open_run_folder(run_path, {source.path.name: recording_hash}, force=force) as run:
-        yield Session(common, source, run, recording_hash)
+        yield Session(common, source, run, recording, recording_hash)
         publish(run)

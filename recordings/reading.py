@@ -65,7 +65,7 @@ class McapRecording:
         self.depth_topic = topic.name
         self.frame_id = topic.first.frame_id
         self.decoded = decoded
-        self._options = options
+        self.options = options
         self._uses_log_time = topic.first.stamp_ns == 0
         self._colour: ColourTopic | None = None
         cameras = recorded_cameras(decoded)
@@ -143,7 +143,7 @@ class McapRecording:
     def stamps_ns(self) -> Iterator[int]:
         """The stamps of the frames, without decoding their pixels."""
         messages = in_order_of_stamps(self._depth_messages(_ignore), leave_out=_ignore)
-        return (stamp_ns for stamp_ns, _ in selected(messages, self._options))
+        return (stamp_ns for stamp_ns, _ in selected(messages, self.options))
 
     def __iter__(self) -> Iterator[Frame]:
         """Every frame once, in the order of stamps."""
@@ -159,7 +159,7 @@ class McapRecording:
         messages = in_order_of_stamps(
             self._depth_messages(lose), leave_out=lambda _: lose("too late, or a stamp twice")
         )
-        for stamp_ns, message in selected(messages, self._options):
+        for stamp_ns, message in selected(messages, self.options):
             try:
                 depth_m = self._depth.depth(message)
             except UndecodableMessage as error:

@@ -70,6 +70,8 @@ class RecordingWriter:
         self._schemas: dict[MessageSchema, int] = {}
         self._sequences: Counter[str] = Counter()
         self._last_time_ns = 0
+        if self._path.exists() and not self._path.is_file():
+            raise RecordingError(f"cannot write {self._path}: it exists and is not a file")
         with self._reporting():
             self._file: BinaryIO = self._partial.open("wb")
             self._writer = Writer(

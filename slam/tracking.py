@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import jax
+import numpy as np
 
-from recordings.types import CameraIntrinsics, Frame
+from recordings.types import NO_RETURN, CameraIntrinsics, Frame
 from slam import filter as camera_filter
 from slam.config import SlamConfig
 from slam.depth_view import view_of_frame
@@ -38,9 +39,11 @@ def track(
         ValueError: there is no frame, or none with a return.
     """
     state: FilterState | None = None
+    has_return = False
     history = History()
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, frame in enumerate(frames):
+        has_return = has_return or bool(np.any(frame.depth_m != NO_RETURN))
         view = view_of_frame(frame, intrinsics)
         motion = odometry.register(frame) if odometry else None
         if state is None:
@@ -53,4 +56,6 @@ def track(
             on_frame(info)
     if state is None:
         raise ValueError("the recording has no depth frame")
+    if not has_return:
+        raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
     return history.result(state)

@@ -20,6 +20,8 @@ MAX_PIXELS = 1 << 26
 """Largest image that memory is taken for."""
 
 _SATURATED = 65535
+_FARTHEST_M = 1000.0
+"""No depth camera sees farther: some write the largest float, or such, where they measured nothing."""
 
 
 def stored_pixels(message: ImageMessage) -> NDArray[np.uint16] | NDArray[np.float32]:
@@ -58,8 +60,8 @@ def pixel_rows(message: ImageMessage, pixel_size: int) -> NDArray[np.uint8]:
 class MetricDepth:
     """Turns stored depths into float32 metres, with `NO_RETURN` for everything that measured nothing.
 
-    Zero, negative, NaN, infinite and saturated (65535) values measured nothing, nor did depths outside
-    the limits.
+    Zero, negative, NaN, infinite and saturated values (65535, a kilometre) measured nothing, nor did
+    depths outside the limits.
 
     Args:
         scale_m: metres for a stored 1; by default 0.001 for integers and 1 for floats.
@@ -80,7 +82,7 @@ class MetricDepth:
         kind = stored.dtype.kind
         depth_m = np.divide(stored, self._units_per_m[kind], dtype=np.float32)
         if kind == "f":
-            depth_m[~((depth_m > 0) & (depth_m < np.inf))] = NO_RETURN
+            depth_m[~((depth_m > 0) & (depth_m < _FARTHEST_M))] = NO_RETURN
         elif stored.max() == _SATURATED:
             depth_m[stored == _SATURATED] = NO_RETURN
         if self._is_limited:

@@ -37,7 +37,8 @@ def import_bag(source: Path, out: Path, progress: Callable[[int, int], None]) ->
     with _opened(source) as (bag, is_ros1):
         wanted = [c for c in bag.connections if _type(c) in READABLE_TYPES]
         if not wanted:
-            raise RecordingError(f"{source} holds no images, point clouds or poses")
+            types = ", ".join(sorted({_type(connection) for connection in bag.connections})) or "nothing"
+            raise RecordingError(f"{source} holds no images, point clouds or poses; it holds {types}")
         total = sum(connection.msgcount for connection in wanted)
         with RecordingWriter(out) as writer:
             for count, (connection, time_ns, data) in enumerate(bag.messages(connections=wanted), 1):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from recordings.errors import RecordingError
 from recordings.importers.bag import import_bag
 from recordings.importers.bop import read_bop
 from recordings.importers.dataset import Dataset, Intrinsics, write_dataset
@@ -45,8 +46,11 @@ def import_recording(
         Sentences on what was assumed or left out.
 
     Raises:
-        RecordingError: the source is missing, damaged or of another format, or `out` cannot be written.
+        RecordingError: the source is missing, damaged or of another format, or `out` cannot be written
+            or is the source.
     """
+    if out.exists() and source.exists() and out.samefile(source):
+        raise RecordingError(f"{out} is what is imported; name another file to write")
     if format_ == "bag":
         return import_bag(source, out, progress)
     dataset = DATASETS[format_](source, frames)

@@ -1,0 +1,218 @@
+"""What cannot be used ends in one clear line and the promised exit code, and leaves nothing behind."""
+
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from PIL import Image
+
+from pipeline.cli import voxscene
+from pipeline.options import Source
+from pipeline.session import open_session
+from slam.config import SlamConfig
+from slam.result import SlamResult
+from tests.pipeline.test_session import Tracker, common
+from tests.recordings.samples import SECOND_NS, Scribe, camera_info, image, transform
+
+K = (35.0, 36.0, 18.5, 15.25)
+MILLIMETRES = np.random.default_rng(11).integers(500, 4000, (30, 40)).astype(np.uint16)
+RGB = np.random.default_rng(12).integers(0, 255, (30, 40, 3)).astype(np.uint8)
+
+Write = Callable[[Scribe, int], None]
+
+
+def depth(
+    topic: str = "/c/depth", pixels: np.ndarray = MILLIMETRES, encoding: str = "16UC1", **fields
+) -> Write:
+    """Writes one depth image."""
+    return lambda scribe, stamp: scribe.ros2(topic, image(stamp, encoding, pixels, **fields), stamp)
+
+
+def both(*writes: Write) -> Write:
+    """Writes several messages."""
+
+    def write(scribe: Scribe, stamp: int) -> None:
+        for one in writes:
+            one(scribe, stamp)
+
+    return write
+
+
+def pose(scribe: Scribe, stamp: int) -> None:
+    """Writes where the camera was."""
+    scribe.ros2("/tf", transform(stamp, "map", "camera"), stamp)
+
+
+def colour(scribe: Scribe, stamp: int) -> None:
+    """Writes a colour image."""
+    scribe.ros2("/c/colour", image(stamp, "rgb8", RGB), stamp)
+
+
+def unknown(scribe: Scribe, stamp: int) -> None:
+    """Writes a message of a type that nobody knows."""
+    scribe.raw("/x", ("acme/msg/Depth", "ros2msg", b"uint8 a"), "cdr", b"\0\1\0\0\5", stamp)
+
+
+NO_RECORDING = {
+    "missing": (None, "No such file"),
+    "empty": (b"", "is empty"),
+    "text": (b"hello there, no recording", "not an MCAP file"),
+    "first byte": (b"\x89", "not an MCAP file"),
+}
+"""Content of a file, and what is said of it by any command."""
+RECORDINGS: dict[str, tuple[Write, int, str]] = {
+    "no depth": (pose, 0, "has no depth; its topics: /c/camera_info, /tf"),
+    "colour only": (colour, 0, "has no depth; its topics: /c/camera_info, /c/colour"),
+    "unknown schema": (unknown, 0, "has no depth; its topics: /c/camera_info, /x"),
+    "two depth topics": (both(depth(), depth("/e/depth")), 1, "2 depth topics: /c/depth, /e/depth; choose"),
+    "size over the data": (depth(height=300), 1, "no message can be used"),
+    "another camera's size": (
+        depth(pixels=np.full((64, 40), 900, np.uint16)),
+        0,
+        "its camera is for images of 40x30",
+    ),
+    "all zeros": (depth(pixels=MILLIMETRES * 0), 0, "no depth frame has a return"),
+    "all NaN": (
+        depth(pixels=np.full((30, 40), np.nan, "f4"), encoding="32FC1"),
+        0,
+        "no depth frame has a return",
+    ),
+}
+"""How a recording is written, the exit code of info, and what slam says."""
+
+
+def run(*arguments: object) -> Result:
+    """The command line, in this process."""
+    return CliRunner().invoke(voxscene, [str(argument) for argument in arguments])
+
+
+def assert_one_line(result: Result, line: str) -> None:
+    """Exit code 1, and one line on stderr that holds `line`."""
+    assert result.exit_code == 1, result.output
+    assert isinstance(result.exception, SystemExit)
+    assert result.stdout == ""
+    assert result.stderr.startswith("voxscene: ")
+    assert line in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def write(path: Path, message: Write, frames: int = 3) -> Path:
+    """A recording with a camera, 0.1 s between its messages."""
+    with Scribe(path) as scribe:
+        for stamp in range(SECOND_NS, SECOND_NS + frames * SECOND_NS // 10, SECOND_NS // 10):
+            scribe.ros2("/c/camera_info", camera_info(stamp, (40, 30), K), stamp)
+            message(scribe, stamp)
+    return path
+
+
+@contextmanager
+def file_size_limit(size: int) -> Iterator[None]:
+    """Writing a file beyond this many bytes fails as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("command", ["info", "slam"])
+@pytest.mark.parametrize("kind", NO_RECORDING)
+def test_what_is_no_recording_is_said_to_be_none(kind: str, command: str, tmp_path: Path) -> None:
+    """By every command, before it makes anything."""
+    content, line = NO_RECORDING[kind]
+    path = tmp_path / "r.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    output = ["-o", tmp_path / "run"] if command == "slam" else []
+    assert_one_line(run(command, path, *output), line)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("kind", RECORDINGS)
+def test_recordings_without_usable_depth(kind: str, tmp_path: Path) -> None:
+    """Info says what is there; slam says what is missing, and leaves no run folder."""
+    message, info_code, line = RECORDINGS[kind]
+    path = write(tmp_path / "r.mcap", message)
+    told = run("info", path)
+    assert told.exit_code == info_code, told.output
+    assert_one_line(run("slam", path, "-o", tmp_path / "run", "--quiet"), line)
+    assert [file.name for file in tmp_path.iterdir()] == ["r.mcap"]
+
+
+def test_one_frame_is_a_recording(tmp_path: Path) -> None:
+    """Its camera is where the run's frame of reference is."""
+    path = write(tmp_path / "r.mcap", depth(pixels=np.full((30, 40), 900, np.uint16)), frames=1)
+    result = run("slam", path, "-o", tmp_path / "run", "--quiet")
+    assert result.exit_code == 0, result.output
+    (line,) = (tmp_path / "run" / "trajectory.tum").read_text().splitlines()
+    np.testing.assert_allclose(np.array(line.split(), float), [1, 0, 0, 0, 0, 0, 0, 1], atol=1e-9)
+
+
+def test_output_that_cannot_be_written(tmp_path: Path) -> None:
+    """A file where a folder should be, a folder that is not there, something that is no file."""
+    recording = write(tmp_path / "r.mcap", depth())
+    (tmp_path / "file").touch()
+    assert_one_line(run("slam", recording, "-o", tmp_path / "file" / "run"), "cannot use")
+    source = seven_scenes(tmp_path / "source")
+    for out, line in {
+        tmp_path / "none" / "o.mcap": "No such file or directory",
+        tmp_path / "file" / "o.mcap": "Not a directory",
+        Path("/dev/null"): "it exists and is not a file",
+    }.items():
+        assert_one_line(run("import", "7scenes", source, out), line)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["file", "r.mcap", "source"]
+
+
+def test_a_recording_is_not_imported_over_itself(tmp_path: Path) -> None:
+    """Under whatever name."""
+    path = write(tmp_path / "r.mcap", depth())
+    (tmp_path / "same.mcap").symlink_to(path)
+    content = path.read_bytes()
+    for out in (path, tmp_path / "same.mcap"):
+        assert_one_line(run("import", "bag", path, out), "is what is imported")
+    assert path.read_bytes() == content
+
+
+def test_a_full_disk_leaves_no_recording(tmp_path: Path) -> None:
+    """Neither whole nor partial."""
+    source = seven_scenes(tmp_path / "source")
+    with file_size_limit(4000):
+        result = run("import", "7scenes", source, tmp_path / "o.mcap", "--quiet")
+    assert_one_line(result, f"cannot write {tmp_path / 'o.mcap'}: File too large")
+    assert [file.name for file in tmp_path.iterdir()] == ["source"]
+
+
+@pytest.mark.parametrize("size", [0, 200, 2000])
+def test_a_full_disk_leaves_no_run(
+    size: int, mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Whichever file of it does not fit; the same command works once there is room."""
+    from pipeline.errors import PipelineError
+
+    tracker = Tracker(true_trajectory)
+
+    def work() -> None:
+        with open_session(common(), Source(path=mug_file, said={}), tmp_path / "run") as session:
+            tracker.stage(session, SlamConfig(particles=3))
+
+    with pytest.raises(PipelineError, match="File too large") as caught, file_size_limit(size):
+        work()
+    assert str(tmp_path) in str(caught.value)
+    assert not (tmp_path / "run").exists()
+    work()
+    assert (tmp_path / "run" / "trajectory.tum").exists()
+
+
+def seven_scenes(folder: Path) -> Path:
+    """Three depth images of noise that pack into some ten kilobytes."""
+    folder.mkdir()
+    rng = np.random.default_rng(5)
+    for number in range(3):
+        pixels = rng.integers(500, 4000, (48, 64)).astype(np.uint16)
+        Image.fromarray(pixels).save(folder / f"frame-{number:06d}.depth.png")
+    return folder
