@@ -21,6 +21,7 @@ COMMANDS = (
     "run",
     "review",
     "eval",
+    "bench",
     "doctor",
 )
 """Subcommands in the order of a user's work."""

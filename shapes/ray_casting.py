@@ -51,6 +51,16 @@ class PosedObjects:
         return len(self.object_index)
 
 
+def in_single_precision(posed: PosedObjects, cameras: Camera) -> tuple[PosedObjects, Camera]:
+    """The same in int32 and float32, as kernels want them, whatever precision chains run in."""
+    posed = PosedObjects(
+        jnp.asarray(posed.object_index, jnp.int32),
+        jnp.asarray(posed.camera_from_object, jnp.float32),
+        jnp.asarray(posed.camera_index, jnp.int32),
+    )
+    return posed, jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cameras)
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TileRays:
@@ -187,7 +197,7 @@ def cast(table: jax.Array, rays: TileRays, free: jax.Array) -> jax.Array:
         return (count < MOST_STEPS) & (~arrived & (s <= leave)).any()
 
     first = jnp.maximum(free[:, None], enter)
-    _, s, arrived = jax.lax.while_loop(marching, advance, (0, first, jnp.zeros(first.shape, bool)))
+    _, s, arrived = jax.lax.while_loop(marching, advance, (jnp.int32(0), first, jnp.zeros(first.shape, bool)))
     hit = arrived & (s <= leave) & jnp.isfinite(s)
     return jnp.where(hit, rays.reference_m + s, jnp.inf)
 

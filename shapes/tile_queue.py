@@ -17,7 +17,7 @@ import numpy as np
 
 from shapes.camera import Camera
 from shapes.object_library import ObjectLibrary
-from shapes.ray_casting import NEAREST_M, PosedObjects, cast, free_depth, tile_rays
+from shapes.ray_casting import NEAREST_M, PosedObjects, cast, free_depth, in_single_precision, tile_rays
 from shapes.tiles import TILE, tile_counts
 
 BLOCK = 2048
@@ -73,6 +73,7 @@ def for_each_block(
             pixels in a tiled image, depth_m (B, TILE_PIXELS) and valid (B,) False for padding.
         carry: its first value.
     """
+    posed, cameras = in_single_precision(posed, cameras)
     candidates = _candidates(library, posed, cameras, height, width)
     total = candidates.end[-1]
     across = tile_counts(height, width)[1]
@@ -84,7 +85,7 @@ def for_each_block(
     def drain(state: tuple) -> tuple:
         following, queue, carry = state
         start = jnp.maximum(queue.count - BLOCK, 0)
-        valid = jnp.arange(BLOCK) < queue.count
+        valid = jnp.arange(BLOCK, dtype=jnp.int32) < queue.count
         view, row, column, free = (
             jax.lax.dynamic_slice(array, (start,), (BLOCK,))
             for array in (queue.view, queue.row, queue.column, queue.free)
@@ -108,7 +109,7 @@ def for_each_block(
 
 def _appended(library, posed, cameras, candidates, following, queue) -> _Queue:
     """The queue with those of the next candidates that the distance field does not prove empty."""
-    number = following + jnp.arange(CANDIDATES)
+    number = following + jnp.arange(CANDIDATES, dtype=jnp.int32)
     view = jnp.searchsorted(candidates.end, number, side="right").astype(jnp.int32)
     known = view < len(posed)
     view = jnp.minimum(view, len(posed) - 1)
@@ -118,7 +119,7 @@ def _appended(library, posed, cameras, candidates, following, queue) -> _Queue:
     column = candidates.first_column[view] + local % columns
     free = free_depth(library.table, tile_rays(library, posed, cameras, view, row, column))
     touched = known & jnp.isfinite(free)
-    place = jnp.where(touched, queue.count + jnp.cumsum(touched) - 1, BLOCK + CANDIDATES)
+    place = jnp.where(touched, queue.count + jnp.cumsum(touched, dtype=jnp.int32) - 1, BLOCK + CANDIDATES)
 
     def put(array: jax.Array, values: jax.Array) -> jax.Array:
         return array.at[place].set(values, mode="drop")
@@ -137,14 +138,15 @@ def _candidates(
 ) -> _Candidates:
     """The tiles under the projected bounding box of each posed object, cut at the image's border."""
     low, high, seen = pixel_bounds(library, posed, cameras)
-    limit = jnp.array([[width - 1.0, height - 1.0]])
+    limit = jnp.array([[width - 1.0, height - 1.0]], jnp.float32)
     first = jnp.clip(jnp.ceil(low), 0.0, limit + 1)
     last = jnp.clip(jnp.floor(high), -1.0, limit)
     seen = seen & (first <= last).all(axis=1)
     first = (first / TILE).astype(jnp.int32)
     count = (last / TILE).astype(jnp.int32) - first + 1
     count = jnp.where(seen[:, None], count, 0)
-    return _Candidates(first[:, 1], first[:, 0], count[:, 0], jnp.cumsum(count[:, 0] * count[:, 1]))
+    end = jnp.cumsum(count[:, 0] * count[:, 1], dtype=jnp.int32)
+    return _Candidates(first[:, 1], first[:, 0], count[:, 0], end)
 
 
 def pixel_bounds(
@@ -154,6 +156,7 @@ def pixel_bounds(
 
     Where the box reaches behind the camera the bounds are infinite.
     """
+    posed, cameras = in_single_precision(posed, cameras)
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), np.float32).reshape(3, 8)
     model = posed.object_index
     corner = library.centre_m[model][:, :, None] + library.half_extent_m[model][:, :, None] * signs[None]

@@ -69,11 +69,11 @@ class PixelTerms:
 
     def scores(self) -> jax.Array:
         """Gradients (6, n) of the log factors."""
-        return self.jacobian * (self.weight * self.residual)
+        return self.jacobian * (self.weight * self.residual)[None]
 
     def precision(self) -> jax.Array:
         """Gauss-Newton curvature (6, 6) of minus the log density."""
-        return (self.jacobian * self.weight) @ self.jacobian.T
+        return (self.jacobian * self.weight[None]) @ self.jacobian.T
 
     def step(self, prior_precision: jax.Array, prior_gradient: jax.Array) -> jax.Array:
         """The Newton step (6,) with a Gaussian prior of given precision (6, 6) and gradient (6,) here."""
@@ -102,8 +102,8 @@ def depth_and_jacobian(planes: jax.Array, rays: jax.Array, pose: jax.Array) -> t
     ahead = (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
     safe_slope = jnp.where(ahead, slope, 1.0)
     depth = jnp.where(ahead, height / safe_slope, 0.0)
-    jacobian = jnp.concatenate([-normals, -depth * cross(rays, normals)]) / safe_slope
-    return jnp.where(ahead, depth, jnp.inf), jnp.where(ahead, jacobian, 0.0)
+    jacobian = jnp.concatenate([-normals, -depth[None] * cross(rays, normals)]) / safe_slope[None]
+    return jnp.where(ahead, depth, jnp.inf), jnp.where(ahead[None], jacobian, 0.0)
 
 
 def pixel_terms(
@@ -143,9 +143,11 @@ def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: i
     rays = view.rays[:, ::stride_px, ::stride_px].reshape(3, -1)
     observed = view.depth_m[::stride_px, ::stride_px].ravel()
     model_from_camera = jaxlie.SE3(pose)
-    points = moved(model_from_camera.rotation().as_matrix(), model_from_camera.translation(), rays * observed)
+    points = moved(
+        model_from_camera.rotation().as_matrix(), model_from_camera.translation(), rays * observed[None]
+    )
     pixel, inside = pixels_of(points, model.camera)
-    planes = jnp.where(inside, model.planes.reshape(3, -1)[:, pixel], 0.0)
+    planes = jnp.where(inside[None], model.planes.reshape(3, -1)[:, pixel], 0.0)
     return planes, model.variance_m2.ravel()[pixel], observed, rays
 
 

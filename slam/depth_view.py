@@ -95,23 +95,25 @@ def block_reduce(depth_m: jax.Array, factor: int) -> jax.Array:
 def tangent_planes(depth_m: jax.Array, rays: jax.Array, camera: Camera) -> jax.Array:
     """Plane vectors (3, H, W) through each measured point, oriented by its window; zeros elsewhere.
 
-    In a pinhole image of a plane, inverse depth is affine in the pixel, 1/z = N . d, so the slopes of N
-    are a least-squares fit over the window's pixels that lie on the same surface. A second pass drops
-    the pixels that the first plane does not explain, which keeps creases sharp.
+    In a pinhole image of a plane, inverse depth is affine in the pixel, 1/z = N . d, so N is a
+    least-squares fit over the window's pixels that lie on the same surface. A second pass drops the
+    pixels that the first plane does not explain, which keeps creases sharp. Only the orientation is
+    smoothed: planes that do not pass through their points round the creases (measured: millimetres).
     """
     known = depth_m > NO_RETURN
     inverse_depth = jnp.where(known, 1.0 / jnp.where(known, depth_m, 1.0), 0.0)
-    slopes = jnp.zeros((2, *depth_m.shape), depth_m.dtype)
+    fit = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
     for band in PLANE_DEPTH_BANDS:
-        slopes = _window_slopes(inverse_depth, slopes, camera, band)
-    offset = inverse_depth - slopes[0] * rays[0] - slopes[1] * rays[1]
-    return jnp.where(known, jnp.stack([slopes[0], slopes[1], offset]), 0.0)
+        fit = _window_fit(inverse_depth, fit, camera, band)
+    slope_x, slope_y, _ = fit
+    offset = inverse_depth - slope_x * rays[0] - slope_y * rays[1]
+    return jnp.where(known[None], jnp.stack([slope_x, slope_y, offset]), 0.0)
 
 
-def _window_slopes(inverse_depth: jax.Array, slopes: jax.Array, camera: Camera, band: float) -> jax.Array:
-    """Slopes (2, H, W) of inverse depth over the ray's x and y, from neighbours within `band` of a plane.
+def _window_fit(inverse_depth: jax.Array, fit: jax.Array, camera: Camera, band: float) -> jax.Array:
+    """Slopes of inverse depth over the ray's x and y, and its rise over the pixel itself (3, H, W).
 
-    The plane passes through the pixel with the given `slopes`; `band` is relative to inverse depth.
+    Neighbours count that lie within `band`, relative to inverse depth, of the given `fit`.
     """
     radius, shape = PLANE_WINDOW_RADIUS_PX, inverse_depth.shape
     padded = jnp.pad(inverse_depth, radius)
@@ -123,7 +125,7 @@ def _window_slopes(inverse_depth: jax.Array, slopes: jax.Array, camera: Camera, 
         y = (row - radius).astype(inverse_depth.dtype) * spacing_y
         neighbour = jax.lax.dynamic_slice(padded, (row, column), shape)
         rise = neighbour - inverse_depth
-        off_plane = jnp.abs(rise - slopes[0] * x - slopes[1] * y)
+        off_plane = jnp.abs(rise - fit[2] - fit[0] * x - fit[1] * y)
         weight = jnp.where((neighbour > 0) & (off_plane <= band * inverse_depth), 1.0, 0.0)
         weighted_rise = weight * rise
         terms = [weight, weight * x, weight * y, weight * (x * x), weight * (x * y), weight * (y * y)]
@@ -135,4 +137,6 @@ def _window_slopes(inverse_depth: jax.Array, slopes: jax.Array, camera: Camera, 
     x, y, xx, xy, yy, w, xw, yw = moments[1:] / jnp.maximum(moments[:1], 1.0)
     xx, xy, yy = xx - x * x + 1e-3 * spacing_x**2, xy - x * y, yy - y * y + 1e-3 * spacing_y**2
     xw, yw = xw - x * w, yw - y * w
-    return jnp.stack([yy * xw - xy * yw, xx * yw - xy * xw]) / (xx * yy - xy * xy)
+    determinant = xx * yy - xy * xy
+    slope_x, slope_y = (yy * xw - xy * yw) / determinant, (xx * yw - xy * xw) / determinant
+    return jnp.stack([slope_x, slope_y, w - slope_x * x - slope_y * y])

@@ -58,6 +58,7 @@ class FilterState:
         motion: prior over motion.
         times_ns: stamps of the last two frames.
         last_found: (7,) mean pose of the last frame that was found.
+        was_lost: whether the last frame was not.
     """
 
     population: smc.Population
@@ -66,6 +67,7 @@ class FilterState:
     motion: MotionPrior
     times_ns: tuple[int, int]
     last_found: jax.Array
+    was_lost: bool
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ class FrameInfo:
     Attributes:
         anchor: index of a keyframe.
         relative_poses: (K, 7) anchor_from_camera, each particle's draw.
-        relative_means: (K, 7) the same, centres of the components that the draws came from.
+        relative_means: (K, 7) the same, centres of the components that the draws came from; the pose last
+            found where the frame is lost, so that its spread outlives the particles.
         component: (K,) which component that was.
         component_covariances: (J, 6, 6) of the draws around their centres, camera chart.
         log_weights: (K,) normalised, after this frame.
@@ -124,6 +127,7 @@ def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState
         motion=motion,
         times_ns=(time_ns, time_ns),
         last_found=jnp.asarray(IDENTITY, jnp.float32),
+        was_lost=False,
     )
     return state, _first_frame_info(config.particles)
 
@@ -187,7 +191,7 @@ def step(
         config.ess_threshold,
     )
     lost = found[0].group < 0
-    moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns))
+    moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
     if not lost:
         moved = _with_frame_in_map(moved, view, found)
     return moved, _frame_info(moved, info, proposed, components, found, lost)
@@ -225,13 +229,13 @@ def _found(
 ) -> list[Located]:
     """Optima worth proposing, the best first; a single one of group -1 where the camera is lost.
 
-    Each group of particles looks near its own prediction. Where none finds a convincing place, the
-    heaviest looks everywhere, for all particles.
+    Each group of particles looks near its own prediction. Where none finds a convincing place, or the
+    camera was lost and predictions mean little, all look where it was last found, and everywhere.
     """
     particles: CameraParticles = state.population.particles
     searcher = Searcher(state.keyframe_map, view, state.calibration.noise, config.keyframes_compared)
     found = []
-    for group in range(groups.max() + 1):
+    for group in range(0 if state.was_lost else groups.max() + 1):
         group_map = _group_map(state, np.where(groups == group, weights, 0.0), group)
         last = _mean(particles.pose, group_map.weights)[0]
         starts = [] if odometry is None else [poses_of(matrices_of(last) @ odometry)]
@@ -242,6 +246,7 @@ def _found(
     if not convincing:
         everyone = _group_map(state, weights, 0)
         distances = np.asarray(enumeration.ORBIT_DISTANCES) * _central_depth(view)
+        found.append(searcher.near(everyone, [state.last_found]))
         found += searcher.anywhere(everyone, state.last_found, distances)
         convincing = [replace(located, group=0) for located in found]
     kept = worth_keeping(convincing, state.calibration.exponent)
@@ -324,13 +329,18 @@ def _frame_info(
     particles: CameraParticles = state.population.particles
     anchor = int(found[0].indices[0])
     anchors = particles.keyframe_poses[:, anchor]
-    scales = np.zeros_like(components.scale) if lost else np.asarray(components.scale)
+    means, scales = proposed.conditional_mean, np.asarray(components.scale)
+    covariances = scales @ scales.transpose(0, 2, 1)
+    if lost:
+        means = jnp.tile(state.last_found, (len(anchors), 1))
+        spread = _spread_around(state.last_found, proposed.pose, state.population.log_weights)
+        covariances = np.tile(spread, (len(scales), 1, 1))
     return FrameInfo(
         anchor=anchor,
         relative_poses=np.asarray(_relative(anchors, proposed.pose)),
-        relative_means=np.asarray(_relative(anchors, proposed.conditional_mean)),
+        relative_means=np.asarray(_relative(anchors, means)),
         component=np.asarray(proposed.component),
-        component_covariances=scales @ scales.transpose(0, 2, 1),
+        component_covariances=covariances,
         log_weights=np.asarray(state.population.log_weights),
         ancestors=np.asarray(info.ancestors),
         log_evidence=float(info.log_evidence),
@@ -352,6 +362,13 @@ def _relative(anchors: jax.Array, poses: jax.Array) -> jax.Array:
         return (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz
 
     return jax.vmap(one)(anchors, poses)
+
+
+@jax.jit
+def _spread_around(centre: jax.Array, poses: jax.Array, log_weights: jax.Array) -> jax.Array:
+    """Second moment (6, 6) of weighted poses (K, 7) in the chart at `centre` (7,)."""
+    tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(centre, poses)
+    return jnp.einsum("k,ki,kj->ij", jnp.exp(log_weights), tangents, tangents)
 
 
 def _with_room(state: FilterState) -> FilterState:

@@ -57,6 +57,6 @@ def fused(surface: Surface, frame: DepthView, keyframe_from_camera: jax.Array, n
     return replace(
         surface,
         depth_m=refined.reshape(shape),
-        planes=surface.planes * scale.reshape(shape),
+        planes=surface.planes * scale.reshape(shape)[None],
         variance_m2=jnp.maximum((1.0 - share) * variance, jnp.minimum(floor, variance)).reshape(shape),
     )

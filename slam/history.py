@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from scipy.special import logsumexp
 
 from slam.filter import FilterState, FrameInfo
 from slam.particles import CameraParticles, mean_and_covariance
@@ -35,6 +36,7 @@ class History:
         """
         particles: CameraParticles = state.population.particles
         count = len(state.population.log_weights)
+        log_weights = np.asarray(state.population.log_weights, np.float64)
         lineage = np.arange(count)
         draws = np.empty((count, len(self.frames), 7), np.float32)
         means = np.empty_like(draws)
@@ -51,7 +53,7 @@ class History:
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
             trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
-            log_weights=np.asarray(state.population.log_weights, np.float64),
+            log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
             covariance=np.asarray(covariance, np.float64),
             ess=np.asarray([info.ess for info in self.frames]),
@@ -62,8 +64,11 @@ class History:
         )
 
 
+@jax.jit
 def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
-    return (jaxlie.SE3(anchors) @ jaxlie.SE3(relative)).wxyz_xyz
+    """Products (K, T, 7) of poses (K, T, 7)."""
+    product = jax.vmap(jax.vmap(lambda anchor, pose: (jaxlie.SE3(anchor) @ jaxlie.SE3(pose)).wxyz_xyz))
+    return product(anchors, relative)
 
 
 @jax.jit

@@ -33,15 +33,14 @@ class Surface:
 
     def points(self) -> jax.Array:
         """(3, H, W) in the keyframe's frame; the origin where unknown."""
-        return self.rays * self.depth_m
+        return self.rays * self.depth_m[None]
 
 
 def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     """The surface that a single view shows."""
-    sigma = depth_noise.standard_deviation(noise, view.depth_m)
-    return Surface(
-        view.depth_m, tangent_planes(view.depth_m, view.rays, view.camera), sigma**2, view.rays, view.camera
-    )
+    planes = tangent_planes(view.depth_m, view.rays, view.camera)
+    variance = depth_noise.standard_deviation(noise, view.depth_m) ** 2
+    return Surface(view.depth_m, planes, variance, view.rays, view.camera)
 
 
 def with_planes_refitted(surface: Surface) -> Surface:

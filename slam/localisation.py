@@ -175,9 +175,9 @@ def optimum_at(local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: ja
     log_density = log_image_density(
         pixels, local_map.keyframes_from_camera(optimum), noise, jnp.ones((), pose.dtype)
     )
-    shares = pixels.weights * lattice_variance
+    shares = pixels.weights * lattice_variance[None]
     layer_precisions = jnp.stack(
-        [(terms.jacobian * terms.weight * share) @ terms.jacobian.T for share in shares]
+        [(terms.jacobian * (terms.weight * share)[None]) @ terms.jacobian.T for share in shares]
     )
     depth_bin = jnp.searchsorted(jnp.asarray(BIN_EDGES_M[1:-1], jnp.float32), pixels.observed_m)
     in_bin = jax.nn.one_hot(depth_bin, len(BIN_EDGES_M) - 1)
@@ -231,7 +231,7 @@ def log_map_scores(
         for index in range(len(local_map.present)):
             keyframe = jax.tree.map(lambda leaf, index=index: leaf[index], local_map.surfaces)
             relative = jaxlie.SE3(local_map.poses[index]).inverse() @ camera
-            points = moved(relative.rotation().as_matrix(), relative.translation(), rays * depth)
+            points = moved(relative.rotation().as_matrix(), relative.translation(), rays * depth[None])
             pixel, inside = pixels_of(points, keyframe.camera)
             nearness = dot(keyframe.planes.reshape(3, -1)[:, pixel], points)
             known = inside & (nearness > 0) & local_map.present[index]

@@ -16,13 +16,15 @@ from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH
 from slam.keyframes import Surface
 
 NEAREST_DEPTH_M = 0.05
-DEPTH_STEP_M = 0.001
-"""Resolution of the depth buffer; it decides which element is in front, never its rendered depth."""
 ONE_SURFACE_BAND = 0.03
 """Relative depth within which the elements of several keyframes are one surface and are fused."""
 LEAST_INVERSE_DEPTH = 1e-4
 PIXELS = CANVAS_HEIGHT * CANVAS_WIDTH
-MAX_STEPS = (2**31 - 1) // PIXELS - 1
+VISIBILITY_BAND = 0.1
+"""Relative depth within which elements of one keyframe do not hide each other."""
+INDEX_RANGE = 1 << 15
+DEPTH_BINS = 255
+OFF_CENTRE_STEPS = 255
 
 
 @jax.tree_util.register_dataclass
@@ -49,9 +51,8 @@ def planes_in_frame(planes: jax.Array, source_from_target: jax.Array) -> jax.Arr
     pose = jaxlie.SE3(source_from_target)
     offset = 1.0 - dot(pose.translation(), planes)
     facing = offset > 1e-6
-    return jnp.where(
-        facing, rotated(pose.rotation().as_matrix().T, planes) / jnp.where(facing, offset, 1.0), 0.0
-    )
+    turned = rotated(pose.rotation().as_matrix().T, planes)
+    return jnp.where(facing[None], turned / jnp.where(facing, offset, 1.0)[None], 0.0)
 
 
 def depth_on_rays(planes: jax.Array, rays: jax.Array) -> jax.Array:
@@ -77,13 +78,29 @@ def visible_elements(surface: Surface, camera_from_keyframe: jax.Array, camera: 
     points = moved(pose.rotation().as_matrix(), pose.translation(), surface.points().reshape(3, -1))
     pixel, inside = pixels_of(points, camera)
     drawn = inside & (surface.depth_m.ravel() > 0)
-    steps = jnp.clip((points[2] / DEPTH_STEP_M).astype(jnp.int32), 0, MAX_STEPS)
-    order = steps * PIXELS + jnp.arange(PIXELS, dtype=jnp.int32)
+    order = _drawing_order(points, pixel, camera)
     empty = jnp.iinfo(jnp.int32).max
     front = jnp.full(PIXELS, empty, jnp.int32)
     front = front.at[jnp.where(drawn, pixel, PIXELS)].min(order, mode="drop")
     front = _fill_gaps(front.reshape(CANVAS_HEIGHT, CANVAS_WIDTH), empty)
-    return jnp.where(front < empty, front % PIXELS, -1)
+    return jnp.where(front < empty, front & (INDEX_RANGE - 1), -1)
+
+
+def _drawing_order(points: jax.Array, pixel: jax.Array, camera: Camera) -> jax.Array:
+    """Rank (n,) int32 of points (3, n) within their pixels: nearer first, then nearer the pixel's centre.
+
+    Depth counts in steps of `VISIBILITY_BAND`: of the elements of one surface, the one whose noise
+    brings it nearest must not win, or every rendered surface would stand too near. The low bits are the
+    element's index.
+    """
+    depth = jnp.maximum(points[2], NEAREST_DEPTH_M)
+    steps = jnp.log(depth / NEAREST_DEPTH_M) / jnp.log1p(VISIBILITY_BAND)
+    depth_bin = jnp.clip(steps.astype(jnp.int32), 0, DEPTH_BINS)
+    off_x = camera.fx * points[0] / depth + camera.cx - (pixel % CANVAS_WIDTH)
+    off_y = camera.fy * points[1] / depth + camera.cy - (pixel // CANVAS_WIDTH)
+    off_centre = (OFF_CENTRE_STEPS * jnp.clip(2.0 * (off_x**2 + off_y**2), 0.0, 1.0)).astype(jnp.int32)
+    ranks = (depth_bin * (OFF_CENTRE_STEPS + 1) + off_centre) * INDEX_RANGE
+    return ranks + jnp.arange(PIXELS, dtype=jnp.int32)
 
 
 def _fill_gaps(front: jax.Array, empty: int) -> jax.Array:
@@ -113,7 +130,7 @@ def render(
         seen_element = visible_elements(surface, inverse, camera)
         seen = (seen_element >= 0) & present[index]
         element = jnp.maximum(seen_element, 0)
-        layer_planes = jnp.where(seen, surface.planes.reshape(3, -1)[:, element], 0.0)
+        layer_planes = jnp.where(seen[None], surface.planes.reshape(3, -1)[:, element], 0.0)
         layer_weights = jnp.where(seen, 1.0 / surface.variance_m2.ravel()[element], 0.0)
         depth = depth_on_rays(planes_in_frame(layer_planes, keyframes_from_camera[index]), rays)
         planes.append(layer_planes)
@@ -133,5 +150,5 @@ def fused_planes(image: MapImage, keyframes_from_camera: jax.Array) -> tuple[jax
     total = layer_sum(image.weights)
     safe_total = jnp.where(total > 0, total, 1.0)
     moved_planes = [planes_in_frame(image.planes[i], keyframes_from_camera[i]) for i in layers]
-    weighted = reduce(add, [image.weights[i] * moved_planes[i] for i in layers])
-    return weighted / safe_total, 1.0 / safe_total
+    weighted = reduce(add, [image.weights[i][None] * moved_planes[i] for i in layers])
+    return weighted / safe_total[None], 1.0 / safe_total

@@ -78,9 +78,8 @@ def read_bare(path: Path, *, metres: bool = False) -> int:
         reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
         for *_, message in reader.iter_decoded_messages(topics=[DEPTH_TOPIC]):
             if metres:
-                np.frombuffer(message.data, "<u2").reshape(message.height, message.width).astype(
-                    np.float32
-                ) / 1000
+                stored = np.frombuffer(message.data, "<u2").reshape(message.height, message.width)
+                np.divide(stored, 1000, dtype=np.float32)
             count += 1
     return count
 

@@ -1,0 +1,12 @@
+"""`voxscene bench`: measurements beside peers, printed as tables."""
+
+from __future__ import annotations
+
+from pipeline.cli import LazyGroup
+
+command = LazyGroup(
+    name="bench",
+    package="pipeline.commands.benches",
+    members=("speed",),
+    help="Measure speed and accuracy beside peers.",
+)

@@ -1,0 +1,63 @@
+"""`voxscene bench speed`: hypotheses rendered and scored a second. Runs with jax, numpy and click alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from pipeline.options import Common, common_options
+
+
+@click.command(name="speed")
+@common_options()
+def command(common: Common) -> None:
+    """Hypotheses rendered and scored a second, by image side, objects and voxels; Embree beside it.
+
+    Random distinct poses, results consumed; compile time apart. The object's circle spans a third of the
+    image's side. Takes about two minutes.
+    """
+    from pipeline.jax_setup import keep_compiled_kernels
+
+    keep_compiled_kernels()
+    from pipeline.benchmarks.speed import measure_speed
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    with common.progress("speed", "figures") as progress, stdout_to_stderr():
+        document = measure_speed(common.seed, progress)
+    common.report(document, _lines(document))
+
+
+def _lines(document: dict[str, Any]) -> list[str]:
+    lines = [
+        f"on {document['device']}, a second, median (least to most):",
+        f"{'image side':<28}{'voxscene':>30}{'Embree, whole image':>30}{'Embree, under the sphere':>30}",
+    ]
+    for side, rate in document["spread"]["hypotheses_per_second"].items():
+        peer = document["embree"][side]
+        cells = [_cell(rate), _cell(peer.get("whole_image")), _cell(peer.get("under_sphere"))]
+        lines.append(f"{side + ' px':<28}" + "".join(f"{cell:>30}" for cell in cells))
+    skipped = [peer["skipped"] for peer in document["embree"].values() if "skipped" in peer]
+    lines += [f"Embree: {skipped[0]}"] if skipped else []
+    field = document["spread"]["distance_field_per_second"]
+    lines.append(f"{'distance field, 1000 points':<28}{_cell(field):>30}")
+    growth = document["growth"]
+    for title, key in (
+        ("one of {} objects moved", "objects_one_moved_per_second"),
+        ("all of {} objects moved", "objects_all_moved_per_second"),
+        ("{} voxels", "voxels_per_second"),
+    ):
+        lines += [
+            f"{title.format(size) + ', 100 px':<28}{_cell(rate):>30}" for size, rate in growth[key].items()
+        ]
+    lines.append(
+        f"largest kernel compiled in {document['compile_s']:.1f} s, "
+        f"{document['compile_cached_s']:.2f} s when kept from an earlier run"
+    )
+    return lines
+
+
+def _cell(rate: dict[str, float] | None) -> str:
+    if rate is None:
+        return "-"
+    return f"{rate['median']:,.0f} ({rate['least']:,.0f} to {rate['most']:,.0f})"

@@ -1,0 +1,75 @@
+"""The truth of a recording, brought into a run's reference frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pipeline.errors import PipelineError
+from recordings.poses.recorded import recorded_trajectory
+from recordings.truth import SceneTruth, TrueObject, recorded_scene_truth
+from recordings.types import Trajectory
+
+
+class RecordedTruth:
+    """What really stood in front of a recording's camera, and where the camera was.
+
+    Attributes:
+        scene: the objects, in the world of `trajectory`.
+        trajectory: the camera at the stamps of its frames.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the truth of a recording.
+
+        Raises:
+            RecordingError: the recording cannot be read.
+            PipelineError: it holds no truth.
+        """
+        scene, trajectory = recorded_scene_truth(path), recorded_trajectory(path)
+        if scene is None or trajectory is None:
+            what = "objects" if scene is None else "camera poses"
+            raise PipelineError(f"{path} holds no true {what}; voxscene synth and import write them")
+        self._path = path
+        self.scene: SceneTruth = scene
+        self.trajectory: Trajectory = trajectory
+
+    def camera_from_world(self, time_ns: int) -> NDArray[np.float64]:
+        """Inverse pose (4, 4) of the camera at the stamp of a frame.
+
+        Raises:
+            PipelineError: the recording has no true pose at that time.
+        """
+        found = np.flatnonzero(self.trajectory.times_ns == time_ns)
+        if not len(found):
+            raise PipelineError(f"{self._path} has no true camera pose at {time_ns / 1e9:.9f} s")
+        return np.asarray(np.linalg.inv(self.trajectory.reference_from_camera[found[0]]), np.float64)
+
+    def object_of_shape(self, shape: str) -> TrueObject:
+        """The object that a learned shape stands for: of its name, or the only one.
+
+        Raises:
+            PipelineError: several objects could be meant, or none.
+        """
+        objects = self.scene.objects
+        named = [one for one in objects if shape in (one.name, one.shape)] or list(objects)
+        if len(named) != 1:
+            raise PipelineError(
+                f"{self._path} holds {', '.join(one.name for one in objects) or 'no object'}: "
+                f"which of them is the shape {shape}?"
+            )
+        return named[0]
+
+
+def true_mesh(one: TrueObject) -> trimesh.Trimesh:
+    """The surface of a true object.
+
+    Raises:
+        PipelineError: the recording does not bring it.
+    """
+    if one.vertices_m is None or one.faces is None:
+        raise PipelineError(f"the recording's truth names {one.shape} but does not bring its surface")
+    return trimesh.Trimesh(one.vertices_m, one.faces, process=False)

@@ -1,0 +1,91 @@
+"""`bench speed` measures what it says, of the functions in use, with jax, numpy and click alone."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import scene.distance_score
+import scene.likelihood
+from pipeline.benchmarks import speed
+from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
+from pipeline.benchmarks.lathe import mug
+from pipeline.peers.embree_scoring import EmbreeScorer
+from shapes.object_library import library_of_mesh
+
+NOT_NEEDED = ("open3d", "trimesh", "jaxlie", "pydantic", "mcap", "rerun", "PIL", "skimage", "platformdirs")
+
+
+@pytest.fixture(scope="module")
+def task() -> Problem:
+    """The mug in a small image."""
+    return problem(library_of_mesh(*mug(), 0.003), 50, np.random.default_rng(11))
+
+
+def test_it_calls_the_functions_of_the_scene_stage() -> None:
+    """The very objects, not copies."""
+    assert speed.log_likelihood is scene.likelihood.log_likelihood
+    assert speed.log_likelihood_of_scenes is scene.likelihood.log_likelihood_of_scenes
+    assert speed.distance_score is scene.distance_score.distance_score
+
+
+def test_it_imports_jax_numpy_and_click_alone() -> None:
+    """A machine with an accelerator needs nothing else for the figures."""
+    script = (
+        "import sys, pipeline.commands.benches.speed, pipeline.benchmarks.speed; "
+        f"print([name for name in {NOT_NEEDED!r} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+
+    assert done.stdout.strip() == "[]"
+
+
+def test_hypotheses_are_distinct_and_span_a_third_of_the_image(task: Problem) -> None:
+    """No two alike; the bounding sphere's circle lies inside the image."""
+    poses = task.poses(np.random.default_rng(12), 500)
+    radius = float(task.library.radius_m[0])
+    centre = poses[:, :3, :3] @ np.asarray(task.library.centre_m[0]) + poses[:, :3, 3]
+    share = 2 * radius / centre[:, 2] * task.intrinsics.fx / task.intrinsics.width
+    edge = np.abs(centre[:, :2]) / centre[:, 2:] * task.intrinsics.fx + 0.5 * share[:, None] * 50
+
+    assert len(np.unique(poses.reshape(500, -1), axis=0)) == 500
+    np.testing.assert_allclose(share, 1 / 3, rtol=0.06)
+    assert edge.max() < 25
+    assert abs(centre[:, 2].mean() - DISTANCE_M) < 0.01
+
+
+def test_the_peer_does_the_same_work(task: Problem) -> None:
+    """Embree's likelihoods tell hypotheses apart as ours do; both its settings agree to rounding."""
+    poses = task.poses(np.random.default_rng(13), 64)
+    ours = speed.log_likelihood(task.library, NOISE, task.evidence, posed(poses, np.zeros(64)))
+    scorer = EmbreeScorer(*mug(), task.intrinsics, NOISE, task.observed_m, BACKGROUND_M)
+
+    whole, cropped = scorer.whole_image(poses), scorer.under_sphere(poses)
+
+    np.testing.assert_allclose(whole, cropped, rtol=1e-4)
+    assert np.corrcoef(np.asarray(ours), whole)[0, 1] > 0.99
+
+
+def test_scenes_of_one_object_score_as_that_object(task: Problem) -> None:
+    """Rendering whole scenes is the same likelihood by another order of sums."""
+    hypotheses = task.hypotheses(np.random.default_rng(14), 40)
+
+    alone = speed.log_likelihood(task.library, NOISE, task.evidence, hypotheses)
+    scenes = speed.log_likelihood_of_scenes(task.library, NOISE, task.evidence, hypotheses, 1)
+
+    np.testing.assert_allclose(np.asarray(alone), np.asarray(scenes), atol=0.1)
+
+
+def test_each_timed_call_gets_inputs_of_its_own() -> None:
+    """One call to warm up, five that are timed, none with inputs seen before."""
+    drawn = []
+
+    def draw() -> np.ndarray:
+        drawn.append(np.full(3, len(drawn), np.float32))
+        return drawn[-1]
+
+    rate = speed._rate(lambda values: values, draw, 3)
+
+    assert len(drawn) == speed.ROUNDS + 1
+    assert 0 < rate["least"] <= rate["median"] <= rate["most"]

@@ -1,0 +1,256 @@
+"""The density of the image: normalised, differentiated rightly, and true to a rendering at the candidate."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+from recordings.types import DepthNoise
+from slam import pose_gaussian
+from slam.alignment import depth_and_jacobian, pixel_terms
+from slam.depth_view import block_reduce, tangent_planes, view_of_frame
+from slam.image_density import (
+    expected_from_the_left,
+    log_hit_factors,
+    log_image_density,
+    log_unknown_factors,
+    rendered_depth,
+    scored_pixels,
+)
+from slam.keyframes import surface_of
+from slam.localisation import LocalMap, optimum_at
+from slam.rendering import depth_on_rays, fused_planes, planes_in_frame, render
+from slam.rigid import poses_of
+from tests.slam import box_room
+
+NOISE = DepthNoise()
+IDENTITY = jnp.asarray([1.0, 0, 0, 0, 0, 0, 0], jnp.float32)
+
+
+def _displaced(xi: list[float]) -> jax.Array:
+    return pose_gaussian.displaced(IDENTITY, jnp.asarray(xi, jnp.float32))
+
+
+@pytest.mark.parametrize("expected", [(0.0, 0.0), (1.5, 1.4), (0.0, 2.0)])
+@pytest.mark.parametrize("depth", [None, 0.8, 2.0, 9.0])
+def test_every_pixel_has_one_normalised_factor(expected, depth):
+    """Integral over the real line plus the atom is one, whether the map shows something or nothing."""
+    with jax.enable_x64(True):
+        z = jnp.concatenate([jnp.linspace(-0.5, 10.5, 400_001)])
+        left = jnp.asarray(expected)[:, None]
+        if depth is None:
+            density = log_unknown_factors(z, left, NOISE)
+            atom = log_unknown_factors(jnp.zeros(1), left, NOISE)
+        else:
+            density = log_hit_factors(z, left, jnp.asarray(depth), jnp.asarray(0.004), NOISE)
+            atom = log_hit_factors(jnp.zeros(1), left, jnp.asarray(depth), jnp.asarray(0.004), NOISE)
+        density = jnp.where(z == 0, jnp.roll(density, 1), density)
+
+        total = trapezoid(np.exp(np.asarray(density)), np.asarray(z)) + float(jnp.exp(atom[0]))
+
+    assert total == pytest.approx(1.0, abs=1e-3)
+
+
+def test_unknown_pixels_look_to_the_left_alone():
+    """A change of one pixel changes no expectation to its left, and on a plane the expectation is exact."""
+    depth = jnp.asarray(box_room.depth_image(box_room.pose(0, 0, 0, 0.2)))[::2, ::2]
+    changed = depth.at[20, 30].add(0.3)
+
+    before, after = (np.asarray(expected_from_the_left(image)) for image in (depth, changed))
+    difference = (before != after).any(axis=0)
+    planar = np.asarray(expected_from_the_left(depth))[0]
+
+    assert not difference[:, :31].any()
+    assert np.median(np.abs(planar - np.asarray(depth))[:, 2:]) < 1e-5
+
+
+def test_planes_render_the_same_in_any_frame():
+    """A plane moved to another camera is met at the depth of the moved point; its back is not seen."""
+    points = jnp.asarray([[0.1, -0.2, 2.0], [0.5, 0.3, 1.0], [-0.4, 0.1, 3.0]]).T
+    normals = jnp.asarray([[0.1, 0.2, -1.0], [0.3, -0.1, -1.0], [0.0, 0.4, -1.0]]).T
+    planes = normals / (normals * points).sum(0)[None]
+    pose = _displaced([0.2, -0.1, 0.3, 0.1, -0.2, 0.05])
+    rotation = np.asarray(pose_gaussian.jaxlie.SE3(pose).rotation().as_matrix())
+    seen = (np.asarray(points).T - np.asarray(pose[4:])) @ rotation
+
+    depth = depth_on_rays(planes_in_frame(planes, pose), jnp.asarray((seen / seen[:, 2:]).T, jnp.float32))
+    behind = depth_on_rays(planes_in_frame(planes, _displaced([0, 0, 5.0, 0, 0, 0])), jnp.asarray(points))
+
+    np.testing.assert_allclose(depth, seen[:, 2], rtol=1e-5)
+    assert not np.isfinite(np.asarray(behind)).any()
+
+
+def test_tangent_planes_of_walls_are_the_walls():
+    """Away from edges the fitted normals of an exact image are those of the room, to a tenth of a degree."""
+    view = view_of_frame(box_room.frames(box_room.pose(0, 0, 0, 0.3)[None])[0], box_room.INTRINSICS)
+    planes = np.asarray(tangent_planes(view.depth_m, view.rays, view.camera))
+    normals = planes / np.linalg.norm(planes, axis=0)
+    world = np.einsum("ij,jhw->ihw", box_room.pose(0, 0, 0, 0.3)[:3, :3], normals)
+
+    alignment = np.abs(world).max(0)
+
+    assert np.mean(alignment > np.cos(np.radians(0.1))) > 0.85
+
+
+def test_jacobian_of_rendered_depth_is_that_of_autodiff(key):
+    """Analytic derivatives of depth in the pose agree with forward-mode differentiation."""
+    with jax.enable_x64(True):
+        planes = jnp.asarray([[0.05, 0.1, 0.5], [-0.2, 0.1, 0.8], [0.3, -0.3, 0.4]]).T
+        rays = jnp.asarray([[0.1, -0.2, 1.0], [0.4, 0.1, 1.0], [-0.3, 0.2, 1.0]]).T
+        pose = pose_gaussian.displaced(IDENTITY.astype(jnp.float64), 0.1 * jax.random.normal(key, (6,)))
+
+        _, jacobian = depth_and_jacobian(planes, rays, pose)
+        expected = jax.jacfwd(
+            lambda xi: depth_and_jacobian(planes, rays, pose_gaussian.displaced(pose, xi))[0]
+        )(jnp.zeros(6))
+
+    np.testing.assert_allclose(jacobian, expected.T, rtol=1e-6, atol=1e-9)
+
+
+def test_gradient_and_curvature_are_those_of_the_log_density(key):
+    """Scores and Gauss-Newton curvature of the pixels against autodiff of their mixture density.
+
+    Sigma's own dependence on the pose is left out of Gauss-Newton: the noise is constant here.
+    """
+    noise = DepthNoise(sigma_base_m=0.01, sigma_growth_per_m=0.0)
+    view = view_of_frame(box_room.frames(box_room.pose(0, 0, 0)[None])[0], box_room.INTRINSICS)
+    surface = surface_of(view, noise)
+    with jax.enable_x64(True):
+        planes = jnp.asarray(surface.planes, jnp.float64).reshape(3, -1)[:, ::7]
+        rays = jnp.asarray(view.rays, jnp.float64).reshape(3, -1)[:, ::7]
+        truth = depth_on_rays(planes, rays)
+        observed = truth + 0.01 * jax.random.normal(key, truth.shape)
+        pose = pose_gaussian.displaced(IDENTITY.astype(jnp.float64), jnp.full(6, 1e-3))
+        variance = jnp.full(truth.shape, 1e-6)
+
+        def log_density(xi: jax.Array) -> jax.Array:
+            from shapes import depth_noise
+
+            depth, _ = depth_and_jacobian(planes, rays, pose_gaussian.displaced(pose, xi))
+            return depth_noise.log_density_of_hit(noise, observed, depth, jnp.sqrt(variance)).sum()
+
+        terms = pixel_terms(planes, variance, observed, rays, pose, noise)
+        gradient = np.asarray(jax.grad(log_density)(jnp.zeros(6)))
+        hessian = np.asarray(jax.hessian(log_density)(jnp.zeros(6)))
+        scores, precision = np.asarray(terms.scores()), np.asarray(terms.precision())
+
+    scale = float(np.abs(gradient).max())
+    np.testing.assert_allclose(scores.sum(1), gradient, rtol=1e-6, atol=1e-6 * scale)
+    relative = np.linalg.solve(precision, -hessian)
+    np.testing.assert_allclose(np.linalg.eigvals(relative).real, 1.0, atol=0.1)
+
+
+def _rendered(local_map, camera_pose, view):
+    poses = local_map.keyframes_from_camera(camera_pose)
+    return render(local_map.surfaces, local_map.present, poses, view.rays, view.camera)
+
+
+def _local_map(keyframe_poses: np.ndarray) -> LocalMap:
+    views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(keyframe_poses, seed=1)]
+    surfaces = [surface_of(view, NOISE) for view in views]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *surfaces)
+    return LocalMap(stacked, jnp.ones(len(views), bool), poses_of(keyframe_poses))
+
+
+def test_rendering_shows_what_the_camera_would_see():
+    """Depth rendered from two noisy keyframes is the room's own depth, to the noise."""
+    local_map = _local_map(np.stack([box_room.pose(0, 0, 0), box_room.pose(0.2, 0, 0, 0.2)]))
+    target = box_room.pose(0.1, 0.05, 0.1, 0.1)
+    view = view_of_frame(box_room.frames(target[None])[0], box_room.INTRINSICS)
+    keyframes_from_camera = local_map.keyframes_from_camera(poses_of(target))
+
+    image = _rendered(local_map, poses_of(target), view)
+    planes, _ = jax.jit(fused_planes)(image, keyframes_from_camera)
+    rendered = np.asarray(depth_on_rays(planes, view.rays))
+
+    error = rendered - np.asarray(view.depth_m)
+    assert np.isfinite(error).mean() > 0.95
+    assert np.median(np.abs(error[np.isfinite(error)])) < 0.005
+
+
+def test_compiled_fusion_equals_plain_numpy():
+    """XLA's CPU backend has miscompiled sums over layers; the fused planes must not be among them."""
+    local_map = _local_map(np.stack([box_room.pose(0.05 * i, 0, 0, 0.05 * i) for i in range(4)]))
+    view = view_of_frame(box_room.frames(box_room.pose(0.1, 0, 0)[None])[0], box_room.INTRINSICS)
+    poses = local_map.keyframes_from_camera(poses_of(box_room.pose(0.1, 0, 0)))
+    image = render(local_map.surfaces, local_map.present, poses, view.rays, view.camera)
+
+    fused, _ = jax.jit(fused_planes)(image, poses)
+
+    moved = np.stack([np.asarray(planes_in_frame(image.planes[i], poses[i])) for i in range(4)])
+    weights = np.asarray(image.weights)[:, None]
+    expected = (weights * moved).sum(0) / np.maximum(weights.sum(0), 1e-9)
+    np.testing.assert_allclose(np.asarray(fused), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_candidates_compare_alike_under_either_of_two_renderings():
+    """Differences between candidates, which alone make weights, hardly depend on where the map was rendered.
+
+    (The level does: which element a pixel sees changes by rounding, for all candidates alike.)
+    """
+    truth = box_room.pose(0.08, 0.02, 0.05, 0.06)
+    local_map = _local_map(np.stack([box_room.pose(0, 0, 0), box_room.pose(0.2, 0, 0, 0.15)]))
+    view = view_of_frame(box_room.frames(truth[None], seed=3)[0], box_room.INTRINSICS)
+    optimum = jax.jit(optimum_at)(local_map, view, NOISE, poses_of(truth))
+    exponent = 0.05
+    spread = jnp.linalg.cholesky(jnp.linalg.inv(exponent * optimum.layer_precisions.sum(0)))
+    candidates = [pose_gaussian.displaced(optimum.pose, spread[:, i]) for i in range(6)]
+
+    def tempered(centre: jax.Array) -> np.ndarray:
+        pixels = scored_pixels(view, _rendered(local_map, centre, view))
+        poses = [local_map.keyframes_from_camera(pose) for pose in [optimum.pose, *candidates]]
+        return exponent * np.asarray([float(log_image_density(pixels, one, NOISE, 1.0)) for one in poses])
+
+    here, there = tempered(optimum.pose), tempered(candidates[0])
+
+    np.testing.assert_allclose(here[1:] - here[0], -0.5, atol=0.5)
+    np.testing.assert_allclose(here - here[0], there - there[0], atol=1.5)
+
+
+def test_float32_differences_of_log_densities_are_those_of_float64():
+    """Differences between candidates are good to 0.1 nat in float32."""
+    truth = box_room.pose(0.08, 0.02, 0.05, 0.06)
+    local_map = _local_map(np.stack([box_room.pose(0, 0, 0)]))
+    view = view_of_frame(box_room.frames(truth[None], seed=3)[0], box_room.INTRINSICS)
+    near = local_map.keyframes_from_camera(poses_of(truth))
+    pixels = scored_pixels(view, render(local_map.surfaces, local_map.present, near, view.rays, view.camera))
+    moved = near.at[0, 4:].add(jnp.asarray([0.001, -0.001, 0.001]))
+    single = float(log_image_density(pixels, moved, NOISE, 1.0))
+    single -= float(log_image_density(pixels, near, NOISE, 1.0))
+
+    with jax.enable_x64(True):
+        wide = jax.tree.map(
+            lambda leaf: leaf if leaf.dtype == bool else jnp.asarray(leaf, jnp.float64), pixels
+        )
+        double = float(
+            log_image_density(wide, jnp.asarray(moved, jnp.float64), NOISE, 1.0)
+            - log_image_density(wide, jnp.asarray(near, jnp.float64), NOISE, 1.0)
+        )
+
+    assert single == pytest.approx(double, abs=0.1)
+
+
+def test_blocks_average_their_nearest_surface_alone():
+    """A block over an edge takes the front if that is at least half of it, and nothing otherwise."""
+    depth = jnp.asarray(
+        [[1.0, 1.0, 2.0, 2.0], [1.01, 2.0, 2.02, 1.0], [0.0, 3.0, 0.0, 0.0], [3.03, 3.0, 4.0, 0.0]]
+    )
+
+    reduced = np.asarray(block_reduce(depth, 2))
+
+    np.testing.assert_allclose(reduced, [[(1.0 + 1.0 + 1.01) / 3, 0.0], [3.01, 0.0]], atol=1e-6)
+
+
+def test_lattice_sees_planes_of_pixels():
+    """Rendered depth of the lattice at the rendering's own pose is the rendering's."""
+    local_map = _local_map(np.stack([box_room.pose(0, 0, 0)]))
+    view = view_of_frame(box_room.frames(box_room.pose(0.05, 0, 0)[None])[0], box_room.INTRINSICS)
+    poses = local_map.keyframes_from_camera(poses_of(box_room.pose(0.05, 0, 0)))
+    image = render(local_map.surfaces, local_map.present, poses, view.rays, view.camera)
+
+    depth, _ = rendered_depth(scored_pixels(view, image), poses)
+
+    planes, _ = fused_planes(image, poses)
+    expected = np.asarray(depth_on_rays(planes, view.rays))[::2, ::2].ravel()
+    np.testing.assert_allclose(np.asarray(depth), expected, rtol=1e-4)

@@ -1,0 +1,136 @@
+"""The camera filter on rooms whose depth is known in closed form."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from recordings.types import Frame
+from slam.config import SlamConfig
+from slam.filter import FrameInfo
+from slam.result import SlamResult
+from slam.tracking import track
+from slam.trajectory_errors import trajectory_errors
+from tests.slam import box_room
+
+CONFIG = SlamConfig(particles=16)
+
+
+def _track(
+    key: jax.Array, frames: list[Frame], config: SlamConfig = CONFIG
+) -> tuple[SlamResult, list[FrameInfo]]:
+    infos: list[FrameInfo] = []
+    return track(key, frames, box_room.INTRINSICS, config, infos.append), infos
+
+
+def _from_first(poses: np.ndarray) -> np.ndarray:
+    return np.linalg.inv(poses[0]) @ poses
+
+
+def test_noise_free_frames_return_the_truth(key):
+    """With exact depth the path is found to a millimetre and a milliradian."""
+    poses = box_room.walk(8)
+
+    result, _ = _track(key, box_room.frames(poses))
+
+    errors = trajectory_errors(result.mean, _from_first(poses))
+    assert errors.ate_first_pose_m < 0.001
+    assert errors.rpe_rotation_rad < 0.001
+
+
+def test_a_noisy_walk_is_followed_and_told(key):
+    """Millimetres with structured-light noise; every field of the result means what it says."""
+    poses = box_room.walk(10)
+
+    result, infos = _track(key, box_room.frames(poses, seed=5))
+
+    assert trajectory_errors(result.mean, _from_first(poses)).ate_first_pose_m < 0.005
+    assert len(result) == len(infos) == 10
+    np.testing.assert_allclose(np.exp(result.log_weights).sum(), 1.0, rtol=1e-5)
+    np.testing.assert_array_equal(result.mean[0], np.eye(4))
+    assert not result.lost.any()
+    assert ((result.ess >= 1) & (result.ess <= 16 * (1 + 1e-5))).all()
+    assert (np.linalg.eigvalsh(result.covariance[1:]) > 0).all()
+    spread = np.abs(result.trajectories[:, :, :3, 3] - result.mean[None, :, :3, 3]).max()
+    assert spread < 0.05
+
+
+def test_equal_seeds_give_equal_bytes_and_survive_saving(key, tmp_path):
+    """The same key twice writes the same file, which reads back as it was."""
+    frames = box_room.frames(box_room.walk(4), seed=6)
+    first, second = (_track(jax.random.clone(key), frames)[0] for _ in range(2))
+
+    first.save(tmp_path / "a.npz")
+    second.save(tmp_path / "b.npz")
+    loaded = SlamResult.load(tmp_path / "a.npz")
+
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    np.testing.assert_array_equal(loaded.trajectories, first.trajectories)
+    np.testing.assert_array_equal(loaded.lost, first.lost)
+
+
+def test_blank_frames_are_lost_and_the_camera_is_found_again(key):
+    """A covered lens loses the camera, says so, and later frames are placed against the whole map."""
+    poses = box_room.walk(9)
+    frames = box_room.frames(poses, seed=7)
+    for index in (4, 5):
+        blank = np.zeros_like(frames[index].depth_m)
+        frames[index] = Frame(time_ns=frames[index].time_ns, depth_m=blank)
+
+    result, _ = _track(key, frames)
+
+    assert result.lost.tolist() == [False] * 4 + [True] * 2 + [False] * 3
+    found = ~result.lost
+    errors = np.linalg.norm((result.mean - _from_first(poses))[found, :3, 3], axis=1)
+    assert errors.max() < 0.01
+    blind, seen = result.covariance[5, :3, :3].trace(), result.covariance[8, :3, :3].trace()
+    assert blind > 100 * seen
+
+
+def test_frames_of_several_sizes_and_gaps_in_time_are_one_recording(key):
+    """A frame at another resolution and a pause of ten seconds change nothing about the path."""
+    poses = box_room.walk(6)
+    frames = box_room.frames(poses, seed=8)
+    smaller = box_room.INTRINSICS.resized(107, 81)
+    odd = box_room.frames(poses[3:4], seed=9, intrinsics=smaller)[0]
+    frames[3] = Frame(time_ns=frames[3].time_ns, depth_m=odd.depth_m)
+    frames[4:] = [Frame(time_ns=f.time_ns + 10**10, depth_m=f.depth_m) for f in frames[4:]]
+
+    result, _ = _track(key, frames)
+
+    assert trajectory_errors(result.mean, _from_first(poses)).ate_first_pose_m < 0.006
+    assert not result.lost.any()
+
+
+def test_kiss_icp_alone_may_propose(key):
+    """With KISS-ICP as the source of candidates the filter still follows the walk."""
+    poses = box_room.walk(6)
+
+    result, _ = _track(key, box_room.frames(poses, seed=10), SlamConfig(particles=16, proposal="kiss"))
+
+    assert trajectory_errors(result.mean, _from_first(poses)).ate_first_pose_m < 0.006
+
+
+def test_a_recording_without_frames_is_refused(key):
+    """Nothing to track is the caller's mistake."""
+    with pytest.raises(ValueError, match="no depth frame"):
+        track(key, [], box_room.INTRINSICS, CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("particles", 1), ("motion", "sideways"), ("orbit_radius_m", -1.0), ("ess_threshold", 2.0)],
+)
+def test_settings_out_of_range_are_refused(name: str, value: Any):
+    """Every setting is checked when it is made."""
+    with pytest.raises(ValueError, match=name):
+        SlamConfig(**{name: value})
+
+
+def test_a_file_that_is_no_result_is_refused(tmp_path):
+    """A foreign archive is named in one line."""
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+
+    with pytest.raises(ValueError, match="not a SLAM result"):
+        SlamResult.load(tmp_path / "other.npz")
