@@ -17,6 +17,7 @@ COMMANDS = (
     "import",
     "synth",
     "slam",
+    "learn",
     "parse",
     "run",
     "review",

@@ -14,6 +14,7 @@ from pipeline.options import Common, Source
 from pipeline.project import Project, ProjectRecording
 from pipeline.run_folder import RunFolder
 from pipeline.session import Session, open_session
+from pipeline.stages.learn import learn_stage
 from pipeline.stages.slam import slam_stage
 from recordings.types import Damage
 
@@ -45,8 +46,10 @@ def recording_folder(run: RunFolder, recording: ProjectRecording) -> Path:
     return run.path / "recordings" / recording.stem
 
 
-def _run_stages(session: Session, recording: ProjectRecording) -> None:  # noqa: ARG001
+def _run_stages(session: Session, recording: ProjectRecording) -> None:
     slam_stage(session)
+    if recording.stage == "learn":
+        learn_stage(session, recording.shape)
 
 
 def _gathered(project: Project, run: RunFolder, name: str) -> dict[str, Any]:

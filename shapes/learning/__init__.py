@@ -1,0 +1,1 @@
+"""Learning a shape from depth images: occupancy for one trajectory, and the mixture over trajectories."""

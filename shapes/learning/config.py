@@ -1,0 +1,64 @@
+"""Settings of learning a shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from recordings.types import DepthNoise
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnConfig:
+    """How a shape is learned.
+
+    Attributes:
+        pitch_m: edge of a voxel.
+        box: object region xmin, ymin, zmin, xmax, ymax, zmax in metres in the reference frame (the first
+            depth frame's camera); None finds it.
+        views: at most so many frames are used, spread evenly over the recording.
+        trajectories: at most so many particles are distilled, drawn by their weights.
+        prior_occupied: p0, of a voxel that was never seen.
+        hidden_occupied: p_hidden, of a voxel hidden behind seen surface in every view.
+        partly_filled: share of empty voxels that hold some surface all the same.
+        partial_opacity: probability that a ray through such a voxel ends there.
+        unresolved: share of returns from surfaces that no voxel stands for.
+        registration_sigma_m: standard deviation of a view's registration along its rays.
+        sweeps: of expectation propagation.
+        damping: of expectation propagation.
+        noise: the depth sensor.
+    """
+
+    pitch_m: float = 0.005
+    box: tuple[float, float, float, float, float, float] | None = None
+    views: int = 40
+    trajectories: int = 4
+    prior_occupied: float = 0.5
+    hidden_occupied: float = 0.9
+    partly_filled: float = 0.3
+    partial_opacity: float = 0.5
+    unresolved: float = 0.02
+    registration_sigma_m: float = 0.0004
+    sweeps: int = 25
+    damping: float = 0.3
+    noise: DepthNoise = field(default_factory=DepthNoise)
+
+    def __post_init__(self) -> None:
+        if not 0.001 <= self.pitch_m <= 0.1:
+            raise ValueError(f"pitch_m must lie in [0.001, 0.1], got {self.pitch_m}")
+        if self.box is not None and not all(
+            low < high for low, high in zip(self.box[:3], self.box[3:], strict=True)
+        ):
+            raise ValueError("box must be xmin,ymin,zmin,xmax,ymax,zmax with each min below its max")
+        for name in ("views", "trajectories", "sweeps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("prior_occupied", "hidden_occupied", "partial_opacity"):
+            if not 0 < getattr(self, name) < 1:
+                raise ValueError(f"{name} must lie between 0 and 1, got {getattr(self, name)}")
+        for name in ("partly_filled", "unresolved"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
+        if not 0 < self.damping <= 1:
+            raise ValueError(f"damping must lie in (0, 1], got {self.damping}")
+        if self.registration_sigma_m < 0:
+            raise ValueError(f"registration_sigma_m must not be negative, got {self.registration_sigma_m}")

@@ -1,0 +1,116 @@
+"""The surface round every pixel: a plane fitted robustly to its neighbours, with its covariance.
+
+A plane in space is linear in inverse depth over the image: 1/z = w + g_u du + g_v dv. Neighbours across an
+edge are gated out, so that a plane never bridges two surfaces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from recordings.types import NO_RETURN, DepthNoise
+from shapes.camera import Camera
+from shapes.depth_noise import standard_deviation
+
+STEEPEST = 2.0
+"""Standard deviation of a surface's slope, depth per lateral metre, before its neighbours are seen."""
+STEEPEST_BELIEVED = 4.0
+GATE = 3.5
+"""Neighbours farther from the plane than this many standard deviations are of another surface."""
+BENDING = 0.2
+"""Departure of a surface from its plane, as a share of the distance along it."""
+FEWEST = 3
+ROUNDS = 3
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LocalPlanes:
+    """One plane for each pixel of an image (H, W).
+
+    Attributes:
+        inverse_depth: (H, W) of the plane at the pixel, in 1/m.
+        slope: (2, H, W) change of inverse depth per pixel to the right and down.
+        covariance: (6, H, W) of depth at the pixel and its two changes per pixel, in m^2: the upper
+            triangle 00, 01, 02, 11, 12, 22.
+        valid: (H, W) bool, enough neighbours lie on the plane.
+    """
+
+    inverse_depth: jax.Array
+    slope: jax.Array
+    covariance: jax.Array
+    valid: jax.Array
+
+
+@partial(jax.jit, static_argnames="half")
+def local_planes(depth_m: jax.Array, camera: Camera, noise: DepthNoise, *, half: int = 1) -> LocalPlanes:
+    """Planes of a depth image (H, W) from windows of (2 half + 1) squared pixels."""
+    seen = depth_m != NO_RETURN
+    z = jnp.where(seen, depth_m, 1.0)
+    inverse = jnp.where(seen, 1.0 / z, 0.0)
+    pixel_m = z / camera.fx
+    sigma = standard_deviation(noise, z)
+    offsets = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, -1, 1, 1).astype(np.float32)
+    down, right = offsets  # (W, 1, 1) each
+    stretched = jnp.stack([_shifted(inverse, half, at) for at in np.ndindex(2 * half + 1, 2 * half + 1)])
+    both = seen[None] & (stretched > 0)
+    rise = -(stretched - inverse[None]) * (z * z)[None]  # depth of each neighbour relative to the pixel's own
+    across = (right**2 + down**2) * pixel_m[None] ** 2
+    terms = (jnp.ones_like(right), right, down, right * right, right * down, down * down)
+
+    def refined(plane: jax.Array, first: jax.Array) -> tuple[jax.Array, tuple]:
+        offset, slope_u, slope_v = plane[:, None]
+        steep = jnp.hypot(slope_u, slope_v) / pixel_m[None]
+        believed = jnp.minimum(1.0, STEEPEST_BELIEVED / jnp.maximum(steep, 1e-9)) / pixel_m[None]
+        rise_u, rise_v = believed * slope_u, believed * slope_v
+        along = across + ((rise_u * right + rise_v * down) * pixel_m[None]) ** 2
+        variance = sigma[None] ** 2 + BENDING**2 * along * (1 + rise_u**2 + rise_v**2)
+        residual = rise - (offset + slope_u * right + slope_v * down)
+        limit = GATE * jnp.sqrt(variance + first * sigma[None] ** 2) + first * STEEPEST * jnp.sqrt(across)
+        near = both & (jnp.abs(residual) < limit)
+        weight = jnp.where(near, 1.0 / variance, 0.0)
+        ridge = 1.0 / (STEEPEST * pixel_m) ** 2
+        loading = (1e-6, 0.0, 0.0, ridge, 0.0, ridge)
+        matrix = [(weight * term).sum(axis=0) + load for term, load in zip(terms, loading, strict=True)]
+        pull = [(weight * rise * term).sum(axis=0) for term in terms[:3]]
+        covariance = _inverse(matrix)
+        count = near.sum(axis=0)
+        misfit = jnp.where(near, residual**2 / variance, 0.0).sum(axis=0) / jnp.maximum(count - 3, 1)
+        scaled = jnp.stack(covariance) * jnp.maximum(1.0, misfit)[None]
+        return jnp.stack(_times(covariance, pull)), (scaled, seen & (count >= FEWEST))
+
+    start = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
+    rounds = jnp.asarray([1.0] + [0.0] * (ROUNDS - 1), depth_m.dtype)
+    # a loop, since XLA would compute each round anew for every use of it
+    (offset, slope_u, slope_v), (covariances, valids) = jax.lax.scan(refined, start, rounds)
+    to_inverse = -1.0 / (z * z)
+    return LocalPlanes(
+        inverse_depth=inverse + offset * to_inverse,
+        slope=jnp.stack([slope_u * to_inverse, slope_v * to_inverse]),
+        covariance=covariances[-1],
+        valid=valids[-1],
+    )
+
+
+def _shifted(image: jax.Array, half: int, at: tuple[int, ...]) -> jax.Array:
+    """The image moved so that a neighbour, counted from the window's first corner, stands on each pixel."""
+    height, width = image.shape
+    return jnp.pad(image, half)[at[0] : at[0] + height, at[1] : at[1] + width]
+
+
+def _inverse(m: list) -> list[jax.Array]:
+    """Inverse of symmetric 3x3 matrices given and returned as upper triangles."""
+    a, b, c, d, e, f = m
+    cofactors = [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b]
+    determinant = a * cofactors[0] + b * cofactors[1] + c * cofactors[2]
+    return [entry / determinant for entry in cofactors]
+
+
+def _times(m: list, v: list) -> list[jax.Array]:
+    a, b, c, d, e, f = m
+    return [a * v[0] + b * v[1] + c * v[2], b * v[0] + d * v[1] + e * v[2], c * v[0] + e * v[1] + f * v[2]]

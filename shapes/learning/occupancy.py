@@ -1,0 +1,178 @@
+"""Occupancy of a grid for one trajectory: p(O = 1 | M_k, x_k, I) of one particle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import NO_RETURN, CameraIntrinsics
+from shapes.camera import Camera
+from shapes.learning.config import LearnConfig
+from shapes.learning.expectation_propagation import voxel_states
+from shapes.learning.grid import VoxelGrid
+from shapes.learning.local_planes import LocalPlanes, local_planes
+from shapes.learning.readings import voxel_readings
+from shapes.learning.voxel_rays import ViewReadings, evidence
+
+WINDOW_MARGIN = 8
+WINDOW_BUCKET = 64
+VOXEL_BUCKET = 8192
+REACHED = 0.5
+LARGEST_HALF_WINDOW = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Window:
+    """The part of a depth image that shows the grid.
+
+    Attributes:
+        planes: the surface round each of its pixels.
+        corner: column and row of its first pixel.
+    """
+
+    planes: LocalPlanes
+    corner: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Occupancy:
+    """What one trajectory says of every voxel, raveled (N,).
+
+    Attributes:
+        phi: probability of being occupied; p_hidden where hidden, p0 where never seen.
+        seen: a ray came as far as the voxel.
+        hidden: behind seen surface, and no ray came as far.
+    """
+
+    phi: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    hidden: NDArray[np.bool_]
+
+
+def windows(
+    depths_m: Sequence[NDArray[np.float32]],
+    intrinsics: CameraIntrinsics,
+    grid: VoxelGrid,
+    reference_from_camera: NDArray[np.float64],
+    config: LearnConfig,
+) -> list[Window | None]:
+    """Windows of one size for all views; None for a view whose image does not show the grid."""
+    boxes = [_image_box(intrinsics, grid, pose) for pose in reference_from_camera]
+    sizes = [(box[1] - box[0]).max() for box in boxes if box is not None]
+    if not sizes:
+        return [None] * len(boxes)
+    size = -(-int(max(sizes)) // WINDOW_BUCKET) * WINDOW_BUCKET
+    camera = Camera.from_intrinsics(intrinsics)
+    distance = np.median([_distance(grid, pose) for pose in reference_from_camera])
+    footprint = grid.pitch_m * intrinsics.fx / distance
+    half = int(np.clip(round((footprint - 1) / 3), 1, LARGEST_HALF_WINDOW))
+    found: list[Window | None] = []
+    for depth, box in zip(depths_m, boxes, strict=True):
+        if box is None:
+            found.append(None)
+            continue
+        left, top = (int(value) for value in box[0])
+        part = depth[top : top + size, left : left + size]
+        image = np.full((size, size), NO_RETURN, np.float32)
+        image[: part.shape[0], : part.shape[1]] = part
+        planes = local_planes(jnp.asarray(image), camera, config.noise, half=half)
+        found.append(Window(planes=planes, corner=(left, top)))
+    return found
+
+
+def occupancy(
+    views: Sequence[Window | None],
+    intrinsics: CameraIntrinsics,
+    grid: VoxelGrid,
+    reference_from_camera: NDArray[np.float64],
+    config: LearnConfig,
+) -> Occupancy:
+    """Distribution of the grid's voxels given every view at the poses (T, 4, 4) of one trajectory."""
+    count = len(grid)
+    padded = np.zeros((-(-count // VOXEL_BUCKET) * VOXEL_BUCKET, 3), np.float32)
+    padded[:count] = grid.centres_m
+    centres = jnp.asarray(padded)
+    camera = Camera.from_intrinsics(intrinsics)
+    readings = [
+        _read(view, camera, grid, pose, centres, config)
+        for view, pose in zip(views, reference_from_camera, strict=True)
+        if view is not None
+    ]
+    states = np.asarray([1.0, config.partial_opacity, 0.0])
+    p0, partly = config.prior_occupied, config.partly_filled
+    log_prior = np.log(np.maximum([p0, (1 - p0) * partly, (1 - p0) * (1 - partly)], 1e-30))
+    if not readings:
+        nothing = np.zeros(count, np.bool_)
+        return Occupancy(phi=np.full(count, p0), seen=nothing, hidden=nothing)
+    found = evidence(readings, grid, states, config)
+    prior = np.broadcast_to(log_prior, (len(padded), 3)).astype(np.float32).copy()
+    prior[:count] += found.log_crossings
+    posterior = voxel_states(
+        found.rays,
+        jnp.asarray(prior),
+        jnp.asarray(states, jnp.float32),
+        sweeps=config.sweeps,
+        damping=config.damping,
+    )
+    phi = np.asarray(posterior.probability[:count, 0], np.float64)
+    seen = (found.crossed > REACHED) | (np.asarray(posterior.reach[:count]) > REACHED)
+    hidden = ~seen & found.hidden
+    phi = np.where(seen, phi, np.where(hidden, config.hidden_occupied, p0))
+    return Occupancy(phi=phi, seen=seen, hidden=hidden)
+
+
+def _read(
+    view: Window,
+    camera: Camera,
+    grid: VoxelGrid,
+    reference_from_camera: NDArray[np.float64],
+    centres_m: jnp.ndarray,
+    config: LearnConfig,
+) -> ViewReadings:
+    camera_from_grid = np.linalg.inv(reference_from_camera) @ grid.reference_from_grid
+    readings = voxel_readings(
+        view.planes,
+        camera,
+        jnp.asarray(view.corner, jnp.float32),
+        jnp.asarray(camera_from_grid, jnp.float32),
+        centres_m,
+        config.registration_sigma_m,
+    )
+    arrays = {name: np.asarray(value)[: len(grid)] for name, value in vars(readings).items()}
+    plane = np.full(len(grid), np.inf, np.float32)
+    if grid.on_plane:
+        eye = np.linalg.inv(camera_from_grid)[2, 3]
+        height = grid.centres_m[:, 2]
+        above = eye > height
+        plane[above] = arrays["depth_m"][above] * (eye / (eye - height[above]))
+    footprint = grid.pitch_m * float(camera.fx) / _distance(grid, reference_from_camera)
+    return ViewReadings(**arrays, plane_depth_m=plane, footprint=footprint)
+
+
+def _distance(grid: VoxelGrid, reference_from_camera: NDArray[np.float64]) -> float:
+    """From the camera to the middle of the grid."""
+    middle = grid.reference_from_grid @ [*(np.asarray(grid.shape) * grid.pitch_m / 2), 1.0]
+    return float(max(np.linalg.norm(middle[:3] - reference_from_camera[:3, 3]), 0.05))
+
+
+def _image_box(
+    intrinsics: CameraIntrinsics, grid: VoxelGrid, reference_from_camera: NDArray[np.float64]
+) -> NDArray[np.int64] | None:
+    """First pixel and the one after the last (2, 2), column and row, of the grid in an image."""
+    extent = np.asarray(grid.shape) * grid.pitch_m
+    corners = np.stack(np.meshgrid(*([0.0, side] for side in extent)), axis=-1).reshape(-1, 3)
+    camera_from_grid = np.linalg.inv(reference_from_camera) @ grid.reference_from_grid
+    x, y, z = (corners @ camera_from_grid[:3, :3].T + camera_from_grid[:3, 3]).T
+    size = np.asarray([intrinsics.width, intrinsics.height])
+    if z.max() <= 0:
+        return None
+    if z.min() <= 1e-3:  # the camera is inside or beside the grid
+        return np.stack([np.zeros(2, np.int64), size])
+    pixels = np.stack([intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy], axis=1)
+    low = np.clip(np.floor(pixels.min(axis=0)).astype(np.int64) - WINDOW_MARGIN, 0, size)
+    high = np.clip(np.ceil(pixels.max(axis=0)).astype(np.int64) + WINDOW_MARGIN + 1, 0, size)
+    return np.stack([low, high]) if (high > low).all() else None

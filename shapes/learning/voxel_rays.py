@@ -1,0 +1,178 @@
+"""Rays for expectation propagation, from the readings of every view.
+
+One ray for each voxel footprint, view and surface: the voxels whose centres project into the footprint,
+nearest first. It is truncated to the voxels near its surface; voxels well before it are crossed for sure
+but for unexplained readings, and get a site of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from shapes.learning.config import LearnConfig
+from shapes.learning.expectation_propagation import SensorRays
+from shapes.learning.grid import VoxelGrid
+
+BAND_PITCHES = 2.4
+BAND_SIGMAS = 4.0
+"""A ray is truncated to voxels within both distances of its surface."""
+LEAST_ASSOCIATION = 0.02
+ON_PLANE_SIGMAS = 2.5
+SURFACES_APART_PITCHES = 2.0
+THINNEST_PITCHES = 0.2
+"""Two centres along a ray are taken to be at least so far apart."""
+OBJECT_SIZE_M = 0.3
+PEAK_DENSITY = 200.0
+"""Of a reading where its surface is, per metre: what an unexplained reading competes with."""
+RAY_BUCKET = 4096
+LENGTH_BUCKET = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewReadings:
+    """Readings of one view as host arrays; see `shapes.learning.readings.Readings`.
+
+    Attributes:
+        behind_m: (N, 2).
+        sigma_m: (N, 2).
+        association: (N, 2).
+        column: (N,).
+        row: (N,).
+        depth_m: (N,) of the voxels' centres.
+        plane_depth_m: (N,) depth of the support plane on the ray through each centre; +inf without one.
+        footprint: edge of a voxel in pixels.
+    """
+
+    behind_m: NDArray[np.float32]
+    sigma_m: NDArray[np.float32]
+    association: NDArray[np.float32]
+    column: NDArray[np.float32]
+    row: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    plane_depth_m: NDArray[np.float32]
+    footprint: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """What all views say of N voxels.
+
+    Attributes:
+        rays: near surfaces.
+        crossed: (N,) largest probability, over the views, that a ray went through and on.
+        log_crossings: (N, C) log-likelihood of all such rays by the voxel's state.
+        hidden: (N,) bool, behind a seen surface in some view.
+    """
+
+    rays: SensorRays
+    crossed: NDArray[np.float64]
+    log_crossings: NDArray[np.float64]
+    hidden: NDArray[np.bool_]
+
+
+def unexplained_density(config: LearnConfig) -> float:
+    """Density per metre of a reading that no voxel explains: an outlier, or a surface without a voxel."""
+    outlier = config.noise.outlier_probability / config.noise.max_range_m
+    return config.unresolved / OBJECT_SIZE_M + outlier
+
+
+def evidence(
+    views: Sequence[ViewReadings], grid: VoxelGrid, opacity: NDArray[np.float64], config: LearnConfig
+) -> Evidence:
+    """Sort the readings of all views into crossings and rays; `opacity` (C,) of a voxel's states."""
+    count = len(grid)
+    crossed, hidden = np.zeros(count), np.zeros(count, np.bool_)
+    log_crossings = np.zeros((count, len(opacity)))
+    slip = unexplained_density(config) / PEAK_DENSITY
+    places = []
+    for number, view in enumerate(views):
+        band = np.maximum(BAND_PITCHES * grid.pitch_m, BAND_SIGMAS * view.sigma_m)
+        measured = view.association > LEAST_ASSOCIATION
+        before = measured & (view.behind_m < -band)
+        through = np.where(before, view.association, 0.0).max(axis=1)
+        crossed = np.maximum(crossed, through)
+        log_crossings += np.log1p(-through[:, None] * opacity * (1 - slip))
+        hidden |= np.where(measured & (view.behind_m > 0), view.association, 0.0).sum(axis=1) > 0.5
+        for layer in range(view.behind_m.shape[1]):
+            voxel = np.flatnonzero(measured[:, layer] & (np.abs(view.behind_m[:, layer]) <= band[:, layer]))
+            places.append(_places(view, number, layer, voxel))
+    fields = [np.concatenate(parts) for parts in zip(*places, strict=True)] if places else []
+    return Evidence(
+        rays=_assembled(fields, grid, config), crossed=crossed, log_crossings=log_crossings, hidden=hidden
+    )
+
+
+def _places(view: ViewReadings, number: int, layer: int, voxel: NDArray[np.intp]) -> tuple:
+    """Voxel, distances and ray label (view, footprint column and row, on the plane) of band readings."""
+    behind, sigma = view.behind_m[voxel, layer], view.sigma_m[voxel, layer]
+    surface = view.depth_m[voxel] - behind
+    from_plane = surface - view.plane_depth_m[voxel]
+    label = np.stack(
+        [
+            np.full(len(voxel), number),
+            np.floor(view.column[voxel] / view.footprint).astype(np.int64),
+            np.floor(view.row[voxel] / view.footprint).astype(np.int64),
+            np.abs(from_plane) < ON_PLANE_SIGMAS * sigma,
+        ],
+        axis=1,
+    )
+    return voxel, behind, sigma, view.association[voxel, layer], surface, from_plane, label
+
+
+def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> SensorRays:
+    voxel, behind, sigma, association, surface, from_plane, label = fields
+    ray = _surfaces(label, surface, SURFACES_APART_PITCHES * grid.pitch_m)
+    order = np.lexsort((behind, ray))
+    voxel, behind, sigma, association, from_plane, ray = (
+        field[order] for field in (voxel, behind, sigma, association, from_plane, ray)
+    )
+    first = np.diff(ray, prepend=-1) > 0
+    ray = np.cumsum(first) - 1
+    starts = np.flatnonzero(first)
+    rays = len(starts)
+    place = np.arange(len(ray)) - starts[ray]
+    floor = unexplained_density(config)
+    # the surface lies between the centre before, which is free, and this one
+    step = np.where(first, grid.pitch_m, np.diff(behind, prepend=0.0))
+    step = np.maximum(step, THINNEST_PITCHES * grid.pitch_m)
+    density = (ndtr(behind / sigma) - ndtr((behind - step) / sigma)) / step + floor
+    on_plane = np.exp(-0.5 * np.minimum((from_plane / sigma) ** 2, 80.0)) / (sigma * np.sqrt(2 * np.pi))
+    miss = np.bincount(ray, on_plane + floor, minlength=rays) / np.maximum(np.bincount(ray), 1)
+    largest = np.maximum(np.maximum.reduceat(density, starts), miss) if rays else miss
+    shape = _bucket(rays, RAY_BUCKET), _bucket(int(place.max(initial=0)) + 1, LENGTH_BUCKET)
+    table = {
+        "voxel": np.full(shape, len(grid), np.int32),
+        "association": np.zeros(shape, np.float32),
+        "density": np.zeros(shape, np.float32),
+    }
+    for name, values in (("voxel", voxel), ("association", association), ("density", density / largest[ray])):
+        table[name][ray, place] = values
+    missed = np.ones(shape[0], np.float32)
+    missed[:rays] = miss / largest
+    return SensorRays(
+        **{name: jnp.asarray(values) for name, values in table.items()}, miss=jnp.asarray(missed)
+    )
+
+
+def _surfaces(label: NDArray[np.int64], surface_m: NDArray[np.floating], apart_m: float) -> NDArray[np.int64]:
+    """Number of the ray of each place: its label, split where readings jump from surface to surface."""
+    group = np.unique(label, axis=0, return_inverse=True)[1].reshape(-1)
+    order = np.lexsort((surface_m, group))
+    jump = (np.diff(group[order], prepend=-1) > 0) | (np.diff(surface_m[order], prepend=0.0) > apart_m)
+    ray = np.empty(len(order), np.int64)
+    ray[order] = np.cumsum(jump) - 1
+    return ray
+
+
+def _bucket(count: int, step: int) -> int:
+    """The next power of two times `step`, so that few sizes are compiled."""
+    size = step
+    while size < count:
+        size *= 2
+    return size
