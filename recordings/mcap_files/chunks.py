@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import Counter
 from dataclasses import dataclass
 
 import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
+from zlib_ng.zlib_ng import crc32
 
 from recordings.mcap_files.framing import HEAD_SIZE, MAX_BLOCK_SIZE, MalformedRecord, record_head
 
@@ -88,7 +88,7 @@ def unpack(compression: str, payload: bytes, size: int, crc: int) -> bytes:
     data = _decompress(compression, payload, size)
     if len(data) != size:
         raise DamagedBlock(f"unpacks to {len(data)} bytes instead of {size}")
-    if crc != 0 and zlib.crc32(data) != crc:
+    if crc != 0 and crc32(data) != crc:
         raise DamagedBlock("fails its checksum")
     return data
 

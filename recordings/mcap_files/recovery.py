@@ -7,12 +7,12 @@ next chunk whose checksum holds; in a file without chunks, at the next run of pl
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, MessageIndex, Metadata, Schema
 from mcap.summary import Summary
+from zlib_ng.zlib_ng import crc32
 
 from recordings.mcap_files.chunks import (
     VISIBLE_SIZE,
@@ -210,7 +210,7 @@ class _Recovery:
             return
         crc = 0
         for offset in range(0, step.offset, _RUN_SIZE):
-            crc = zlib.crc32(self._source.read(offset, min(_RUN_SIZE, step.offset - offset)), crc)
+            crc = crc32(self._source.read(offset, min(_RUN_SIZE, step.offset - offset)), crc)
         self._data_proven = crc == data_end.data_section_crc
         if not self._data_proven:
             reason = "fails the checksum of the whole file, and nothing tells which message is wrong"

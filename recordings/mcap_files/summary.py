@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-import zlib
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
 from mcap.summary import Summary
+from zlib_ng.zlib_ng import crc32
 
 from recordings.mcap_files.chunks import payload_offset
 from recordings.mcap_files.framing import (
@@ -40,7 +40,7 @@ def read_summary(source: Source) -> Summary | None:
     if not 0 < size <= MAX_BLOCK_SIZE or footer.summary_start == 0 or footer.summary_crc == NO_CRC:
         return None
     section = source.read(footer.summary_start, size)
-    if zlib.crc32(tail[: _FOOTER_SIZE - _CRC_SIZE], zlib.crc32(section)) != footer.summary_crc:
+    if crc32(tail[: _FOOTER_SIZE - _CRC_SIZE], crc32(section)) != footer.summary_crc:
         return None
     try:
         return _parse_summary(section)
