@@ -32,7 +32,7 @@ from recordings.messages.types import (
 )
 
 _NUMERIC_TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<f4", 8: "<f8"}
-"""foxglove.PackedElementField.NumericType."""
+"""foxglove.PackedElementField.NumericType; fields of others (0 is unknown) are passed over."""
 
 
 def protobuf_decoder(
@@ -97,15 +97,17 @@ def _compressed_image(message: Any) -> CompressedImageMessage:
 
 
 def _camera(message: Any) -> CameraMessage:
+    # JSON may leave out what protobuf would leave empty.
+    given = getattr(message, "P", ())
     projection = np.zeros(12)
-    projection[: len(message.P)] = message.P
+    projection[: len(given)] = given
     return CameraMessage(
         stamp_ns=_stamp_ns(message.timestamp),
         frame_id=str(message.frame_id),
         width=int(message.width),
         height=int(message.height),
-        distortion_model=str(message.distortion_model),
-        distortion=tuple(map(float, message.D)),
+        distortion_model=str(getattr(message, "distortion_model", "")),
+        distortion=tuple(map(float, getattr(message, "D", ()))),
         K=np.reshape(np.asarray(message.K, np.float64), (3, 3)),
         P=projection.reshape(3, 4),
     )
@@ -122,6 +124,7 @@ def _point_cloud(message: Any) -> PointCloudMessage:
         fields=tuple(
             PointField(name=str(f.name), offset=int(f.offset), dtype=np.dtype(_NUMERIC_TYPES[f.type]))
             for f in message.fields
+            if f.type in _NUMERIC_TYPES
         ),
         point_step=stride,
         row_step=width * stride,

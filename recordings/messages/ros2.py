@@ -31,7 +31,7 @@ from recordings.messages.types import (
 )
 
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""sensor_msgs/msg/PointField's datatypes."""
+"""sensor_msgs/msg/PointField's datatypes; fields of others are passed over."""
 
 
 def canonical_name(schema_name: str) -> str:
@@ -127,6 +127,7 @@ def _point_cloud(message: Any) -> PointCloudMessage:
         fields=tuple(
             PointField(name=f.name, offset=f.offset, dtype=np.dtype(order + _POINT_TYPES[f.datatype]))
             for f in message.fields
+            if f.datatype in _POINT_TYPES
         ),
         point_step=message.point_step,
         row_step=message.row_step,

@@ -165,12 +165,13 @@ def test_rvl_of_one_long_run(pixels, recording_path):
 
 
 def test_what_measured_nothing_is_no_return():
-    """Zero, negative, NaN, infinities and saturated integers become `NO_RETURN`."""
+    """Zero, negative, NaN, infinite and saturated values become `NO_RETURN`."""
     metric = MetricDepth()
-    floats = np.array([[0, -1, np.nan, np.inf, -np.inf, 2.5]], np.float32)
+    largest = np.finfo(np.float32).max
+    floats = np.array([[0, -1, np.nan, np.inf, -np.inf, largest, 2.5]], np.float32)
     integers = np.array([[0, 65535, 1, 65534]], np.uint16)
 
-    np.testing.assert_array_equal(metric(floats), np.array([[0, 0, 0, 0, 0, 2.5]], np.float32))
+    np.testing.assert_array_equal(metric(floats), np.array([[0, 0, 0, 0, 0, 0, 2.5]], np.float32))
     np.testing.assert_array_equal(metric(integers), np.array([[0, 0, 0.001, 65.534]], np.float32))
 
 

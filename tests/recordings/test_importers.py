@@ -15,7 +15,6 @@ from recordings.errors import RecordingError
 from recordings.importers.dataset import ALL_FRAMES
 from recordings.importers.formats import import_recording
 from recordings.poses.recorded import recorded_trajectory
-from recordings.poses.rigid import orthonormalised
 from recordings.reading import open_recording
 from recordings.truth import recorded_scene_truth
 from tests.recordings.samples import (
@@ -308,37 +307,3 @@ def test_damaged_sources_leave_nothing_behind(tmp_path, recording_path):
     with pytest.raises(RecordingError, match=r"frame-000002\.depth\.png is 8x4 where the first is 8x6"):
         run("7scenes", tmp_path, recording_path)
     assert list(tmp_path.glob("*.mcap*")) == []
-
-
-def test_the_real_kitchen(shared_data, recording_path):
-    """7-Scenes' redkitchen: pixels, stamps and poses of the files."""
-    folder = shared_data / "sevenscenes_redkitchen"
-    run("7scenes", folder, recording_path, frames=slice(10))
-    trajectory = recorded_trajectory(recording_path)
-    for i, frame in enumerate(open_recording(recording_path)):
-        stored = np.asarray(Image.open(folder / f"frame-{i:06d}.depth.png"))
-        np.testing.assert_array_equal(frame.depth_m, (stored / 1000).astype(np.float32))
-        assert trajectory is not None
-        pose = orthonormalised(np.loadtxt(folder / f"frame-{i:06d}.pose.txt"))
-        np.testing.assert_allclose(trajectory.reference_from_camera[i], pose, atol=1e-9)
-
-
-def test_real_ycb_video(shared_data, recording_path):
-    """YCB-Video: in every frame the truth puts the objects where that frame's own annotation does."""
-    folder = shared_data / "ycbv" / "scenes" / "0001"
-    run("bop", folder, recording_path)
-    truth, trajectory = recorded_scene_truth(recording_path), recorded_trajectory(recording_path)
-    annotations = json.loads((folder / "gt.json").read_text())
-    assert truth is not None
-    assert trajectory is not None
-    assert len(trajectory) == len(annotations) == len(open_recording(recording_path))
-    for pose, annotation in zip(trajectory.reference_from_camera, annotations, strict=True):
-        for true_object, expected in zip(truth.objects, annotation["objects"], strict=True):
-            assert true_object.name == expected["name"]
-            found = np.linalg.inv(pose) @ true_object.world_from_object
-            # the annotators' world is constant to 0.2 mm (PROVENANCE)
-            np.testing.assert_allclose(found[:3, 3], np.array(expected["T_cam_obj"])[:3, 3], atol=1e-3)
-    frame = next(iter(open_recording(recording_path)))
-    stored = np.asarray(Image.open(folder / "000001-depth.png"))
-    np.testing.assert_allclose(frame.depth_m, stored / 10000, rtol=1e-6)
-    assert frame.rgb is not None

@@ -138,6 +138,18 @@ def test_every_encoding_gives_the_same_recording(writer, recording_path):
     np.testing.assert_allclose(trajectory.reference_from_camera[:, 0, 3], [0, 1, 2])
 
 
+def test_json_may_leave_out_what_is_empty(recording_path):
+    """An undistorted, unrectified camera needs K and a size alone."""
+    with Scribe(recording_path) as scribe:
+        time = {"timestamp": {"sec": 3, "nsec": 5}}
+        camera = {name: calibration()[name] for name in ("frame_id", "width", "height", "K")}
+        scribe.json("/c/calibration", "foxglove.CameraCalibration", {**time, **camera}, 1)
+        scribe.json("/c/depth", "foxglove.RawImage", {**time, **raw_image()}, 1)
+    recording = open_recording(recording_path)
+    assert recording.intrinsics.fx == K[0]
+    assert [frame.time_ns for frame in recording] == [3_000_000_005]
+
+
 @pytest.mark.parametrize(
     ("spelling", "name"),
     [

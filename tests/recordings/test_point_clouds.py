@@ -166,6 +166,18 @@ def test_a_depth_image_goes_before_a_cloud(depth_m, recording_path):
     assert open_recording(recording_path, ReadOptions(depth_topic="/points")).depth_topic == "/points"
 
 
+def test_fields_of_unknown_types_are_passed_over(depth_m, recording_path):
+    """Drivers add their own; only x, y and z need be known."""
+    message = cloud(points_of(depth_m))
+    for name, datatype in [("ring", 0), ("tag", 255)]:
+        message.fields.insert(
+            0, new("sensor_msgs/msg/PointField", name=name, offset=12, datatype=datatype, count=4)
+        )
+    write(recording_path, message)
+    (frame,) = open_recording(recording_path)
+    np.testing.assert_array_equal(frame.depth_m, depth_m)
+
+
 @pytest.mark.parametrize("broken", ["no z", "too long", "huge", "empty"])
 def test_malformed_clouds_are_one_clear_line(broken, depth_m, recording_path):
     """Fields that are missing or reach out of the point, sizes that the data cannot hold, no points."""

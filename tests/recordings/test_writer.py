@@ -1,12 +1,16 @@
 """Written recordings are whole, checked, and read by other programs."""
 
+import zlib
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.stream_reader import StreamReader
+from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, Message, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
@@ -14,6 +18,8 @@ from recordings.errors import RecordingError
 from recordings.reading import open_recording
 from recordings.types import CameraIntrinsics, Frame
 from recordings.writer import DEPTH_TOPIC, MessageSchema, RecordingWriter
+
+DATA_END_SIZE = 9 + 4
 
 
 def write(path: Path, camera: CameraIntrinsics, frames: list[Frame], poses, *, unit_m=0.001) -> None:
@@ -58,6 +64,37 @@ def test_other_readers_agree(recording_path, camera, frames, poses):
         assert image.encoding == other.encoding == "16UC1"
         np.testing.assert_array_equal(np.frombuffer(image.data, "<u2").reshape(pixels.shape), pixels)
         np.testing.assert_array_equal(other.data.view("<u2").reshape(pixels.shape), pixels)
+
+
+def test_indexes_lead_to_what_they_name(recording_path, camera, frames, poses):
+    """What `mcap doctor` looks at: offsets, times, counts and checksums of the file's indexes."""
+    write(recording_path, camera, frames, poses)
+    data = recording_path.read_bytes()
+    with recording_path.open("rb") as file:
+        records = list(StreamReader(file, emit_chunks=True, validate_crcs=True).records)
+    chunks = [record for record in records if isinstance(record, Chunk)]
+    indexes = [record for record in records if isinstance(record, ChunkIndex)]
+    (statistics,) = [record for record in records if isinstance(record, Statistics)]
+    (data_end,) = [record for record in records if isinstance(record, DataEnd)]
+    (footer,) = [record for record in records if isinstance(record, Footer)]
+
+    end_of_data = footer.summary_start - DATA_END_SIZE
+    assert data_end.data_section_crc == zlib.crc32(data[:end_of_data]) != 0
+    assert footer.summary_crc == zlib.crc32(data[footer.summary_start : -12]) != 0
+    assert statistics.chunk_count == len(chunks) == len(indexes) > 0
+    counts: Counter[int] = Counter()
+    for chunk, index in zip(chunks, indexes, strict=True):
+        assert chunk.uncompressed_crc != 0
+        assert data[index.chunk_start_offset] == Opcode.CHUNK
+        messages = [record for record in breakup_chunk(chunk) if isinstance(record, Message)]
+        times = [message.log_time for message in messages]
+        assert (min(times), max(times)) == (index.message_start_time, index.message_end_time)
+        of_chunk = Counter(message.channel_id for message in messages)
+        assert set(index.message_index_offsets) == set(of_chunk)
+        assert all(data[offset] == Opcode.MESSAGE_INDEX for offset in index.message_index_offsets.values())
+        counts += of_chunk
+    assert counts == statistics.channel_message_counts
+    assert counts.total() == statistics.message_count == 3 * len(frames)
 
 
 def test_an_interrupted_recording_leaves_nothing(recording_path, camera, frames):
