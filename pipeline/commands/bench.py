@@ -7,6 +7,6 @@ from pipeline.cli import LazyGroup
 command = LazyGroup(
     name="bench",
     package="pipeline.commands.benches",
-    members=("speed",),
+    members=("slam", "speed"),
     help="Measure speed and accuracy beside peers.",
 )

@@ -1,0 +1,124 @@
+"""`voxscene bench slam`: tracking errors on real recordings and in seeded rooms, peers beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pipeline.options import Common, common_options
+
+PEERS = ("kiss-icp", "small-gicp", "open3d")
+
+
+@click.command(name="slam")
+@click.option("--rooms", type=click.IntRange(min=1), default=10, show_default=True, help="Rooms of each row.")
+@click.option("--only", metavar="TEXT", default="", help="Only the rows whose name has this in it.")
+@click.option(
+    "--against",
+    metavar="PEER,...",
+    default=",".join(PEERS),
+    show_default=True,
+    help="Peers to run on the same frames; an empty word for none.",
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="VOXSCENE_DATA",
+    default=Path("data"),
+    show_default=True,
+    help="Folder with sevenscenes_redkitchen and apc_shelf_handheld [env: VOXSCENE_DATA].",
+)
+@click.option(
+    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write it as CSV too."
+)
+@common_options()
+def command(common: Common, rooms: int, only: str, against: str, data: Path, csv_path: Path | None) -> None:
+    """Tracking errors: real recordings first, then bare and furnished rooms, object views, whole circles.
+
+    Every peer is tuned, in rooms of other seeds or on the real recording itself. With all rows, peers and
+    ten rooms it takes about an hour.
+    """
+    from pipeline.errors import PipelineError
+    from pipeline.jax_setup import keep_compiled_kernels
+
+    keep_compiled_kernels()
+    from pipeline.benchmarks.slam import measure_slam
+    from pipeline.benchmarks.slam_cases import real_rows, synthetic_rows
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    peers = [name.strip() for name in against.split(",") if name.strip()]
+    unknown = [name for name in peers if name not in PEERS]
+    if unknown:
+        raise PipelineError(f"--against: no peer {unknown[0]!r}; there are {', '.join(PEERS)}")
+    rows = [row for row in [*real_rows(data), *synthetic_rows()] if only in row.name]
+    if not rows:
+        raise PipelineError(f"--only {only}: no row has that in its name")
+    with common.progress("slam", "recordings") as progress, stdout_to_stderr():
+        document = measure_slam(rows, peers, rooms, common.seed, progress)
+    if csv_path is not None:
+        _write_csv(csv_path, document)
+    common.report(document, _lines(document))
+
+
+def _cells(document: dict[str, Any]) -> list[list[str]]:
+    """One line for each row and tracker."""
+    cells = []
+    for row in document["rows"]:
+        if "skipped" in row:
+            cells.append([row["row"], "skipped", row["skipped"], "", "", "", "", ""])
+            continue
+        scale = 1000 if row["unit"].startswith("mm") else 100
+        for name, figures in row["trackers"].items():
+            cells.append(
+                [
+                    row["row"],
+                    name,
+                    _spread(figures.get("error"), scale),
+                    row["unit"],
+                    _spread(figures.get("rotation_deg"), 1),
+                    f"{figures['lost_runs']}/{row['runs']}",
+                    _median(figures.get("frames_per_second"), "{:.1f}"),
+                    _median(figures.get("coverage_95"), "{:.0%}"),
+                ]
+            )
+    return cells
+
+
+HEADINGS = ["row", "tracker", "error", "unit", "rotation deg", "lost", "frames/s", "in 95%"]
+
+
+def _lines(document: dict[str, Any]) -> list[str]:
+    table = [HEADINGS, *_cells(document)]
+    widths = [
+        max(len(line[column]) for line in table if "skipped" not in line) for column in range(len(HEADINGS))
+    ]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in table
+    ]
+    return [*lines, "errors: median (least to most) over the runs that were not lost"]
+
+
+def _spread(figure: dict[str, float] | None, scale: float) -> str:
+    if figure is None:
+        return "lost"
+    middle, least, most = (scale * figure[name] for name in ("median", "least", "most"))
+    return f"{middle:.2f} ({least:.2f} to {most:.2f})"
+
+
+def _median(figure: dict[str, float] | None, form: str) -> str:
+    return "" if figure is None else form.format(figure["median"])
+
+
+def _write_csv(path: Path, document: dict[str, Any]) -> None:
+    import csv
+
+    from pipeline.errors import PipelineError
+
+    try:
+        with path.open("w", newline="") as file:
+            csv.writer(file).writerows([HEADINGS, *_cells(document)])
+    except OSError as error:
+        raise PipelineError(f"cannot write {path}: {error.strerror}") from error

@@ -1,0 +1,67 @@
+"""The table of `bench slam`: what is counted as lost, what is skipped, and that cases are what they say."""
+
+from __future__ import annotations
+
+from functools import partial
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from pipeline.benchmarks import slam as bench
+from pipeline.benchmarks.slam_cases import Case, Row, real_rows, synthetic_rows
+from slam.config import SlamConfig
+
+
+def _short(case: Case, frames: int) -> Case:
+    return Case(
+        frames=case.frames[:frames],
+        intrinsics=case.intrinsics,
+        poses=case.poses[:frames],
+        object_m=case.object_m,
+    )
+
+
+def test_a_row_reports_ours_and_counts_lost_peers(monkeypatch: pytest.MonkeyPatch):
+    """Ours follows an orbit to centimetres; a peer that raises is lost, one that knows the truth is exact."""
+    orbit = synthetic_rows()[0]
+    first = partial(lambda case, number: _short(case(number), 4), orbit.case)
+    truth = orbit.case(0).poses[:4]
+
+    settings = {"exact": Mock(return_value=truth), "broken": Mock(side_effect=RuntimeError("no overlap"))}
+    monkeypatch.setattr(bench, "settings_of", lambda name: {name: settings[name]})
+    row = Row(name="orbit", case=first, real=True, configs={"voxscene": SlamConfig(particles=8)})
+    told = Mock()
+
+    document = bench.measure_slam([row], ["exact", "broken"], 3, 0, told)
+
+    (line,) = document["rows"]
+    assert line["runs"] == 1
+    told.assert_called_once_with(1, 1)
+    assert line["trackers"]["voxscene"]["error"]["most"] < 0.02
+    assert line["trackers"]["exact"]["error"]["most"] == pytest.approx(0.0, abs=1e-9)
+    assert line["trackers"]["broken"]["lost_runs"] == 1
+    assert "error" not in line["trackers"]["broken"]
+
+
+def test_missing_data_is_skipped_with_its_reason(tmp_path):
+    """Rows whose folder is missing name it, and the others go on."""
+    rows = real_rows(tmp_path / "nowhere")
+
+    document = bench.measure_slam(rows, [], 1, 0, Mock())
+
+    assert len(document["rows"]) == 4
+    assert all("nowhere" in row["skipped"] for row in document["rows"])
+
+
+@pytest.mark.parametrize("name", ["bare room, 12 degrees a frame", "5 views round an object"])
+def test_cases_are_seeded_and_start_at_the_identity(name: str):
+    """The same number gives the same frames; another gives others; the first camera is the reference."""
+    row = next(row for row in synthetic_rows() if row.name == name)
+
+    case, again, other = row.case(3), row.case(3), row.case(4)
+
+    np.testing.assert_array_equal(case.frames[1].depth_m, again.frames[1].depth_m)
+    assert (case.frames[1].depth_m != other.frames[1].depth_m).any()
+    np.testing.assert_allclose(case.poses[0], np.eye(4), atol=1e-12)
+    assert (case.object_m is not None) == (row.judged_by == "object")
