@@ -13,6 +13,7 @@ from pipeline.errors import ConfigError, PipelineError
 from recordings.errors import RecordingError
 
 COMMANDS = (
+    "demo",
     "info",
     "import",
     "synth",

@@ -15,6 +15,8 @@
     path = "table.mcap"
     stage = "parse"
     objects = ["mug", "can"]   # every learned shape unless given
+    shapes = "meshes"          # a folder of shapes or meshes, instead of those that the project learns
+    parse.presence = 0.5       # settings of the stages, for this recording alone
 
 A recording may also have the settings of reading: depth_topic, every, start_s and so on. Each recording's
 run stands in RUN/recordings/STEM; what was learned is gathered in RUN/shapes.
@@ -36,6 +38,7 @@ FILE_NAME = r"\w[\w.-]*"
 """Names that are files' names too."""
 
 Stage = Literal["slam", "learn", "parse"]
+STAGES = ("slam", "learn", "parse")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,15 +49,19 @@ class ProjectRecording:
         path: the recording.
         stage: the last stage to run; those before it run too.
         name: of the learned shape; the recording's stem unless given.
-        objects: shapes to look for; None takes every one that is learned.
+        objects: shapes to look for; None takes all that there are.
+        shapes: folder of shapes or meshes to look for; None takes what the project learns.
         reading: settings of reading, by name.
+        settings: of the stages for this recording alone, by section.
     """
 
     path: Path
     stage: Stage
     name: str | None = None
     objects: tuple[str, ...] | None = None
+    shapes: Path | None = None
     reading: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.name is not None and not re.fullmatch(FILE_NAME, self.name):
@@ -102,6 +109,13 @@ def read_project(path: Path) -> Project:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ConfigError(f"{path}: two {what} are named {twice[0]}; each needs a name of its own")
+    if not any(one.stage == "learn" for one in recordings):
+        without = [one.path for one in recordings if one.stage == "parse" and one.shapes is None]
+        if without:
+            raise ConfigError(
+                f"{path}: nothing is learned that {without[0]} could be parsed with; "
+                'add a recording with stage = "learn", or name a folder of shapes with shapes = "DIR"'
+            )
     return Project(
         recordings=tuple(sorted(recordings, key=lambda one: one.stage == "parse")),
         settings=checked_sections(content, path),
@@ -111,6 +125,8 @@ def read_project(path: Path) -> Project:
 def _recording(path: Path, number: int, entry: Mapping[str, Any]) -> ProjectRecording:
     where = f"{path}, recording {number}"
     reading = {name: value for name, value in entry.items() if name in READING}
-    own = {name: value for name, value in entry.items() if name not in READING}
-    recording = build(ProjectRecording, {**own, "reading": reading}, where)
-    return replace(recording, path=path.parent / recording.path)
+    settings = {name: value for name, value in entry.items() if name in STAGES}
+    own = {name: value for name, value in entry.items() if name not in (*READING, *STAGES)}
+    recording = build(ProjectRecording, {**own, "reading": reading, "settings": settings}, where)
+    shapes = None if recording.shapes is None else path.parent / recording.shapes
+    return replace(recording, path=path.parent / recording.path, shapes=shapes)

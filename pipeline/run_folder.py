@@ -154,7 +154,7 @@ class RunFolder:
     def stages(self) -> list[str]:
         """Names of the committed stages, in the order of the work."""
         shapes = sorted((self.path / "stages" / "learn").glob("*.json"))
-        names = ["slam", "room", *(f"learn/{path.stem}" for path in shapes), "parse"]
+        names = ["slam", "room", *(f"learn/{path.stem}" for path in shapes), "objects", "parse"]
         return [name for name in names if self.record(name)]
 
     def value_path(self, name: str) -> Path:
@@ -258,7 +258,7 @@ def _canonical_hash(content: Any) -> str:
 _OWN_FOLDERS = frozenset({"shapes", "recordings"})
 _OWN_FILES = frozenset(
     {
-        *("slam.npz", "room.npz", "parse.npz", "config.toml", "summary.json", "timing.json"),
+        *("slam.npz", "room.npz", "objects.npz", "parse.npz", "config.toml", "summary.json", "timing.json"),
         *("trajectory.tum", "trajectory.kitti", "poses.csv", "run.mcap", "run.rrd"),
     }
 )

@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
 from pipeline.meshes import Units, load_meshes
 from pipeline.run_folder import file_hash
+from pipeline.surfaces import Surface
 from shapes.prior import ShapePrior
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Surface:
-    """A closed surface in metres, in the object's own frame."""
-
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
 
 
 def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, Surface]:

@@ -44,12 +44,10 @@ def command(
 
     from pipeline.project import read_project
     from pipeline.project_run import run_project
-    from pipeline.run_folder import open_run_folder
 
     project = read_project(project_file)
     folder = run_path or project_file.with_suffix(".run")
-    with open_run_folder(folder, {"a project": "project"}) as run:
-        damage = run_project(project, run, common, force=force)
+    damage = run_project(project, folder, common, force=force)
     summary = json.loads((folder / "summary.json").read_text())
     lines = [f"{stem}: {', '.join(stages)}" for stem, stages in summary["recordings"].items()]
     common.report(summary, [*lines, f"look at it with: voxscene review {folder}"])

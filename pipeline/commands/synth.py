@@ -50,7 +50,9 @@ def _scene_options(scene: Callable[..., Any]) -> Any:
         click.option("--frames", type=click.IntRange(1), help="Number of views."),
         click.option("--step", type=float, metavar="DEGREES", help="Degrees a frame round the scene."),
         click.option("--radius", type=float, metavar="METRES", help="Distance of the camera."),
-        click.option("--elevations", metavar="DEGREES,...", help="Of the camera; several for rings."),
+        click.option(
+            "--elevations", metavar="DEGREES,...", help="Of the camera: one for each ring, or passed through."
+        ),
         click.option("--size", metavar="WIDTHxHEIGHT", help="Image size."),
         click.option("--intrinsics", type=Intrinsics(), help="Lens in pixels."),
         click.option("--noise-free", is_flag=True, default=None, help="Measure exactly."),

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pipeline.room import RoomView
 from pipeline.run_folder import RunFolder
+from pipeline.surfaces import Surfaces
 from scene.result import SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
@@ -19,13 +23,22 @@ class RunValues:
         slam: the camera's trajectory.
         room: what was seen along it.
         shapes: learned shapes by name.
+        surfaces: of the objects that were looked for.
         scene: which objects stand where.
     """
 
     slam: SlamResult | None
     room: RoomView | None
     shapes: dict[str, ShapePrior]
+    surfaces: Surfaces | None = None
     scene: SceneResult | None = None
+
+    @property
+    def reference_from_parsed(self) -> NDArray[np.float64]:
+        """Pose (4, 4) of the first frame that was parsed, whose camera the scene's objects are in."""
+        if self.scene is None or self.slam is None:
+            return np.eye(4)
+        return self.slam.mean[self.scene.frames[0]]
 
     @classmethod
     def load(cls, run: RunFolder) -> RunValues:
@@ -39,5 +52,6 @@ class RunValues:
                 for name in stages
                 if name.startswith("learn/")
             },
+            surfaces=Surfaces.load(run.value_path("objects")) if "objects" in stages else None,
             scene=SceneResult.load(run.value_path("parse")) if "parse" in stages else None,
         )

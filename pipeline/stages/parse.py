@@ -14,7 +14,9 @@ from pipeline.errors import PipelineError
 from pipeline.meshes import Units
 from pipeline.session import Session
 from pipeline.shape_folder import chosen, load_surfaces, surface_hashes
+from pipeline.stages.room import view_stage
 from pipeline.stages.slam import slam_stage
+from pipeline.surfaces import Surfaces
 from recordings.types import DepthNoise, Frame
 from scene.config import ParseConfig
 from scene.parsing import parse_scene
@@ -37,7 +39,8 @@ def parse_stage(
         PipelineError: a shape or frame is missing, or the first frame shows nothing.
     """
     config = session.common.settings.section("parse", ParseConfig, options)
-    inputs = {f"shapes/{name}": digest for name, digest in surface_hashes(shapes).items()}
+    surfaces = _surfaces(session, shapes, units, config.objects)
+    inputs = {"objects": session.run.fingerprint("objects")}
     poses = np.eye(4)[None]
     if len(config.frames) > 1:
         trajectory = slam_stage(session)
@@ -45,8 +48,7 @@ def parse_stage(
         poses = _relative_poses(trajectory.mean, config.frames)
 
     def compute() -> SceneResult:
-        surfaces = chosen(load_surfaces(shapes, units), config.objects)
-        objects = [scene_object(name, one.vertices_m, one.faces) for name, one in surfaces.items()]
+        objects = [scene_object(name, one.vertices_m, one.faces) for name, one in surfaces.by_name.items()]
         with session.common.progress("parse", "blocks") as progress:
             try:
                 return parse_scene(
@@ -63,7 +65,19 @@ def parse_stage(
             except ValueError as error:
                 raise PipelineError(f"{session.source.path}: {error}") from error
 
-    return session.stage("parse", SceneResult.load, compute, {"parse": config}, inputs)
+    scene = session.stage("parse", SceneResult.load, compute, {"parse": config}, inputs)
+    if session.run.record("slam") is None:
+        view_stage(session, min(config.frames))
+    return scene
+
+
+def _surfaces(session: Session, shapes: Path, units: Units | None, names: tuple[str, ...]) -> Surfaces:
+    """What is looked for, kept in the run as the stage `objects`."""
+    inputs = {f"shapes/{name}": digest for name, digest in surface_hashes(shapes).items()}
+    inputs |= {"names": ",".join(names), "units": units or ""}
+    return session.stage(
+        "objects", Surfaces.load, lambda: Surfaces(chosen(load_surfaces(shapes, units), names)), {}, inputs
+    )
 
 
 def _frames(session: Session, numbers: tuple[int, ...]) -> list[Frame]:

@@ -21,7 +21,8 @@ class PathConfig:
         frames: number of views.
         degrees_per_frame: step of azimuth of `orbit`, mean step of `handheld`.
         radius_m: distance to the point looked at.
-        elevations_deg: angle above the horizon; several for `rings`, the first holds elsewhere.
+        elevations_deg: angles above the horizon: one for each of the `rings`; else passed through evenly
+            from the first frame to the last.
         start_deg: azimuth of the first view; None draws it.
         look_at_error_deg: standard deviation of the aim about both image axes.
         shake_m: standard deviation of the hand's tremor (`handheld`).
@@ -58,9 +59,7 @@ def camera_path(
         poses = _rings(config, target_m, start)
     elif config.kind == "orbit":
         azimuth = start + np.radians(config.degrees_per_frame) * np.arange(config.frames)
-        poses = _looking_at(
-            _on_sphere(target_m, config.radius_m, azimuth, config.elevations_deg[0]), target_m
-        )
+        poses = _looking_at(_on_sphere(target_m, config.radius_m, azimuth, _climb(config)), target_m)
     else:
         poses = _hand_held(config, target_m, start, rng)
     aim = rng.normal(scale=np.radians(config.look_at_error_deg), size=(config.frames, 2))
@@ -83,6 +82,12 @@ def _rings(config: PathConfig, target_m: NDArray[np.float64], start: float) -> N
     return _looking_at(np.concatenate(positions), target_m)
 
 
+def _climb(config: PathConfig) -> NDArray[np.float64]:
+    """Elevation (T,) in degrees of a path that passes through all of them."""
+    knots = np.linspace(0, config.frames - 1, len(config.elevations_deg))
+    return np.interp(np.arange(config.frames), knots, config.elevations_deg)
+
+
 def _hand_held(
     config: PathConfig, target_m: NDArray[np.float64], start: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
@@ -91,7 +96,7 @@ def _hand_held(
     step = np.radians(config.degrees_per_frame) * (1 + 0.5 * _smooth_noise(rng, config.frames, 1, slow)[:, 0])
     azimuth = start + np.cumsum(step) - step[0]
     wander = _smooth_noise(rng, config.frames, 5, slow)
-    elevation = np.clip(config.elevations_deg[0] + 6 * wander[:, 0], -85, 85)
+    elevation = np.clip(_climb(config) + 6 * wander[:, 0], -85, 85)
     radius = config.radius_m * np.exp(0.06 * wander[:, 1])
     poses = _looking_at(_on_sphere(target_m, radius, azimuth, elevation), target_m + 0.03 * wander[:, 2:])
     tremor = _smooth_noise(rng, config.frames, 6, 1.5)

@@ -21,6 +21,20 @@ def run_blueprint(values: RunValues) -> rrb.Blueprint:
         side.append(rrb.Horizontal(*images))
     if values.shapes:
         side.append(rrb.Tabs(*(_shape_view(name, values) for name in values.shapes)))
+    if values.scene is not None:
+        side.append(rrb.GraphView(origin="graph", name="What rests on what"))
+    report = rrb.TextDocumentView(origin="report", name="Report")
+    side.append(rrb.Horizontal(_plots(), report) if values.slam is not None else report)
+    return rrb.Blueprint(
+        rrb.Horizontal(_room_view(values), rrb.Vertical(*side), column_shares=[3, 2]),
+        rrb.TimePanel(state="collapsed", timeline="frame"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _plots() -> rrb.Tabs:
+    """How sure the filter was, over the frames."""
     plots = [
         rrb.TimeSeriesView(origin=f"plots/{path}", name=name)
         for path, name in (
@@ -30,19 +44,15 @@ def run_blueprint(values: RunValues) -> rrb.Blueprint:
             ("evidence", "Log evidence"),
         )
     ]
-    side.append(rrb.Horizontal(rrb.Tabs(*plots), rrb.TextDocumentView(origin="report", name="Report")))
-    return rrb.Blueprint(
-        rrb.Horizontal(_room_view(values), rrb.Vertical(*side), column_shares=[3, 2]),
-        rrb.TimePanel(state="collapsed", timeline="frame"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-    )
+    return rrb.Tabs(*plots)
 
 
 def _room_view(values: RunValues) -> rrb.Spatial3DView:
     contents = ["world/**", "- world/camera/depth", "- world/camera/colour"]
     eye = None
-    if values.slam is not None:
+    if values.scene is not None:
+        eye = _eye_at_objects(values, upward(values))
+    elif values.slam is not None:
         eye = _eye(values.slam.mean, upward(values))
     return rrb.Spatial3DView(
         origin="world",
@@ -93,6 +103,15 @@ def _eye(poses: NDArray[np.float64], up: NDArray[np.float64]) -> rrb.EyeControls
     return rrb.EyeControls3D(
         position=target + 1.7 * reach * away + 2.0 * reach * up, look_target=target, eye_up=up
     )
+
+
+def _eye_at_objects(values: RunValues, up: NDArray[np.float64]) -> rrb.EyeControls3D:
+    """From where the camera was, nearer to the objects and a little higher."""
+    camera = values.reference_from_parsed
+    places = (camera @ values.scene.camera_from_object)[values.scene.found, :3, 3] if values.scene else []
+    target = np.mean(places, axis=0) if len(places) else camera[:3, 3] + camera[:3, 2]
+    back = camera[:3, 3] - target
+    return rrb.EyeControls3D(position=target + 0.8 * back + 0.1 * up, look_target=target, eye_up=up)
 
 
 def _common_target(poses: NDArray[np.float64]) -> NDArray[np.float64]:

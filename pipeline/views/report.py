@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.publishing.values import RunValues
 from pipeline.views.trajectory_view import ENLARGED
+from scene.result import TABLE, SceneResult
 
 
 def report_markdown(name: str, values: RunValues) -> str:
@@ -30,4 +31,28 @@ def report_markdown(name: str, values: RunValues) -> str:
         size = " x ".join(f"{1000 * extent:.0f}" for extent in np.ptp(shape.bounding_box_m, axis=0))
         seen = int(shape.seen_occupied.sum())
         parts.append(f"| {shape_name} | {size} | {1000 * shape.pitch_m:.0f} | {seen} |")
+    if values.scene is not None:
+        parts += _scene(values.scene)
     return "\n".join(parts) + "\n"
+
+
+def _scene(scene: SceneResult) -> list[str]:
+    """One line for each object looked for."""
+    names = [*map(str, scene.names), TABLE]
+    lines = [
+        "## Objects",
+        "| object | there | position, mm | rotation, deg | rests on |",
+        "|---|---|---|---|---|",
+    ]
+    for one, name in enumerate(scene.names):
+        if not scene.found[one]:
+            lines.append(f"| {name} | {scene.presence[one]:.0%} | | | not found |")
+            continue
+        parent = int(np.argmax(scene.edge_probabilities[one]))
+        probability = scene.edge_probabilities[one, parent]
+        rest = f"{names[parent]} ({probability:.0%})" if probability > 0 else "nothing"
+        lines.append(
+            f"| {name} | {scene.presence[one]:.0%} | +- {1000 * scene.position_std_m[one]:.1f} "
+            f"| +- {np.degrees(scene.rotation_std_rad[one]):.1f} | {rest} |"
+        )
+    return [*lines, f"- wire ellipsoids: 95% regions of positions, drawn {ENLARGED:.0f} times larger"]

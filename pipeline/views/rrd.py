@@ -10,6 +10,7 @@ from pipeline.atomic import atomic_path
 from pipeline.publishing.values import RunValues
 from pipeline.views.blueprint import run_blueprint
 from pipeline.views.report import report_markdown
+from pipeline.views.scene_view import log_scene
 from pipeline.views.shape_view import log_shape
 from pipeline.views.trajectory_view import log_camera_views, log_filter, log_room, log_trajectory
 
@@ -41,5 +42,7 @@ def write_rrd(path: Path, name: str, values: RunValues) -> None:
             log_camera_views(recording, values.slam, values.room)
         for shape_name, shape in values.shapes.items():
             log_shape(recording, shape_name, shape)
+        if values.scene is not None and values.surfaces is not None:
+            log_scene(recording, values.scene, values.surfaces.by_name, values.reference_from_parsed)
         recording.flush()
         recording.disconnect()

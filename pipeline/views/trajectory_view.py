@@ -107,7 +107,7 @@ def _log_ellipsoids(recording: rr.RecordingStream, result: SlamResult) -> None:
         rr.Ellipsoids3D(
             centers=result.mean[chosen, :3, 3],
             half_sizes=half_sizes,
-            quaternions=_quaternions_xyzw(turns),
+            quaternions=quaternions_xyzw(turns),
             colors=ELLIPSOID_COLOUR,
             fill_mode="solid",
         ),
@@ -115,6 +115,6 @@ def _log_ellipsoids(recording: rr.RecordingStream, result: SlamResult) -> None:
     )
 
 
-def _quaternions_xyzw(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+def quaternions_xyzw(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rerun's quaternions (N, 4) of rotations (N, 3, 3)."""
     return Rotation.from_matrix(rotations).as_quat()

@@ -49,6 +49,23 @@ def test_shapes_are_learned_before_they_are_looked_for(tmp_path: Path) -> None:
     assert found.settings == {"slam": {"particles": 16}}
 
 
+def test_a_recording_may_have_settings_and_shapes_of_its_own(tmp_path: Path) -> None:
+    """Beneath the command line's, over the project's."""
+    found = project(
+        tmp_path,
+        """
+        [[recording]]
+        path = "table.mcap"
+        stage = "parse"
+        shapes = "meshes"
+        parse.presence = 0.5
+        """,
+    ).recordings[0]
+
+    assert found.shapes == tmp_path / "meshes"
+    assert found.settings == {"parse": {"presence": 0.5}}
+
+
 def test_the_command_lines_settings_stand_over_the_projects(tmp_path: Path) -> None:
     """Key by key."""
     found = project(
@@ -81,6 +98,8 @@ def test_the_command_lines_settings_stand_over_the_projects(tmp_path: Path) -> N
             "[[recording]]\npath = 'b'\nstage = 'learn'\nname = 'c'",
             "two shapes are named c",
         ),
+        ("[[recording]]\npath = 'a'\nstage = 'parse'", "nothing is learned that"),
+        ("[[recording]]\npath = 'a'\nstage = 'slam'\nslam = 3", "recording 1.settings.slam: input should be"),
         ("[slum]\n[[recording]]\npath = 'a'\nstage = 'slam'", "no section 'slum'"),
         ("[[recording", "is not TOML"),
     ],

@@ -45,6 +45,14 @@ def test_an_orbit_steps_evenly_at_one_distance_and_looks_at_the_target() -> None
     np.testing.assert_allclose(poses[:, :3, 2], -arm / 1.3, atol=1e-12)
 
 
+def test_an_orbit_passes_through_its_elevations() -> None:
+    """Evenly, from the first frame to the last."""
+    poses = path(frames=9, elevations_deg=(20.0, 60.0, 40.0), radius_m=1.0)
+    arm = poses[:, :3, 3] - TARGET_M
+
+    np.testing.assert_allclose(np.degrees(np.arcsin(arm[:, 2])), [20, 30, 40, 50, 60, 55, 50, 45, 40])
+
+
 def test_look_at_errors_turn_the_camera_and_leave_its_place() -> None:
     """Their root mean square is the set deviation over two axes."""
     aimed = path(frames=2000, degrees_per_frame=0.1, start_deg=0.0, look_at_error_deg=2.0)

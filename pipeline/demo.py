@@ -1,0 +1,177 @@
+"""The whole program on recordings made for it, and how far from the truth it ends.
+
+OUT/recordings/*.mcap      one for each object to learn, and a table with all of them
+OUT/project.toml           what `voxscene run` does with them
+OUT/run                    its run folder
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from pipeline.atomic import write_text
+from pipeline.errors import PipelineError
+from pipeline.evaluation.scenes import ObjectError, object_errors
+from pipeline.evaluation.shapes import shape_agreement
+from pipeline.evaluation.trajectories import slam_errors
+from pipeline.evaluation.truth import RecordedTruth, true_mesh
+from pipeline.options import Common
+from pipeline.project import Project, ProjectRecording, read_project
+from pipeline.project_run import recording_folder, run_project
+from pipeline.publishing.values import RunValues
+from pipeline.run_folder import RunFolder
+from pipeline.synthesis.filming import film_object, film_table
+from pipeline.synthesis.objects import built_in_object
+from pipeline.synthesis.paths import PathConfig
+from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.synthesis.scenarios import ObjectScene, TableScene
+from pipeline.synthesis.writing import write_recording
+
+OBJECTS = ("box", "can", "bottle", "bracket", "marker")
+"""Walls of the others are thinner than a voxel, so that no grid of voxels comes near them."""
+TABLE = "table"
+ROUND_THE_OBJECT = PathConfig(
+    kind="handheld", frames=36, degrees_per_frame=20.0, radius_m=0.5, elevations_deg=(25.0, 60.0)
+)
+"""Twice round, near, from the side upwards."""
+AT_THE_TABLE = PathConfig(
+    kind="handheld", frames=5, degrees_per_frame=4.0, radius_m=0.8, elevations_deg=(40.0,)
+)
+
+TRAJECTORY_GATE_CM = 2.0
+IOU_GATE = 0.9
+NEAR_M = 0.01
+NEAR_GATE = 4
+"""Objects that must lie nearer than `NEAR_M`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedObject:
+    """How well one object's recording was used.
+
+    Attributes:
+        trajectory_error_cm: root mean square over the frames, from the first pose.
+        iou: of the learned shape with the truth over voxels that were seen.
+    """
+
+    trajectory_error_cm: float
+    iou: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoResult:
+    """What came of it, by name of the object."""
+
+    learned: dict[str, LearnedObject]
+    parsed: list[ObjectError]
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The fields that other programs rely on: the worst trajectory and the worst shape first."""
+        return {
+            "trajectory_error_cm": max(one.trajectory_error_cm for one in self.learned.values()),
+            "iou": min(one.iou for one in self.learned.values()),
+            "under_1cm": sum(one.add_s_m < NEAR_M for one in self.parsed),
+            "objects": len(self.parsed),
+            "learned": {name: asdict(one) for name, one in self.learned.items()},
+            "parsed": [asdict(one) for one in self.parsed],
+        }
+
+    @property
+    def holds(self) -> bool:
+        """True if every gate holds."""
+        found = self.document
+        return (
+            found["trajectory_error_cm"] <= TRAJECTORY_GATE_CM
+            and found["iou"] >= IOU_GATE
+            and found["under_1cm"] >= NEAR_GATE
+        )
+
+
+def demonstrate(folder: Path, common: Common) -> DemoResult:
+    """Film, run and evaluate; what is there from an earlier, equal demonstration is used again.
+
+    Raises:
+        PipelineError: the folder cannot be used.
+    """
+    project_file = folder / "project.toml"
+    film(folder, common)
+    write_text(project_file, tomli_w.dumps({"recording": _entries()}))
+    project = read_project(project_file)
+    run = folder / "run"
+    run_project(project, run, common)
+    return evaluate(project, run)
+
+
+def film(folder: Path, common: Common) -> None:
+    """Write the recordings; equal seeds give equal bytes.
+
+    Raises:
+        PipelineError: the folder holds something else.
+    """
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / "recordings").is_dir():
+        raise PipelineError(f"{folder} is not empty and holds no demonstration; name another with --out")
+    (folder / "recordings").mkdir(parents=True, exist_ok=True)
+    meshes = {name: built_in_object(name) for name in OBJECTS}
+    for number, name in enumerate(OBJECTS):
+        scene = ObjectScene(path=ROUND_THE_OBJECT)
+        _write(folder, name, film_object(name, meshes[name], scene, common.seed + number), common)
+    scene = TableScene(objects=len(OBJECTS), path=AT_THE_TABLE)
+    _write(folder, TABLE, film_table(meshes, scene, common.seed), common)
+
+
+def evaluate(project: Project, run: Path) -> DemoResult:
+    """Compare a finished run with the truth in its recordings."""
+    learned, shape_from_object = {}, {}
+    for recording in (one for one in project.recordings if one.stage == "learn"):
+        values, truth = _values(recording, run), RecordedTruth(recording.path)
+        slam, shape, one = values.slam, values.shapes[recording.shape], truth.scene.objects[0]
+        assert slam is not None  # learning needs it
+        reference_from_object = truth.camera_from_world(int(slam.times_ns[0])) @ one.world_from_object
+        learned[recording.shape] = LearnedObject(
+            trajectory_error_cm=100 * slam_errors(slam, truth.trajectory)["ate_first_pose_m"],
+            iou=shape_agreement(shape, true_mesh(one), reference_from_object).observed,
+        )
+        shape_from_object[recording.shape] = np.linalg.inv(shape.reference_from_grid) @ reference_from_object
+    parsed = [
+        error
+        for recording in project.recordings
+        if recording.stage == "parse"
+        for error in _parsed(recording, run, shape_from_object)
+    ]
+    return DemoResult(learned=learned, parsed=parsed)
+
+
+def _parsed(
+    recording: ProjectRecording, run: Path, shape_from_object: dict[str, NDArray[np.float64]]
+) -> list[ObjectError]:
+    scene, truth = _values(recording, run).scene, RecordedTruth(recording.path)
+    assert scene is not None
+    return object_errors(
+        truth.scene.objects,
+        {one.shape: true_mesh(one) for one in truth.scene.objects},
+        truth.camera_from_world(int(truth.trajectory.times_ns[scene.frames[0]])),
+        [(str(scene.names[one]), scene.camera_from_object[one]) for one in np.flatnonzero(scene.found)],
+        shape_from_object,
+    )
+
+
+def _values(recording: ProjectRecording, run: Path) -> RunValues:
+    return RunValues.load(RunFolder(recording_folder(run, recording), force=False))
+
+
+def _write(folder: Path, name: str, recording: SyntheticRecording, common: Common) -> None:
+    with common.progress(f"filming {name}", "frames") as progress:
+        write_recording(recording, folder / "recordings" / f"{name}.mcap", progress)
+
+
+def _entries() -> list[dict[str, Any]]:
+    """The project's recordings."""
+    learn = [{"path": f"recordings/{name}.mcap", "stage": "learn", "name": name} for name in OBJECTS]
+    return [*learn, {"path": f"recordings/{TABLE}.mcap", "stage": "parse"}]

@@ -1,0 +1,71 @@
+"""Parsed scenes against the truth: how far each object's surface lies from where it really is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pipeline.evaluation.object_poses import add_s_m, best_matches, model_points
+from recordings.truth import TrueObject
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectError:
+    """How well one true object was found.
+
+    Attributes:
+        name: of the object in the truth.
+        add_s_m: error of its pose; `MISSING_M` where it was not found.
+        found: an estimate of its shape was matched with it.
+        visible_fraction: share of it that the first frame shows, where the truth says so.
+    """
+
+    name: str
+    add_s_m: float
+    found: bool
+    visible_fraction: float | None
+
+
+def object_errors(
+    objects: Sequence[TrueObject],
+    meshes: Mapping[str, trimesh.Trimesh],
+    camera_from_world: NDArray[np.float64],
+    estimates: Sequence[tuple[str, NDArray[np.float64]]],
+    shape_from_object: Mapping[str, NDArray[np.float64]] | None = None,
+) -> list[ObjectError]:
+    """Errors of all true objects, in their order; instances of one shape are matched at least cost.
+
+    Args:
+        objects: of the truth.
+        meshes: true surface by shape, in the object's own frame.
+        camera_from_world: (4, 4) of the camera whose frame the estimates are in.
+        estimates: shape and camera_from_object (4, 4) of every object that was found.
+        shape_from_object: (4, 4) by shape, from the true object's frame to that of the shape that was
+            looked for; left out where both are one.
+    """
+    errors: dict[str, ObjectError] = {}
+    for shape in dict.fromkeys(one.shape for one in objects):
+        true = [one for one in objects if one.shape == shape]
+        points = model_points(meshes[shape])
+        to_shape = (shape_from_object or {}).get(shape, np.eye(4))
+        poses = [pose @ to_shape for name, pose in estimates if name == shape]
+        costs = np.array(
+            [
+                [add_s_m(points, camera_from_world @ one.world_from_object, pose) for pose in poses]
+                for one in true
+            ]
+        ).reshape(len(true), len(poses))
+        matches = dict(best_matches(costs))
+        for row, one in enumerate(true):
+            error = costs[row, matches[row]] if row in matches else add_s_m(points, np.eye(4), None)
+            errors[one.name] = ObjectError(
+                name=one.name,
+                add_s_m=float(error),
+                found=row in matches,
+                visible_fraction=one.visible_fraction,
+            )
+    return [errors[one.name] for one in objects]

@@ -1,0 +1,99 @@
+"""The parsed scene: objects where they were found, how sure that is, and what rests on what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from pipeline.surfaces import Surface
+from pipeline.views.trajectory_view import CHI_95, ENLARGED, quaternions_xyzw
+from scene.result import TABLE, SceneResult
+
+OBJECT_COLOURS = (
+    *((239, 131, 84), (91, 155, 213), (130, 200, 110), (220, 180, 70)),
+    *((190, 120, 210), (90, 200, 190), (230, 110, 140), (165, 165, 120)),
+)
+SURELY = 0.5
+"""Edges more probable than this are drawn strong."""
+TABLE_COLOUR = (150, 160, 175)
+
+
+def log_scene(
+    recording: rr.RecordingStream,
+    scene: SceneResult,
+    surfaces: Mapping[str, Surface],
+    reference_from_camera: NDArray[np.float64],
+) -> None:
+    """Objects that were found, in the room, with the 95% regions of their positions; and the scene graph.
+
+    Args:
+        recording: where to.
+        scene: what was found.
+        surfaces: of the objects, by name.
+        reference_from_camera: (4, 4) of the first frame that was parsed.
+    """
+    for one in map(int, np.flatnonzero(scene.found)):
+        name, path = str(scene.names[one]), f"world/objects/{scene.names[one]}"
+        pose = reference_from_camera @ scene.camera_from_object[one]
+        recording.log(path, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]), static=True)
+        mesh = rr.Mesh3D(
+            vertex_positions=surfaces[name].vertices_m,
+            triangle_indices=surfaces[name].faces,
+            vertex_normals=_normals(surfaces[name]),
+            albedo_factor=object_colour(one),
+        )
+        recording.log(f"{path}/surface", mesh, static=True)
+        mean = np.linalg.inv(scene.camera_from_object[one]) @ scene.mean[one]
+        variances, axes = np.linalg.eigh(scene.covariance[one, :3, :3])
+        axes = mean[:3, :3] @ axes * np.sign(np.linalg.det(axes))
+        ellipsoid = rr.Ellipsoids3D(
+            centers=[mean[:3, 3]],
+            half_sizes=[ENLARGED * CHI_95 * np.sqrt(np.maximum(variances, 0))],
+            quaternions=quaternions_xyzw(axes[None]),
+            colors=(*object_colour(one), 110),
+            fill_mode="majorwireframe",
+            labels=f"{name} {scene.presence[one]:.0%}",
+        )
+        recording.log(f"{path}/uncertainty", ellipsoid, static=True)
+    _log_graph(recording, scene)
+
+
+def object_colour(index: int) -> tuple[int, int, int]:
+    """The colour of an object in every view."""
+    return OBJECT_COLOURS[index % len(OBJECT_COLOURS)]
+
+
+def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
+    found = np.flatnonzero(scene.found).tolist()
+    names = [*map(str, scene.names), TABLE]
+    nodes = [*found, len(scene.names)]
+    recording.log(
+        "graph",
+        rr.GraphNodes(
+            [names[node] for node in nodes],
+            labels=[names[node] for node in nodes],
+            colors=[object_colour(node) for node in found] + [TABLE_COLOUR],
+        ),
+        rr.GraphEdges(
+            [
+                (names[child], names[parent])
+                for child in found
+                for parent in np.flatnonzero(scene.edge_probabilities[child] > SURELY)
+            ],
+            graph_type="directed",
+        ),
+        static=True,
+    )
+
+
+def _normals(surface: Surface) -> NDArray[np.float64]:
+    """Unit normals (V, 3) at the vertices, faces weighing by their area."""
+    corners = surface.vertices_m[surface.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(surface.vertices_m)
+    for corner in range(3):
+        np.add.at(normals, surface.faces[:, corner], across)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
