@@ -55,38 +55,44 @@ def local_planes(depth_m: jax.Array, camera: Camera, noise: DepthNoise, *, half:
     inverse = jnp.where(seen, 1.0 / z, 0.0)
     pixel_m = z / camera.fx
     sigma = standard_deviation(noise, z)
-    offsets = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, -1, 1, 1).astype(np.float32)
-    down, right = offsets  # (W, 1, 1) each
-    stretched = jnp.stack([_shifted(inverse, half, at) for at in np.ndindex(2 * half + 1, 2 * half + 1)])
-    both = seen[None] & (stretched > 0)
-    rise = -(stretched - inverse[None]) * (z * z)[None]  # depth of each neighbour relative to the pixel's own
-    across = (right**2 + down**2) * pixel_m[None] ** 2
-    terms = (jnp.ones_like(right), right, down, right * right, right * down, down * down)
+    size = 2 * half + 1
+    offsets = jnp.asarray(np.mgrid[-half : half + 1, -half : half + 1].reshape(2, -1).T, depth_m.dtype)
+    neighbours = jnp.stack([_shifted(inverse, half, at) for at in np.ndindex(size, size)])
 
     def refined(plane: jax.Array, first: jax.Array) -> tuple[jax.Array, tuple]:
-        offset, slope_u, slope_v = plane[:, None]
-        steep = jnp.hypot(slope_u, slope_v) / pixel_m[None]
-        believed = jnp.minimum(1.0, STEEPEST_BELIEVED / jnp.maximum(steep, 1e-9)) / pixel_m[None]
+        offset, slope_u, slope_v = plane
+        steep = jnp.sqrt(slope_u**2 + slope_v**2) / pixel_m
+        believed = jnp.minimum(1.0, STEEPEST_BELIEVED / jnp.maximum(steep, 1e-9))
         rise_u, rise_v = believed * slope_u, believed * slope_v
-        along = across + ((rise_u * right + rise_v * down) * pixel_m[None]) ** 2
-        variance = sigma[None] ** 2 + BENDING**2 * along * (1 + rise_u**2 + rise_v**2)
-        residual = rise - (offset + slope_u * right + slope_v * down)
-        limit = GATE * jnp.sqrt(variance + first * sigma[None] ** 2) + first * STEEPEST * jnp.sqrt(across)
-        near = both & (jnp.abs(residual) < limit)
-        weight = jnp.where(near, 1.0 / variance, 0.0)
+        stretch = 1 + (rise_u**2 + rise_v**2) / pixel_m**2
+
+        def added(sums: jax.Array, neighbour: tuple) -> tuple[jax.Array, None]:
+            (down, right), inverse_there = neighbour
+            rise = -(inverse_there - inverse) * z * z  # depth relative to the pixel's own
+            across = (right**2 + down**2) * pixel_m**2
+            along = across + (rise_u * right + rise_v * down) ** 2
+            variance = sigma**2 + BENDING**2 * along * stretch
+            residual = rise - (offset + slope_u * right + slope_v * down)
+            limit = GATE * jnp.sqrt(variance + first * sigma**2) + first * STEEPEST * jnp.sqrt(across)
+            near = seen & (inverse_there > 0) & (jnp.abs(residual) < limit)
+            weight = jnp.where(near, 1.0 / variance, 0.0)
+            terms = (1.0, right, down, right * right, right * down, down * down)
+            matrix = [weight * term for term in terms]
+            pull = [weight * rise * term for term in terms[:3]]
+            new = jnp.stack([*matrix, *pull, weight * residual**2, near.astype(rise.dtype)])
+            return sums + new, None
+
+        sums = jax.lax.scan(added, jnp.zeros((11, *z.shape), z.dtype), (offsets, neighbours))[0]
         ridge = 1.0 / (STEEPEST * pixel_m) ** 2
         loading = (1e-6, 0.0, 0.0, ridge, 0.0, ridge)
-        matrix = [(weight * term).sum(axis=0) + load for term, load in zip(terms, loading, strict=True)]
-        pull = [(weight * rise * term).sum(axis=0) for term in terms[:3]]
-        covariance = _inverse(matrix)
-        count = near.sum(axis=0)
-        misfit = jnp.where(near, residual**2 / variance, 0.0).sum(axis=0) / jnp.maximum(count - 3, 1)
-        scaled = jnp.stack(covariance) * jnp.maximum(1.0, misfit)[None]
-        return jnp.stack(_times(covariance, pull)), (scaled, seen & (count >= FEWEST))
+        covariance = _inverse([part + load for part, load in zip(sums[:6], loading, strict=True)])
+        misfit, count = sums[9], sums[10]
+        scaled = jnp.stack(covariance) * jnp.maximum(1.0, misfit / jnp.maximum(count - 3, 1))[None]
+        return jnp.stack(_times(covariance, list(sums[6:9]))), (scaled, seen & (count >= FEWEST))
 
     start = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
     rounds = jnp.asarray([1.0] + [0.0] * (ROUNDS - 1), depth_m.dtype)
-    # a loop, since XLA would compute each round anew for every use of it
+    # loops, since XLA would compute each round anew for every use of it
     (offset, slope_u, slope_v), (covariances, valids) = jax.lax.scan(refined, start, rounds)
     to_inverse = -1.0 / (z * z)
     return LocalPlanes(

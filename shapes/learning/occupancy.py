@@ -62,10 +62,10 @@ def windows(
 ) -> list[Window | None]:
     """Windows of one size for all views; None for a view whose image does not show the grid."""
     boxes = [_image_box(intrinsics, grid, pose) for pose in reference_from_camera]
-    sizes = [(box[1] - box[0]).max() for box in boxes if box is not None]
+    sizes = [box[1] - box[0] for box in boxes if box is not None]
     if not sizes:
         return [None] * len(boxes)
-    size = -(-int(max(sizes)) // WINDOW_BUCKET) * WINDOW_BUCKET
+    width, height = (-(-int(most) // WINDOW_BUCKET) * WINDOW_BUCKET for most in np.max(sizes, axis=0))
     camera = Camera.from_intrinsics(intrinsics)
     distance = np.median([_distance(grid, pose) for pose in reference_from_camera])
     footprint = grid.pitch_m * intrinsics.fx / distance
@@ -76,8 +76,8 @@ def windows(
             found.append(None)
             continue
         left, top = (int(value) for value in box[0])
-        part = depth[top : top + size, left : left + size]
-        image = np.full((size, size), NO_RETURN, np.float32)
+        part = depth[top : top + height, left : left + width]
+        image = np.full((height, width), NO_RETURN, np.float32)
         image[: part.shape[0], : part.shape[1]] = part
         planes = local_planes(jnp.asarray(image), camera, config.noise, half=half)
         found.append(Window(planes=planes, corner=(left, top)))
