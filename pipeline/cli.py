@@ -21,6 +21,7 @@ COMMANDS = (
     "learn",
     "parse",
     "run",
+    "export",
     "review",
     "eval",
     "bench",

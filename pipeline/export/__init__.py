@@ -1,0 +1,1 @@
+"""Learned shapes and runs in the formats that other programs take."""

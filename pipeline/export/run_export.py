@@ -1,0 +1,93 @@
+"""Exports a run: the fused room and the objects in it, in the run's reference frame, in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from pipeline.errors import PipelineError
+from pipeline.export.meshes import mesh_bytes, moved, shape_mesh
+from pipeline.export.shape_export import write_files
+from pipeline.meshes import Units
+from pipeline.publishing.values import RunValues
+from pipeline.run_folder import RunFolder
+from pipeline.shape_folder import load_surfaces
+
+RUN_FORMATS = ("ply", "glb")
+FRAME = "the run's reference frame: the camera of its first depth frame, z forward, x right, y down"
+
+
+def export_run(
+    run: Path, formats: Sequence[str], out: Path, *, shapes: Path | None = None, units: Units | None = None
+) -> list[Path]:
+    """Write room.ply and OBJECT.ply, or everything as scene.glb; and manifest.json.
+
+    Args:
+        run: run folder.
+        formats: of `RUN_FORMATS`.
+        out: folder.
+        shapes: the shapes that parse was given; without them only the run's own can be drawn.
+        units: of meshes among them.
+
+    Returns:
+        The files written, the manifest last.
+
+    Raises:
+        PipelineError: the run holds nothing to export, or a found object's shape is not known.
+    """
+    values = RunValues.load(RunFolder(run, force=False))
+    objects = {**_learned(values), **_parsed(values, shapes, units)}
+    cloud = _room(values)
+    if cloud is None and not objects:
+        raise PipelineError(f"{run} holds neither a room nor objects; make them with slam, learn or parse")
+    contents: dict[str, bytes] = {}
+    if "ply" in formats:
+        if cloud is not None:
+            contents["room.ply"] = mesh_bytes(cloud, "ply")
+        contents |= {f"{name}.ply": mesh_bytes(mesh, "ply") for name, mesh in objects.items()}
+    if "glb" in formats:
+        scene = trimesh.Scene()
+        if cloud is not None:
+            scene.add_geometry(cloud, node_name="room", geom_name="room")
+        for name, mesh in objects.items():
+            scene.add_geometry(mesh, node_name=name, geom_name=name)
+        contents["scene.glb"] = mesh_bytes(scene, "glb")
+    files = [{"file": name, "units": "m"} for name in contents]
+    return write_files(out, contents, {"format_version": 1, "frame": FRAME, "files": files})
+
+
+def _room(values: RunValues) -> trimesh.PointCloud | None:
+    if values.room is None or not len(values.room.points_m):
+        return None
+    return trimesh.PointCloud(values.room.points_m.astype(np.float64), colors=values.room.rgb)
+
+
+def _learned(values: RunValues) -> dict[str, trimesh.Trimesh]:
+    return {
+        name: moved(shape_mesh(shape, name), shape.reference_from_grid)
+        for name, shape in values.shapes.items()
+    }
+
+
+def _parsed(values: RunValues, shapes: Path | None, units: Units | None) -> dict[str, trimesh.Trimesh]:
+    """Objects that were found, posed in the reference frame."""
+    scene = values.scene
+    if scene is None or not scene.found.any():
+        return {}
+    if shapes is None:
+        raise PipelineError("the run's objects are drawn with the shapes that parse was given: name --shapes")
+    surfaces = load_surfaces(shapes, units)
+    first = int(scene.frames[0])
+    reference_from_camera = np.eye(4) if values.slam is None else values.slam.mean[first]
+    objects: dict[str, Any] = {}
+    for name, pose in zip(scene.names[scene.found], scene.camera_from_object[scene.found], strict=True):
+        if str(name) not in surfaces:
+            raise PipelineError(f"{shapes} has no shape {name}, which parse found")
+        surface = surfaces[str(name)]
+        mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
+        objects[str(name)] = moved(mesh, reference_from_camera @ pose)
+    return objects
