@@ -1,4 +1,4 @@
-"""What Open3D finds on the host: the plane on which things stand, and clusters of points."""
+"""What is found on the host: the plane on which things stand, and clusters of points."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 SAMPLED_POINTS = 8000
-PLANES = 6
+PLANES, DRAWN_PLANES, REFITS = 6, 400, 3
 SMALLEST_SHARE = 0.03
 """A plane with a smaller share of the points is not worth a look."""
 LOWEST_M, HIGHEST_M = 0.01, 0.4
@@ -18,6 +18,8 @@ LOWEST_M, HIGHEST_M = 0.01, 0.4
 FITTED_POINTS = 20000
 BEND_M, SETTLED_M = 0.012, 0.003
 """Scales of the robust fit of the bend, first and last."""
+NARROWEST_HALF_M = 0.12
+"""A narrower plane is an object's face."""
 CONNECTED_M = 0.05
 """A gap in a plane's points at which another piece of furniture of the same height begins."""
 
@@ -59,15 +61,13 @@ def support_plane(
         seed: of the random samples.
         tolerance_m: distance at which a point lies in a plane.
     """
-    o3d.utility.random.seed(seed)
     rng = np.random.default_rng(seed)
     sampled = points_m[rng.permutation(len(points_m))[:SAMPLED_POINTS]]
     rest = sampled
     fewest = max(int(SMALLEST_SHARE * len(rest)), 50)
     planes = []
     while len(planes) < PLANES and len(rest) > fewest:
-        _, inliers = _cloud(rest).segment_plane(tolerance_m, 3, 500)
-        inliers = np.asarray(inliers)
+        inliers = _plane_inliers(rest, tolerance_m, rng)
         if len(inliers) < fewest:
             break
         labels = np.asarray(_cloud(rest[inliers]).cluster_dbscan(CONNECTED_M, 5))
@@ -76,12 +76,41 @@ def support_plane(
             planes.append(rest[piece])
         rest = np.delete(rest, piece, axis=0)
     tables = [_table(members) for members in planes]
+    tables = [table for table in tables if table.half_size_m.min() > NARROWEST_HALF_M]
     standing = [_count_standing(table, sampled) for table in tables]
     if not tables or max(standing) == 0:
         return None
     return _settled(
         tables[int(np.argmax(standing))], points_m[rng.permutation(len(points_m))[:FITTED_POINTS]]
     )
+
+
+def _plane_inliers(
+    points_m: NDArray[np.floating], tolerance_m: float, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Rows of the points in the best plane, by MSAC (Torr and Zisserman 2000) and a least-squares fit.
+
+    Open3D's own search runs on several threads, which makes its draws depend on their order.
+    """
+    corners = points_m[rng.integers(len(points_m), size=(DRAWN_PLANES, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals[lengths > 0] / lengths[lengths > 0, None]
+    offsets = np.sum(normals * corners[lengths > 0, 0], axis=1)
+    costs = [
+        np.minimum(((points_m @ normal - offset) / tolerance_m) ** 2, 1).sum()
+        for normal, offset in zip(normals, offsets, strict=True)
+    ]
+    if not costs:
+        return np.zeros(0, np.int64)
+    best = int(np.argmin(costs))
+    normal, offset = normals[best], offsets[best]
+    for _ in range(REFITS):
+        members = points_m[np.abs(points_m @ normal - offset) < tolerance_m]
+        middle = members.mean(axis=0)
+        normal = np.linalg.svd(members - middle, full_matrices=False)[2][2]
+        offset = normal @ middle
+    return np.flatnonzero(np.abs(points_m @ normal - offset) < tolerance_m)
 
 
 def clusters(

@@ -7,17 +7,19 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, label, maximum_filter, median_filter, minimum_filter
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.detection import SupportPlane, support_plane
 from scene.initialisation import SceneData
-from scene.observation import pooled_view
+from scene.observation import DepthView, pooled_view, unprojected
 from scene.window import PixelWindow, window_over
 
 VIEW_WIDTH = 320
 LOWEST_M = 0.006
 HIGHEST_M = 0.5
+WARP_M, STEP_M, LEVEL_COSINE, SMOOTHED_PX = 0.02, 0.004, 0.9, 5
+"""A table may be warped so far; steps this high and slopes are the sides of things on it."""
 TABLE_MARGIN_M = 0.05
 FARTHEST_M = 2.5
 FEWEST_PIXELS = 100
@@ -29,7 +31,7 @@ def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed:
     Raises:
         ValueError: nothing is in front of the camera.
     """
-    points = _unprojected(depth_m, intrinsics)
+    points = unprojected(depth_m, intrinsics)
     near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
     if near.sum() < FEWEST_PIXELS:
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
@@ -48,7 +50,7 @@ def frame_data(
     if table is not None:
         moved = np.linalg.inv(first_camera_from_camera) @ table.camera_from_table
         table = replace(table, camera_from_table=moved)
-    return _data_over(table, depth_m, _unprojected(depth_m, intrinsics), intrinsics)
+    return _data_over(table, depth_m, unprojected(depth_m, intrinsics), intrinsics)
 
 
 def _data_over(
@@ -58,9 +60,11 @@ def _data_over(
     intrinsics: CameraIntrinsics,
 ) -> SceneData:
     near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
-    foreground = near & _over(table, points)
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
+    foreground = near & _over(table, points)
+    if table is not None:
+        foreground &= ~_enlarged(_surface_of(table, view), factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
     window = window_over(foreground, depth_m, intrinsics)
     return SceneData(
@@ -82,6 +86,31 @@ def _over(table: SupportPlane | None, points_m: NDArray[np.float64]) -> NDArray[
     beside = np.abs(inside[..., :2]) - table.half_size_m
     heights = table.heights(points_m)
     return (beside < TABLE_MARGIN_M).all(axis=-1) & (heights > LOWEST_M) & (heights < HIGHEST_M)
+
+
+def _surface_of(table: SupportPlane, view: DepthView) -> NDArray[np.bool_]:
+    """Pixels of the view reached from the table's plane without a step or a slope, though it be warped."""
+    depth = median_filter(np.asarray(view.depth_m), SMOOTHED_PX)
+    heights = np.where(depth > 0, table.heights(unprojected(depth, view.camera)), np.inf)
+    upward = np.asarray(view.normals) @ table.camera_from_table[:3, 2]
+    low = np.abs(heights) < WARP_M
+    level = np.where(low, heights, 0.0)
+    even = maximum_filter(level, 3) - minimum_filter(level, 3) < STEP_M
+    parts = np.zeros(depth.shape, np.int32)
+    if not label(low & even & (upward > LEVEL_COSINE), output=parts):
+        return np.zeros(depth.shape, bool)
+    flat = np.abs(heights) < LOWEST_M
+    share = np.bincount(parts.ravel(), flat.ravel()) / np.maximum(np.bincount(parts.ravel()), 1)
+    share[0] = 0
+    return np.asarray(binary_dilation(share[parts] > 0.5), bool)
+
+
+def _enlarged(mask: NDArray[np.bool_], factor: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """A pooled mask in the pixels of the image, False beyond."""
+    large = np.zeros(shape, bool)
+    blocks = mask.repeat(factor, axis=0).repeat(factor, axis=1)[: shape[0], : shape[1]]
+    large[: blocks.shape[0], : blocks.shape[1]] = blocks
+    return large
 
 
 def _background(
@@ -115,10 +144,3 @@ def _pooled_any(mask: NDArray[np.bool_], factor: int, shape: tuple[int, ...]) ->
     rows, columns = shape
     blocks = mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
     return blocks.mean(axis=(1, 3)) >= 0.25
-
-
-def _unprojected(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
-    columns = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
-    rows = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy
-    rays = np.stack(np.broadcast_arrays(columns[None, :], rows[:, None], 1.0), axis=-1)
-    return rays * depth_m[..., None].astype(np.float64)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.detection import SupportPlane, clusters
 from scene.icp import align, look_up
-from scene.observation import DepthView
+from scene.observation import DepthView, unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.pose_choice import PoseLayers, choose, log_conditional
 from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
@@ -29,15 +29,15 @@ from scene.template_search import search
 from scene.window import PixelWindow
 from shapes import depth_noise
 
-ORIENTATIONS = 320
+ORIENTATIONS, FREE_ORIENTATIONS = 320, 576
 YAWS = 16
 ANCHORS, CENTRES = 128, 8
 ANCHOR_SPACING_M = 0.015
 CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
 UNEXPLAINED_M = 0.012
-FOREGROUND_PIXELS = 4096
+FOREGROUND_PIXELS = 1024
 LOWEST_LOG_DENSITY = -20.0
-HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 25, 32
+HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
 POLISH_ROUNDS, POLISH_ITERATIONS = 4, 6
 POLISH_FIRST_M, POLISH_LAST_M = 0.006, 0.002
 SELF_OCCLUSION_M = 0.008
@@ -135,10 +135,11 @@ def initialise(
 
 
 def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
-    """Camera_from_box rotations (ORIENTATIONS, 3, 3): resting, the cube's 24, and an even spread."""
+    """Camera_from_box rotations (O, 3, 3): resting, the cube's 24, and an even spread."""
+    if table is None:
+        return spread_rotations(FREE_ORIENTATIONS).astype(np.float32)
     fixed = np.concatenate([resting_rotations(one.rests, YAWS), cube_rotations()])
-    if table is not None:
-        fixed = table.camera_from_table[:3, :3] @ fixed
+    fixed = table.camera_from_table[:3, :3] @ fixed
     return np.concatenate([fixed, spread_rotations(ORIENTATIONS - len(fixed))]).astype(np.float32)
 
 
@@ -167,7 +168,7 @@ def _places(
     data: SceneData, mask: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Anchors (ANCHORS, 3) spread over the masked points, and cluster centres (CENTRES, 3)."""
-    points = _points(data.view)
+    points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
     masked = points[mask]
     if len(masked) < 10:
         masked = points[data.foreground]
@@ -178,16 +179,6 @@ def _places(
     return np.resize(anchors, (ANCHORS, 3)).astype(np.float32), np.resize(centres, (CENTRES, 3)).astype(
         np.float32
     )
-
-
-def _points(view: DepthView) -> NDArray[np.float32]:
-    """Points (H, W, 3) of a view in the camera frame."""
-    depth = np.asarray(view.depth_m)
-    camera = view.camera
-    columns, rows = np.meshgrid(np.arange(depth.shape[1]), np.arange(depth.shape[0]))
-    x = (columns - float(camera.cx)) / float(camera.fx)
-    y = (rows - float(camera.cy)) / float(camera.fy)
-    return (np.stack([x, y, np.ones_like(x)], axis=-1) * depth[..., None]).astype(np.float32)
 
 
 def _layers(

@@ -49,6 +49,14 @@ def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, widt
     return DepthView(camera, jnp.asarray(pooled), normals, jnp.asarray(pooled) != NO_RETURN)
 
 
+def unprojected(depth_m: NDArray[np.float32], camera: CameraIntrinsics | Camera) -> NDArray[np.float64]:
+    """Points (H, W, 3) in the camera frame."""
+    columns = (np.arange(depth_m.shape[1]) - float(camera.cx)) / float(camera.fx)
+    rows = (np.arange(depth_m.shape[0]) - float(camera.cy)) / float(camera.fy)
+    rays = np.stack(np.broadcast_arrays(columns[None, :], rows[:, None], 1.0), axis=-1)
+    return rays * depth_m[..., None].astype(np.float64)
+
+
 def _median_pool(depth_m: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
     """Lower median of the measured pixels of each block."""
     rows, columns = depth_m.shape[0] // factor, depth_m.shape[1] // factor

@@ -172,7 +172,7 @@ def _sample(
     kernel = _kernel(model, start, world, config)
     states = jax.vmap(lambda key: start_chain(key, model, scene))(jax.random.split(start_key, config.chains))
     if config.graph == "infer" and start.found.any():
-        graph_alone = Kernel(kernel.moves, jnp.zeros(1, jnp.int32))
+        graph_alone = Kernel(kernel.moves, jnp.zeros_like(kernel.schedule))
         states, _, _ = run_block(graph_key, states, model, graph_alone, BLOCK, _recorded)
     blocks = -(-config.moves // BLOCK)
     kept = []

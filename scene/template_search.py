@@ -17,6 +17,8 @@ from scene.icp import align, look_up, seen
 from scene.observation import DepthView
 
 TOLERANCE_M = 0.012
+COARSE = 0.15
+"""Tolerance over an object's radius while orientations are tens of degrees off."""
 BEHIND = 2.5
 """Tolerances by which a surface may be seen behind the object before it speaks against it."""
 TAKEN = 0.5
@@ -29,7 +31,9 @@ SAME_ANGLE_COSINE = 0.94
 """Cosine of 20 degrees."""
 NEIGHBOURHOOD_M, CROWDING = 0.05, 0.04
 """Each chosen pose lowers the scores round it, for the pool to spread."""
-ICP_FIRST_M, ICP_LAST_M, ICP_ITERATIONS = 0.012, 0.003, 15
+CANDIDATES = 128
+ICP_MIDDLE_M, ICP_LAST_M = 0.01, 0.003
+COARSE_ITERATIONS, FINE_ITERATIONS = 7, 10
 
 _CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
 """Which visible points are put on observed ones: places in the outline's bounding rectangle."""
@@ -57,17 +61,31 @@ def search(
         count: of poses.
     """
     offsets = jax.lax.map(lambda r: _offsets(points_m, normals, r, anchors_m, centres_m), rotations)
-    score_few = partial(_score, view, points_m[:FEW_POINTS], normals[:FEW_POINTS])
+    coarse_m = jnp.maximum(TOLERANCE_M, COARSE * jnp.linalg.norm(jnp.max(jnp.abs(points_m), axis=0)))
+    score_few = partial(_score, view, points_m[:FEW_POINTS], normals[:FEW_POINTS], coarse_m)
     coarse = jax.lax.map(
         lambda pair: jax.vmap(score_few, in_axes=(None, 0))(pair[0], pair[1]), (rotations, offsets)
     )
     places = _best_everywhere(coarse, len(anchors_m))
     turned, placed = rotations[places // offsets.shape[1]], offsets.reshape(-1, 3)[places]
-    scores = jax.vmap(partial(_score, view, points_m, normals))(turned, placed)
-    chosen = _distinct(turned, placed, scores, count)
+    scores = jax.vmap(partial(_score, view, points_m, normals, coarse_m))(turned, placed)
+    chosen = _distinct(turned, placed, scores, CANDIDATES)
     poses = jax.vmap(_pose)(turned[chosen], placed[chosen])
-    everything = jnp.ones((count, len(points_m)), bool)
-    refined = align(view, points_m, normals, everything, poses, ICP_FIRST_M, ICP_LAST_M, ICP_ITERATIONS)
+    everything = jnp.ones((CANDIDATES, len(points_m)), bool)
+    poses = align(view, points_m, normals, everything, poses, coarse_m, ICP_MIDDLE_M, COARSE_ITERATIONS)
+    turned, placed = jaxlie.SO3(poses[:, :4]).as_matrix(), poses[:, 4:]
+    scores = jax.vmap(partial(_score, view, points_m, normals, TOLERANCE_M))(turned, placed)
+    chosen = _distinct(turned, placed, scores, count)
+    refined = align(
+        view,
+        points_m,
+        normals,
+        everything[:count],
+        poses[chosen],
+        ICP_MIDDLE_M,
+        ICP_LAST_M,
+        FINE_ITERATIONS,
+    )
     return refined, scores[chosen]
 
 
@@ -92,7 +110,12 @@ def _offsets(
 
 
 def _score(
-    view: DepthView, points_m: jax.Array, normals: jax.Array, rotation: jax.Array, offset_m: jax.Array
+    view: DepthView,
+    points_m: jax.Array,
+    normals: jax.Array,
+    tolerance_m: jax.Array | float,
+    rotation: jax.Array,
+    offset_m: jax.Array,
 ) -> jax.Array:
     """Share of the points that should be seen and are, less those that are seen through.
 
@@ -102,7 +125,7 @@ def _score(
     placed, outward = points_m @ rotation.T + offset_m[None], normals @ rotation.T
     should = seen(placed, outward)
     observed = look_up(view, placed)
-    gap = (observed.surface_m[:, 2] - placed[:, 2]) / TOLERANCE_M
+    gap = (observed.surface_m[:, 2] - placed[:, 2]) / tolerance_m
     known = jnp.any(observed.normal != 0, axis=-1)
     cosine = jnp.sum(observed.normal * outward, axis=-1)
     alike = jnp.where(known, jnp.clip(cosine, 0, 1) ** 2, 0.5) * jnp.exp(-0.5 * gap**2)

@@ -7,6 +7,6 @@ from pipeline.cli import LazyGroup
 command = LazyGroup(
     name="eval",
     package="pipeline.commands.evaluations",
-    members=("slam", "shapes"),
+    members=("slam", "shapes", "poses"),
     help="Compare a run with the truth, which nothing else reads.",
 )

@@ -95,8 +95,9 @@ def _line(one: dict[str, Any], graph: list[dict[str, Any]]) -> str:
     place = ", ".join(f"{row[3] * 100:.1f}" for row in one["camera_from_object"][:3])
     spread = f"+- {one['position_std_m'] * 1000:.1f} mm"
     text = f"{one['name']}: ({place}) cm {spread}, presence {one['presence']:.2f}"
-    edges = [edge for edge in graph if edge["child"] == one["name"]]
-    if not edges:
-        return f"{text}, floating"
-    best = max(edges, key=lambda edge: edge["probability"])
-    return f"{text}, on {best['parent']} ({best['probability']:.2f})"
+    edges = {edge["parent"]: edge["probability"] for edge in graph if edge["child"] == one["name"]}
+    floating = 1 - sum(edges.values())
+    best = max(edges, key=edges.__getitem__, default=None)
+    if best is None or edges[best] < floating:
+        return f"{text}, floating ({floating:.2f})"
+    return f"{text}, on {best} ({edges[best]:.2f})"

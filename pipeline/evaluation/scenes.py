@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pipeline.evaluation.object_poses import add_s_m, best_matches, model_points
+from pipeline.evaluation.object_poses import (
+    accuracy,
+    add_s_m,
+    area_under_accuracy,
+    best_matches,
+    model_points,
+)
 from recordings.truth import TrueObject
+from scene.result import TABLE, SceneResult
+
+THRESHOLDS_M = (0.005, 0.01, 0.02)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,3 +79,35 @@ def object_errors(
                 visible_fraction=one.visible_fraction,
             )
     return [errors[one.name] for one in objects]
+
+
+def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str, bool]:
+    """Whether the most probable parent of each object is the true one, where the truth tells it.
+
+    Objects of one shape stand for each other as parents.
+    """
+    shapes = {one.name: one.shape for one in objects} | {TABLE: TABLE}
+    names = [*scene.names.tolist(), TABLE]
+    right: dict[str, bool] = {}
+    for one in objects:
+        if one.parent is None:
+            continue
+        edges = np.zeros(len(names))
+        if one.shape in names and scene.found[names.index(one.shape)]:
+            edges = scene.edge_probabilities[names.index(one.shape)]
+        best = int(np.argmax(edges))
+        right[one.name] = bool(edges[best] >= 0.5 and names[best] == shapes[one.parent])
+    return right
+
+
+def summary_of_errors(errors: Sequence[ObjectError], parents: Mapping[str, bool]) -> dict[str, Any]:
+    """The figures that are printed."""
+    distances = [one.add_s_m for one in errors]
+    return {
+        "objects": [{**asdict(one), "parent_right": parents.get(one.name)} for one in errors],
+        "median_m": float(np.median(distances)),
+        "largest_m": float(np.max(distances)),
+        "accuracy": {f"{threshold:g}": accuracy(distances, threshold) for threshold in THRESHOLDS_M},
+        "auc_0_10cm": area_under_accuracy(distances),
+        "parents_right": float(np.mean(list(parents.values()))) if parents else None,
+    }

@@ -18,6 +18,7 @@ from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
 from pipeline.synthesis.writing import write_recording
 from recordings.writer import RecordingWriter
+from scene.result import SceneResult
 
 SHAPES = ("box", "mug")
 SHORT = ("-s", "parse.rounds=0", "-s", "parse.moves=120", "-s", "parse.chains=2")
@@ -66,6 +67,25 @@ def test_objects_stand_where_they_are(table: SyntheticRecording, parsed: Path) -
     on_table = {edge["child"]: edge["probability"] for edge in document["graph"] if edge["parent"] == "table"}
     assert on_table["box"] > 0.5
     assert len((parsed / "poses.csv").read_text().splitlines()) == 1 + len(found)
+
+
+def test_eval_poses_tells_the_same_errors(table: SyntheticRecording, parsed: Path) -> None:
+    """With the truth's own surfaces, and whether the parents are right."""
+    recording = parsed.parent / "table.mcap"
+    result = CliRunner().invoke(
+        voxscene, ["eval", "poses", str(parsed), "--truth", str(recording), "--json"], catch_exceptions=False
+    )
+    document = json.loads(result.stdout)
+    scene = SceneResult.load(parsed / "parse.npz")
+    camera_from_world = np.linalg.inv(table.trajectory.reference_from_camera[0])
+    for one, true in zip(document["objects"], table.truth.objects, strict=True):
+        points = model_points(trimesh.Trimesh(true.vertices_m, true.faces))
+        estimate = scene.camera_from_object[scene.names.tolist().index(true.shape)]
+        exact = add_s_m(points, camera_from_world @ true.world_from_object, estimate)
+        assert one["add_s_m"] == pytest.approx(exact, abs=1e-4)
+    assert document["largest_m"] == max(one["add_s_m"] for one in document["objects"])
+    assert document["accuracy"]["0.005"] == 1.0
+    assert {one["name"] for one in document["objects"] if one["parent_right"]} >= {"box"}
 
 
 def test_truth_and_recorded_poses_are_not_used(

@@ -1,0 +1,90 @@
+"""`voxscene eval poses`: a parsed scene against the true poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pipeline.errors import PipelineError
+from pipeline.options import Common, common_options
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from pipeline.surfaces import Surfaces
+    from recordings.truth import TrueObject
+
+SAME_SIZE = 0.01
+"""Relative difference in size above which a surface is not the true one."""
+
+
+@click.command(name="poses")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "--truth", type=click.Path(path_type=Path), required=True, metavar="REC", help="Holds the truth."
+)
+@common_options()
+def command(common: Common, run: Path, truth: Path) -> None:
+    """ADD-S of each object in RUN, which was parsed with the objects' own meshes.
+
+    ADD-S is the mean distance from points of the object at its true pose to its surface at the pose found.
+    """
+    import numpy as np
+
+    from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
+    from pipeline.evaluation.truth import RecordedTruth
+    from pipeline.publishing.values import RunValues
+    from pipeline.run_folder import RunFolder
+
+    values = RunValues.load(RunFolder(run, force=False))
+    scene = values.scene
+    if scene is None or values.surfaces is None:
+        raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
+    known = RecordedTruth(truth)
+    objects, times = known.scene.objects, known.trajectory.times_ns
+    first = int(scene.frames[0])
+    if first >= len(times):
+        raise PipelineError(f"{truth} has no true camera for frame {first}: is it the recording of {run}?")
+    errors = object_errors(
+        objects,
+        {one.shape: _mesh(one, values.surfaces) for one in objects},
+        known.camera_from_world(int(times[first])),
+        [(str(scene.names[one]), scene.camera_from_object[one]) for one in np.flatnonzero(scene.found)],
+    )
+    document = summary_of_errors(errors, parents_right(scene, objects))
+    common.report(document, _lines(document))
+
+
+def _mesh(one: TrueObject, surfaces: Surfaces) -> trimesh.Trimesh:
+    """The object's true surface, from the truth or, where it brings none, from the run."""
+    import trimesh
+
+    from pipeline.evaluation.truth import true_mesh
+
+    kept = surfaces.by_name.get(one.shape)
+    if kept is None:
+        return true_mesh(one)
+    looked_for = trimesh.Trimesh(kept.vertices_m, kept.faces, process=False)
+    if one.vertices_m is None:
+        return looked_for
+    true = true_mesh(one)
+    if abs(true.bounds - looked_for.bounds).max() > SAME_SIZE * true.scale:
+        raise PipelineError(f"{one.shape} was not parsed with its own mesh: a learned frame has no true pose")
+    return true
+
+
+def _lines(document: dict[str, Any]) -> list[str]:
+    lines = [f"{'object':<24} {'ADD-S mm':>9} {'visible':>8} {'parent':>7}"]
+    for one in document["objects"]:
+        error = f"{1000 * one['add_s_m']:.1f}" if one["found"] else "missing"
+        visible = "" if one["visible_fraction"] is None else f"{one['visible_fraction']:.2f}"
+        parent = {None: "", True: "right", False: "wrong"}[one["parent_right"]]
+        lines.append(f"{one['name']:<24} {error:>9} {visible:>8} {parent:>7}")
+    shares = ", ".join(
+        f"{share:.0%} under {1000 * float(level):g} mm" for level, share in document["accuracy"].items()
+    )
+    largest = f"largest {1000 * document['largest_m']:.1f} mm"
+    lines.append(f"median {1000 * document['median_m']:.1f} mm, {largest}; {shares}")
+    return lines
