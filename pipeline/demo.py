@@ -30,16 +30,17 @@ from pipeline.synthesis.filming import film_object, film_table
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paths import PathConfig
 from pipeline.synthesis.recording import SyntheticRecording
-from pipeline.synthesis.scenarios import ObjectScene, TableScene
+from pipeline.synthesis.scenarios import CameraConfig, ObjectScene, TableScene
 from pipeline.synthesis.writing import write_recording
 
 OBJECTS = ("box", "can", "bottle", "bracket", "marker")
 """Walls of the others are thinner than a voxel, so that no grid of voxels comes near them."""
 TABLE = "table"
 ROUND_THE_OBJECT = PathConfig(
-    kind="handheld", frames=36, degrees_per_frame=20.0, radius_m=0.5, elevations_deg=(25.0, 60.0)
+    kind="handheld", frames=40, degrees_per_frame=18.0, radius_m=0.75, elevations_deg=(20.0, 55.0)
 )
-"""Twice round, near, from the side upwards."""
+"""Twice round, from the side upwards."""
+CAMERA = CameraConfig(width=640, height=480)
 AT_THE_TABLE = PathConfig(
     kind="handheld", frames=5, degrees_per_frame=4.0, radius_m=0.8, elevations_deg=(40.0,)
 )
@@ -120,7 +121,7 @@ def film(folder: Path, common: Common) -> None:
     (folder / "recordings").mkdir(parents=True, exist_ok=True)
     meshes = {name: built_in_object(name) for name in OBJECTS}
     for number, name in enumerate(OBJECTS):
-        scene = ObjectScene(path=ROUND_THE_OBJECT)
+        scene = ObjectScene(camera=CAMERA, path=ROUND_THE_OBJECT)
         _write(folder, name, film_object(name, meshes[name], scene, common.seed + number), common)
     scene = TableScene(objects=len(OBJECTS), path=AT_THE_TABLE)
     _write(folder, TABLE, film_table(meshes, scene, common.seed), common)
@@ -133,7 +134,7 @@ def evaluate(project: Project, run: Path) -> DemoResult:
         values, truth = _values(recording, run), RecordedTruth(recording.path)
         slam, shape, one = values.slam, values.shapes[recording.shape], truth.scene.objects[0]
         assert slam is not None  # learning needs it
-        reference_from_object = truth.camera_from_world(int(slam.times_ns[0])) @ one.world_from_object
+        reference_from_object = truth.reference_from_object(one, slam)
         learned[recording.shape] = LearnedObject(
             trajectory_error_cm=100 * slam_errors(slam, truth.trajectory)["ate_first_pose_m"],
             iou=shape_agreement(shape, true_mesh(one), reference_from_object).observed,

@@ -31,6 +31,7 @@ class RoomView:
         points_m: (N, 3) float32.
         rgb: (N, 3) uint8, or None without colour.
         frames: (V,) int32 indices of the views in the recording.
+        times_ns: (V,) int64 stamps of the views.
         depth_mm: (V, h, w) uint16 thinned depth images, 0 where nothing returned.
         view_rgb: (V, h, w, 3) uint8, or None without colour.
         intrinsics: (4,) fx, fy, cx, cy in pixels of the thinned images.
@@ -39,6 +40,7 @@ class RoomView:
     points_m: NDArray[np.float32]
     rgb: NDArray[np.uint8] | None
     frames: NDArray[np.int32]
+    times_ns: NDArray[np.int64]
     depth_mm: NDArray[np.uint16]
     view_rgb: NDArray[np.uint8] | None
     intrinsics: NDArray[np.float64]
@@ -74,10 +76,11 @@ def view_room(
     wanted = set(chosen.tolist())
     step = -(-intrinsics.width // VIEW_WIDTH)
     cloud = _Cloud()
-    depths, colours = [], []
+    stamps, depths, colours = [], [], []
     for index, frame in enumerate(frames):
         if index in wanted:
             cloud.add(frame, intrinsics, reference_from_camera[index])
+            stamps.append(frame.time_ns)
             depths.append(np.round(1000 * np.minimum(frame.depth_m[::step, ::step], 65.0)).astype(np.uint16))
             if frame.rgb is not None:
                 colours.append(frame.rgb[::step, ::step])
@@ -89,6 +92,7 @@ def view_room(
         points_m=points,
         rgb=rgb if coloured else None,
         frames=chosen.astype(np.int32),
+        times_ns=np.array(stamps, np.int64),
         depth_mm=np.stack(depths),
         view_rgb=np.stack(colours) if coloured else None,
         intrinsics=np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy]) / step,

@@ -33,7 +33,7 @@ from pipeline.timing import timed
 log = logging.getLogger("voxscene")
 log.setLevel(logging.INFO)
 
-FORMAT = 1
+FORMAT = 2
 """Raised whenever a stage's value would differ for the same inputs and settings."""
 
 

@@ -21,11 +21,8 @@ from pipeline.options import Common, common_options
     help="Of a shape: npz, ply, obj, glb, stl, bop. Of a RUN (the fused room and its objects): ply, glb.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR")
-@click.option("--units", type=click.Choice(["m", "mm"]), help="Of mesh files written; for a RUN of --shapes.")
+@click.option("--units", type=click.Choice(["m", "mm"]), help="Of a shape's mesh files; m.")
 @click.option("--shells", is_flag=True, help="Also the surfaces where the probability is 0.1 and 0.9.")
-@click.option(
-    "--shapes", type=click.Path(path_type=Path), metavar="DIR", help="What parse was given, to draw a RUN."
-)
 @common_options()
 def command(
     common: Common,
@@ -34,7 +31,6 @@ def command(
     output: Path,
     units: Any,
     shells: bool,
-    shapes: Path | None,
 ) -> None:
     """Write a learned shape, or what a RUN found, for other programs; manifest.json says what is what.
 
@@ -52,7 +48,7 @@ def command(
             kind = "a run" if is_run else "a shape"
             raise ConfigError(f"--format {form}: {kind} is written as {', '.join(known)}")
     if is_run:
-        paths = export_run(source, wanted, output, shapes=shapes, units=units)
+        paths = export_run(source, wanted, output)
     else:
         paths = export_shape(source, wanted, output, units=cast(Any, units or "m"), shells=shells)
     common.report({"files": [str(path) for path in paths]}, [str(path) for path in paths])

@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pipeline.errors import PipelineError
+from pipeline.evaluation.trajectories import compared
 from recordings.poses.recorded import recorded_trajectory
 from recordings.truth import SceneTruth, TrueObject, recorded_scene_truth
 from recordings.types import Trajectory
+from slam.result import SlamResult
 
 
 class RecordedTruth:
@@ -62,6 +65,25 @@ class RecordedTruth:
                 f"which of them is the shape {shape}?"
             )
         return named[0]
+
+    def reference_from_object(self, one: TrueObject, slam: SlamResult) -> NDArray[np.float64]:
+        """Pose (4, 4) of a true object in a run's reference frame, as all frames together have it.
+
+        Each frame that was tracked says where the object is, through its true pose; mean rotation and
+        median position of these count, so that a single frame's error, the first one's included, is not
+        taken for one of a shape that was learned from all of them.
+
+        Raises:
+            PipelineError: fewer than two frames have a true pose.
+        """
+        frames, world_from_camera = compared(slam.times_ns, self.trajectory)
+        tracked = ~slam.lost[frames]
+        camera_from_object = np.linalg.inv(world_from_camera[tracked]) @ one.world_from_object
+        each = slam.mean[frames[tracked]] @ camera_from_object
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_matrix(each[:, :3, :3]).mean().as_matrix()
+        pose[:3, 3] = np.median(each[:, :3, 3], axis=0)
+        return pose
 
 
 def true_mesh(one: TrueObject) -> trimesh.Trimesh:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -12,35 +11,29 @@ import trimesh
 from pipeline.errors import PipelineError
 from pipeline.export.meshes import mesh_bytes, moved, shape_mesh
 from pipeline.export.shape_export import write_files
-from pipeline.meshes import Units
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
-from pipeline.shape_folder import load_surfaces
 
 RUN_FORMATS = ("ply", "glb")
 FRAME = "the run's reference frame: the camera of its first depth frame, z forward, x right, y down"
 
 
-def export_run(
-    run: Path, formats: Sequence[str], out: Path, *, shapes: Path | None = None, units: Units | None = None
-) -> list[Path]:
+def export_run(run: Path, formats: Sequence[str], out: Path) -> list[Path]:
     """Write room.ply and OBJECT.ply, or everything as scene.glb; and manifest.json.
 
     Args:
         run: run folder.
         formats: of `RUN_FORMATS`.
         out: folder.
-        shapes: the shapes that parse was given; without them only the run's own can be drawn.
-        units: of meshes among them.
 
     Returns:
         The files written, the manifest last.
 
     Raises:
-        PipelineError: the run holds nothing to export, or a found object's shape is not known.
+        PipelineError: the run holds nothing to export.
     """
     values = RunValues.load(RunFolder(run, force=False))
-    objects = {**_learned(values), **_parsed(values, shapes, units)}
+    objects = {**_learned(values), **_parsed(values)}
     cloud = _room(values)
     if cloud is None and not objects:
         raise PipelineError(f"{run} holds neither a room nor objects; make them with slam, learn or parse")
@@ -73,21 +66,14 @@ def _learned(values: RunValues) -> dict[str, trimesh.Trimesh]:
     }
 
 
-def _parsed(values: RunValues, shapes: Path | None, units: Units | None) -> dict[str, trimesh.Trimesh]:
+def _parsed(values: RunValues) -> dict[str, trimesh.Trimesh]:
     """Objects that were found, posed in the reference frame."""
     scene = values.scene
-    if scene is None or not scene.found.any():
+    if scene is None or values.surfaces is None:
         return {}
-    if shapes is None:
-        raise PipelineError("the run's objects are drawn with the shapes that parse was given: name --shapes")
-    surfaces = load_surfaces(shapes, units)
-    first = int(scene.frames[0])
-    reference_from_camera = np.eye(4) if values.slam is None else values.slam.mean[first]
-    objects: dict[str, Any] = {}
+    objects: dict[str, trimesh.Trimesh] = {}
     for name, pose in zip(scene.names[scene.found], scene.camera_from_object[scene.found], strict=True):
-        if str(name) not in surfaces:
-            raise PipelineError(f"{shapes} has no shape {name}, which parse found")
-        surface = surfaces[str(name)]
+        surface = values.surfaces.by_name[str(name)]
         mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
-        objects[str(name)] = moved(mesh, reference_from_camera @ pose)
+        objects[str(name)] = moved(mesh, values.reference_from_parsed @ pose)
     return objects

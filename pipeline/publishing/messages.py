@@ -13,10 +13,11 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from pipeline.publishing.foxglove_geometry import REFERENCE, quaternions, set_quaternion, set_vector
+from pipeline.publishing.scene_messages import SAMPLES_SCHEMA, samples_of, scene_update
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
@@ -25,8 +26,6 @@ from recordings.writer import MessageSchema, RecordingWriter
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
-REFERENCE = "reference"
-"""Frame of the run: the first depth frame's camera."""
 CAMERA = "camera"
 
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
@@ -60,7 +59,7 @@ def write_messages(path: Path, values: RunValues, settings: Mapping[str, Any]) -
         RecordingError: the file cannot be written.
     """
     with RecordingWriter(path) as writer:
-        last_ns = 0
+        last_ns = 0 if values.room is None else int(values.room.times_ns[-1])
         if values.slam is not None:
             last_ns = int(values.slam.times_ns[-1])
             _write_trajectory(writer, values.slam)
@@ -68,24 +67,27 @@ def write_messages(path: Path, values: RunValues, settings: Mapping[str, Any]) -
             _write(writer, "/room/cloud", _cloud(values.room), last_ns)
         for name, shape in values.shapes.items():
             _write(writer, f"/shapes/{name}", _voxels(shape), last_ns)
+        if values.scene is not None and values.surfaces is not None:
+            _write(writer, "/scene/objects", scene_update(values, values.scene, values.surfaces), last_ns)
+            _write_json(writer, "/scene/samples", SAMPLES_SCHEMA, samples_of(values.scene), last_ns)
         _write_json(writer, "/summary", _SUMMARY_SCHEMA, summary_of(values), last_ns)
         writer.write_metadata("voxscene", {"settings": json.dumps(settings, sort_keys=True)})
 
 
 def _write_trajectory(writer: RecordingWriter, result: SlamResult) -> None:
-    mean_xyzw = _quaternions(result.mean)
-    particles_xyzw = _quaternions(result.trajectories)
+    mean_xyzw = quaternions(result.mean)
+    particles_xyzw = quaternions(result.trajectories)
     for frame, stamp in enumerate(result.times_ns):
         time_ns = int(stamp)
         camera = FrameTransform(parent_frame_id=REFERENCE, child_frame_id=CAMERA)
-        _set_vector(camera.translation, result.mean[frame, :3, 3])
-        _set_quaternion(camera.rotation, mean_xyzw[frame])
+        set_vector(camera.translation, result.mean[frame, :3, 3])
+        set_quaternion(camera.rotation, mean_xyzw[frame])
         _write(writer, "/slam/camera", camera, time_ns)
         particles = PosesInFrame(frame_id=REFERENCE)
         for pose, xyzw in zip(result.trajectories[:, frame], particles_xyzw[:, frame], strict=True):
             particle = particles.poses.add()
-            _set_vector(particle.position, pose[:3, 3])
-            _set_quaternion(particle.orientation, xyzw)
+            set_vector(particle.position, pose[:3, 3])
+            set_quaternion(particle.orientation, xyzw)
         _write(writer, "/slam/particles", particles, time_ns)
         _write_json(writer, "/slam/posterior", _FRAME_SCHEMA, _frame_posterior(result, frame), time_ns)
         if result.lost[frame]:
@@ -141,8 +143,8 @@ def _voxels(shape: ShapePrior) -> VoxelGrid:
         data=packed.tobytes(),
     )
     grid.cell_size.x = grid.cell_size.y = grid.cell_size.z = shape.pitch_m
-    _set_vector(grid.pose.position, shape.reference_from_grid[:3, 3])
-    _set_quaternion(grid.pose.orientation, _quaternions(shape.reference_from_grid))
+    set_vector(grid.pose.position, shape.reference_from_grid[:3, 3])
+    set_quaternion(grid.pose.orientation, quaternions(shape.reference_from_grid))
     grid.fields.extend(_fields(packed.dtype))
     return grid
 
@@ -153,23 +155,10 @@ def _fields(dtype: np.dtype) -> list[PackedElementField]:
     return [PackedElementField(name=name, offset=at[1], type=kinds[at[0].str]) for name, at in columns]
 
 
-def _quaternions(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotations x, y, z, w (..., 4) of poses (..., 4, 4)."""
-    flat = Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3)).as_quat(canonical=True)
-    return flat.reshape(*poses.shape[:-2], 4)
-
-
-def _set_vector(message: Any, vector: NDArray[np.float64]) -> None:
-    message.x, message.y, message.z = map(float, vector)
-
-
-def _set_quaternion(message: Any, xyzw: NDArray[np.float64]) -> None:
-    message.x, message.y, message.z, message.w = map(float, xyzw)
-
-
 def _write(writer: RecordingWriter, topic: str, message: Any, time_ns: int) -> None:
     """Write a Foxglove message; map entries keep one order, so that equal messages are equal bytes."""
-    message.timestamp.FromNanoseconds(time_ns)
+    for stamped in message.entities if isinstance(message, SceneUpdate) else [message]:
+        stamped.timestamp.FromNanoseconds(time_ns)
     data = message.SerializeToString(deterministic=True)
     writer.write(topic, protobuf_schema(type(message)), data, time_ns)
 

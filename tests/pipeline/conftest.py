@@ -4,7 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
+from pipeline.publishing.values import RunValues
+from pipeline.surfaces import Surface, Surfaces
 from pipeline.synthesis.filming import film_object
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paths import PathConfig
@@ -12,6 +15,7 @@ from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, ObjectScene
 from pipeline.synthesis.writing import write_recording
+from scene.result import SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
@@ -53,6 +57,36 @@ def true_trajectory(filmed_mug: SyntheticRecording) -> SlamResult:
         lost=np.zeros(frames, bool),
         explained=np.ones(frames),
     )
+
+
+@pytest.fixture(scope="session")
+def parsed_run(true_trajectory: SlamResult) -> RunValues:
+    """A mug on a box, found in the third frame, and a can that is not there."""
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, :3, 3] = [[0, 0, 0.6], [0, 0, 0.7], [0, 0, 0.8]]
+    edges = np.zeros((3, 4))
+    edges[0, 1] = edges[1, 3] = 0.9
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    surface = Surface(vertices_m=np.asarray(box.vertices), faces=np.asarray(box.faces, np.int64))
+    scene = SceneResult(
+        names=np.array(["mug", "box", "can"]),
+        frames=np.array([2]),
+        camera_from_object=poses,
+        mean=poses,
+        covariance=np.tile(1e-6 * np.eye(6), (3, 1, 1)),
+        presence=np.array([0.99, 0.98, 0.1]),
+        visible_fraction=np.ones(3),
+        mode_poses=poses[:, None],
+        mode_probabilities=np.ones((3, 1)),
+        edge_probabilities=edges,
+        edge_faces=np.full((3, 4, 2), -1, np.int32),
+        sample_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0.6], (5, 3, 1)),
+        sample_parents=np.tile(np.array([1, 3, -1], np.int32), (5, 1)),
+        sample_log_posteriors=np.arange(5.0),
+        chain=np.zeros(5, np.int32),
+    )
+    surfaces = Surfaces(dict.fromkeys(("mug", "box", "can"), surface))
+    return RunValues(slam=true_trajectory, room=None, shapes={}, surfaces=surfaces, scene=scene)
 
 
 @pytest.fixture(scope="session")

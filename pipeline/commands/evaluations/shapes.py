@@ -19,6 +19,8 @@ from pipeline.options import Common, common_options
 def command(common: Common, run: Path, truth: Path) -> None:
     """Intersection over union of the shapes in RUN with the truth of the recording they were learned from.
 
+    The truth is laid where the run's camera saw it, by all its frames together.
+
     \b
     solid     occupied or enclosed voxels against the solid object
     shell     their outermost layer against that of the object
@@ -33,11 +35,11 @@ def command(common: Common, run: Path, truth: Path) -> None:
     if values.slam is None or not values.shapes:
         raise PipelineError(f"{run} holds no learned shape; make one with voxscene learn")
     known = RecordedTruth(truth)
-    reference_from_world = known.camera_from_world(int(values.slam.times_ns[0]))
     document, lines = {}, [f"{'shape':<20} {'solid':>7} {'shell':>7} {'observed':>9}"]
     for name, shape in values.shapes.items():
         one = known.object_of_shape(name)
-        agreement = shape_agreement(shape, true_mesh(one), reference_from_world @ one.world_from_object)
+        reference_from_object = known.reference_from_object(one, values.slam)
+        agreement = shape_agreement(shape, true_mesh(one), reference_from_object)
         document[name] = {**vars(agreement), "pitch_m": shape.pitch_m}
         lines.append(f"{name:<20} {agreement.solid:>7.3f} {agreement.shell:>7.3f} {agreement.observed:>9.3f}")
     common.report(document, lines)

@@ -1,6 +1,7 @@
 """`voxscene eval shapes` places the truth where the run's camera saw it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,21 @@ def test_a_perfect_shape_agrees_wholly(mug_file: Path, true_trajectory: SlamResu
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout) == {"mug": {"solid": 1, "shell": 1, "observed": 1, "pitch_m": 0.005}}
     assert "mug" in CliRunner().invoke(voxscene, arguments).stdout
+
+
+def test_one_bad_frame_does_not_move_the_truth(mug_file: Path, true_trajectory: SlamResult) -> None:
+    """Nor does a lost one."""
+    truth = RecordedTruth(mug_file)
+    one = truth.object_of_shape("mug")
+    exact = truth.camera_from_world(int(true_trajectory.times_ns[0])) @ one.world_from_object
+    mean, lost = true_trajectory.mean.copy(), true_trajectory.lost.copy()
+    mean[3, :3, 3] += 1.0
+    lost[4] = True
+    mean[4] = np.eye(4)
+    shaken = replace(true_trajectory, mean=mean, lost=lost)
+
+    np.testing.assert_allclose(truth.reference_from_object(one, true_trajectory), exact, atol=1e-9)
+    np.testing.assert_allclose(truth.reference_from_object(one, shaken), exact, atol=1e-9)
 
 
 def test_what_has_no_truth_is_named(mug_file: Path, tmp_path: Path) -> None:

@@ -78,6 +78,25 @@ def test_voxels_are_stored_x_fastest(values: RunValues, tmp_path: Path) -> None:
     assert grid.pose.position.y == pytest.approx(0.2)
 
 
+def test_a_scene_is_shown_and_its_samples_are_kept(parsed_run: RunValues, tmp_path: Path) -> None:
+    """Found objects alone, posed in the reference frame."""
+    write_messages(tmp_path / "run.mcap", parsed_run, {})
+    topics = read(tmp_path / "run.mcap")
+    scene, slam = parsed_run.scene, parsed_run.slam
+    assert scene is not None
+    assert slam is not None
+
+    entities = topics["/scene/objects"][0][1].entities
+    assert [one.id for one in entities] == ["mug", "box"]
+    place = (slam.mean[2] @ scene.camera_from_object[1])[:3, 3]
+    shown = entities[1].triangles[0]
+    np.testing.assert_allclose([getattr(shown.pose.position, axis) for axis in "xyz"], place)
+    assert (len(shown.points), len(shown.indices)) == (8, 36)
+    samples = topics["/scene/samples"][0][1]
+    assert np.shape(samples["poses"]) == (5, 3, 7)
+    assert samples["parents"][0] == [1, 3, -1]
+
+
 def test_equal_values_give_equal_bytes(values: RunValues, tmp_path: Path) -> None:
     """No clock and no chance in them."""
     for name in ("a", "b"):

@@ -53,6 +53,18 @@ def test_the_rrd_holds_every_part_of_the_run(values: RunValues, tmp_path: Path) 
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
+def test_a_parsed_scene_is_drawn(parsed_run: RunValues, tmp_path: Path) -> None:
+    """Found objects in the room, the graph, and a line for each object."""
+    write_rrd(tmp_path / "run.rrd", "table", parsed_run)
+    entities = {str(chunk.entity_path) for chunk in RrdReader(tmp_path / "run.rrd").stream()}
+
+    assert {"/world/objects/mug/surface", "/world/objects/box/uncertainty", "/graph"} <= entities
+    assert "/world/objects/can/surface" not in entities
+    report = report_markdown("table", parsed_run)
+    assert "| mug | 99% | +- 1.7 | +- 0.1 | box (90%) |" in report
+    assert "| can | 10% | | | not found |" in report
+
+
 def test_a_run_without_values_has_views_too(tmp_path: Path) -> None:
     """The report alone."""
     write_rrd(tmp_path / "run.rrd", "empty", RunValues(slam=None, room=None, shapes={}))
