@@ -37,7 +37,7 @@ OBJECTS = ("box", "can", "bottle", "bracket", "marker")
 """Walls of the others are thinner than a voxel, so that no grid of voxels comes near them."""
 TABLE = "table"
 ROUND_THE_OBJECT = PathConfig(
-    kind="handheld", frames=40, degrees_per_frame=18.0, radius_m=0.75, elevations_deg=(20.0, 55.0)
+    kind="handheld", frames=60, degrees_per_frame=12.0, radius_m=0.75, elevations_deg=(20.0, 55.0)
 )
 """Twice round, from the side upwards."""
 CAMERA = CameraConfig(width=640, height=480)

@@ -69,6 +69,6 @@ def _verdict(result: DemoResult, out: Path, seconds: float) -> list[str]:
         "",
         f"{'everything holds' if result.holds else 'too far from the truth'}, in {seconds:.0f} s",
         f"look at it: voxscene review {out / 'run' / 'recordings' / 'table'}",
-        f"a shape:    voxscene review {out / 'run' / 'recordings' / 'mug'}",
+        f"a shape:    voxscene review {out / 'run' / 'recordings' / next(iter(result.learned))}",
         f"your own:   change {out / 'project.toml'}, then voxscene run",
     ]

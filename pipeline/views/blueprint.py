@@ -7,6 +7,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from pipeline.publishing.values import RunValues
+from pipeline.views.scene_view import found_places_m
 
 
 def run_blueprint(values: RunValues) -> rrb.Blueprint:
@@ -108,8 +109,10 @@ def _eye(poses: NDArray[np.float64], up: NDArray[np.float64]) -> rrb.EyeControls
 def _eye_at_objects(values: RunValues, up: NDArray[np.float64]) -> rrb.EyeControls3D:
     """From where the camera was, nearer to the objects and a little higher."""
     camera = values.reference_from_parsed
-    places = (camera @ values.scene.camera_from_object)[values.scene.found, :3, 3] if values.scene else []
-    target = np.mean(places, axis=0) if len(places) else camera[:3, 3] + camera[:3, 2]
+    target = camera[:3, 3] + camera[:3, 2]
+    if values.scene is not None and values.surfaces is not None and values.scene.found.any():
+        places = found_places_m(values.scene, values.surfaces.by_name)
+        target = camera[:3, 3] + camera[:3, :3] @ places.mean(axis=0)
     back = camera[:3, 3] - target
     return rrb.EyeControls3D(position=target + 0.8 * back + 0.1 * up, look_target=target, eye_up=up)
 

@@ -12,6 +12,8 @@ from scene.result import TABLE, SceneResult
 def report_markdown(name: str, values: RunValues) -> str:
     """What was found, how sure it is, and how to read the views."""
     parts = [f"# {name}"]
+    if values.scene is not None:
+        parts += _scene(values.scene)
     if values.slam is not None:
         slam = values.slam
         deviation_mm = 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2) / 3)
@@ -31,8 +33,6 @@ def report_markdown(name: str, values: RunValues) -> str:
         size = " x ".join(f"{1000 * extent:.0f}" for extent in np.ptp(shape.bounding_box_m, axis=0))
         seen = int(shape.seen_occupied.sum())
         parts.append(f"| {shape_name} | {size} | {1000 * shape.pitch_m:.0f} | {seen} |")
-    if values.scene is not None:
-        parts += _scene(values.scene)
     return "\n".join(parts) + "\n"
 
 

@@ -15,6 +15,8 @@ from pipeline.views.shape_view import log_shape
 from pipeline.views.trajectory_view import log_camera_views, log_filter, log_room, log_trajectory
 
 APPLICATION = "voxscene"
+POINT_M, POINT_AT_TABLE_M = 0.006, 0.0015
+"""Radius of the cloud's points in a room, and where posed surfaces must not vanish between them."""
 
 
 def write_rrd(path: Path, name: str, values: RunValues) -> None:
@@ -37,7 +39,7 @@ def write_rrd(path: Path, name: str, values: RunValues) -> None:
             log_trajectory(recording, values.slam)
             log_filter(recording, values.slam)
         if values.room is not None:
-            log_room(recording, values.room)
+            log_room(recording, values.room, POINT_M if values.scene is None else POINT_AT_TABLE_M)
         if values.slam is not None and values.room is not None:
             log_camera_views(recording, values.slam, values.room)
         for shape_name, shape in values.shapes.items():

@@ -16,8 +16,8 @@ OBJECT_COLOURS = (
     *((239, 131, 84), (91, 155, 213), (130, 200, 110), (220, 180, 70)),
     *((190, 120, 210), (90, 200, 190), (230, 110, 140), (165, 165, 120)),
 )
-SURELY = 0.5
-"""Edges more probable than this are drawn strong."""
+LIKELY = 0.2
+"""Edges at least as probable are drawn."""
 TABLE_COLOUR = (150, 160, 175)
 
 
@@ -46,11 +46,11 @@ def log_scene(
             albedo_factor=object_colour(one),
         )
         recording.log(f"{path}/surface", mesh, static=True)
-        mean = np.linalg.inv(scene.camera_from_object[one]) @ scene.mean[one]
-        variances, axes = np.linalg.eigh(scene.covariance[one, :3, :3])
-        axes = mean[:3, :3] @ axes * np.sign(np.linalg.det(axes))
+        middle = _middle(surfaces[name])
+        variances, axes = np.linalg.eigh(_place_covariance(scene, one, middle))
+        axes *= np.sign(np.linalg.det(axes))
         ellipsoid = rr.Ellipsoids3D(
-            centers=[mean[:3, 3]],
+            centers=[middle],
             half_sizes=[ENLARGED * CHI_95 * np.sqrt(np.maximum(variances, 0))],
             quaternions=quaternions_xyzw(axes[None]),
             colors=(*object_colour(one), 110),
@@ -59,6 +59,31 @@ def log_scene(
         )
         recording.log(f"{path}/uncertainty", ellipsoid, static=True)
     _log_graph(recording, scene)
+
+
+def found_places_m(scene: SceneResult, surfaces: Mapping[str, Surface]) -> NDArray[np.float64]:
+    """Middles (F, 3) of the objects that were found, in the camera of the first frame parsed."""
+    found = np.flatnonzero(scene.found)
+    poses = scene.camera_from_object[found]
+    middles = np.stack([_middle(surfaces[str(scene.names[one])]) for one in found])
+    return poses[:, :3, 3] + np.einsum("fij,fj->fi", poses[:, :3, :3], middles)
+
+
+def _middle(surface: Surface) -> NDArray[np.float64]:
+    """Middle (3,) of the bounding box in the object's frame."""
+    return (surface.vertices_m.min(axis=0) + surface.vertices_m.max(axis=0)) / 2
+
+
+def _place_covariance(scene: SceneResult, one: int, middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance (3, 3) of the place of an object's middle, in its own axes.
+
+    A small motion (v, w) of the object moves the point m by v + w x m; object frames may have their
+    origin at a corner, where turning counts twice.
+    """
+    x, y, z = middle
+    turning = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    motion = np.concatenate([np.eye(3), turning], axis=1)
+    return motion @ scene.covariance[one] @ motion.T
 
 
 def object_colour(index: int) -> tuple[int, int, int]:
@@ -81,7 +106,7 @@ def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
             [
                 (names[child], names[parent])
                 for child in found
-                for parent in np.flatnonzero(scene.edge_probabilities[child] > SURELY)
+                for parent in np.flatnonzero(scene.edge_probabilities[child] >= LIKELY)
             ],
             graph_type="directed",
         ),

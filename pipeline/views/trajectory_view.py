@@ -24,10 +24,10 @@ ELLIPSOID_COLOUR = (120, 200, 255, 90)
 FRUSTUM_COLOUR = (110, 160, 255)
 
 
-def log_room(recording: rr.RecordingStream, room: RoomView) -> None:
-    """The fused cloud."""
+def log_room(recording: rr.RecordingStream, room: RoomView, radius_m: float) -> None:
+    """The fused cloud, each point as a ball."""
     colours = room.rgb if room.rgb is not None else (150, 160, 175)
-    recording.log("world/room", rr.Points3D(room.points_m, colors=colours, radii=0.006), static=True)
+    recording.log("world/room", rr.Points3D(room.points_m, colors=colours, radii=radius_m), static=True)
 
 
 def log_trajectory(recording: rr.RecordingStream, result: SlamResult) -> None:
