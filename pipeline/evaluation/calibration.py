@@ -1,0 +1,51 @@
+"""Whether probabilities of voxels mean what they say (MATH.md C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+CLIP = 1e-3
+BINS = 15
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """Scores of probabilities against what was true; lower is better.
+
+    Attributes:
+        brier: mean squared error.
+        log_loss: mean, in nats, of probabilities clipped to [1e-3, 1 - 1e-3].
+        ece: expected calibration error over 15 bins of equal width.
+        count: number of voxels.
+    """
+
+    brier: float
+    log_loss: float
+    ece: float
+    count: int
+
+
+def calibration(phi: NDArray[np.floating], truth: NDArray[np.bool_]) -> Calibration:
+    """Scores of probabilities (N,) against truth (N,); NaN where there is none."""
+    if len(phi) == 0:
+        return Calibration(brier=np.nan, log_loss=np.nan, ece=np.nan, count=0)
+    phi = np.clip(np.asarray(phi, np.float64), CLIP, 1 - CLIP)
+    error = sum(count * abs(said - found) for said, found, count in reliability(phi, truth)) / len(phi)
+    return Calibration(
+        brier=float(np.mean((phi - truth) ** 2)),
+        log_loss=float(-np.mean(np.where(truth, np.log(phi), np.log1p(-phi)))),
+        ece=float(error),
+        count=len(phi),
+    )
+
+
+def reliability(phi: NDArray[np.floating], truth: NDArray[np.bool_]) -> list[tuple[float, float, int]]:
+    """Mean probability, share that was true, and number of voxels of each bin that holds some."""
+    bins = np.minimum((phi * BINS).astype(int), BINS - 1)
+    return [
+        (float(phi[bins == one].mean()), float(truth[bins == one].mean()), int((bins == one).sum()))
+        for one in np.unique(bins)
+    ]

@@ -1,0 +1,70 @@
+"""`bench shapes` on a box: what it measures, with what, and its peers on the same views."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.benchmarks import shapes as bench
+from pipeline.benchmarks.shapes import measure_shapes
+from pipeline.synthesis.rooms import RoomConfig
+from pipeline.synthesis.scenarios import CameraConfig
+from shapes.learning.config import LearnConfig
+from shapes.learning.distillation import learn_shape
+
+
+@pytest.fixture(scope="module")
+def learned_with() -> list:
+    """Calls of the production function."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def document(learned_with: list) -> dict:
+    """Two boxes, one of thin walls, from four views at a pitch of 1 cm, beside two peers."""
+    solid = trimesh.creation.box((0.1, 0.08, 0.06))
+    thin = trimesh.creation.box((0.1, 0.08, 0.004))
+    with pytest.MonkeyPatch.context() as patch:
+
+        def spied(*arguments):
+            learned_with.append(arguments[-1])
+            return learn_shape(*arguments)
+
+        patch.setattr(bench, "learn_shape", spied)
+        patch.setattr(bench, "ROOM", RoomConfig(kind="bare"))
+        patch.setattr(bench, "CAMERA", CameraConfig(width=200, height=150))
+        config = replace(LearnConfig(), pitch_m=0.01)
+        films = {"solid": solid, "thin": thin}
+        return measure_shapes(films, [4], ["carving", "tsdf"], config, 0, lambda *_: None)
+
+
+def test_it_calls_the_production_function(document: dict, learned_with: list) -> None:
+    """With the configuration that it was given."""
+    assert len(document["rows"]) == 2
+    assert {config.pitch_m for config in learned_with} == {0.01}
+
+
+def test_rows_say_what_is_thin_and_how_well_it_went(document: dict) -> None:
+    """A solid box is found; its ceiling is not below what was reached by more than rounding."""
+    rows = {row["object"]: row for row in document["rows"]}
+    assert not rows["solid"]["thin"]
+    assert rows["thin"]["thin"]
+    assert rows["solid"]["solid"] > 0.85
+    assert rows["solid"]["ceiling"] > 0.9
+    assert {mean["walls"] for mean in document["means"]} == {"all", "thick", "thin"}
+
+
+def test_peers_see_the_same_box(document: dict) -> None:
+    """Each finds most of it, so that none is crippled by a wrong frame."""
+    row = next(row for row in document["rows"] if row["object"] == "solid")
+    for peer, settings in row["peers"].items():
+        assert max(one["solid"] for one in settings.values()) > 0.6, peer
+
+
+def test_calibration_is_pooled_over_objects(document: dict) -> None:
+    """For every method, on the same voxels."""
+    counts = {one["count"] for one in document["calibration"]["4"].values()}
+    assert len(counts) == 1
+    assert document["calibration"]["4"]["voxscene"]["ece"] < 0.2
+    assert np.isfinite([one["brier"] for one in document["calibration"]["4"].values()]).all()
