@@ -17,6 +17,9 @@ from slam.components import cross, dot, moved, rotated
 from slam.depth_view import DepthView
 from slam.rendering import LEAST_INVERSE_DEPTH, pixels_of
 
+STIFFNESS = 10.0
+"""Precision in 1/m^2 and 1/rad^2 that holds a start in directions which no pixel sees."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -75,10 +78,18 @@ class PixelTerms:
         """Gauss-Newton curvature (6, 6) of minus the log density."""
         return (self.jacobian * self.weight[None]) @ self.jacobian.T
 
-    def step(self, prior_precision: jax.Array, prior_gradient: jax.Array) -> jax.Array:
-        """The Newton step (6,) with a Gaussian prior of given precision (6, 6) and gradient (6,) here."""
-        gradient = self.scores().sum(1) + prior_gradient
-        return jnp.linalg.solve(self.precision() + prior_precision, gradient)
+    def held_step(self, offset: jax.Array, hold: jax.Array | float) -> jax.Array:
+        """The Newton step (6,) that is held at the start, from `offset` (6,) away from it.
+
+        Along a bare wall the noise of the elements' normals passes for information, some hundredth of
+        that across the wall, and steps would wander off. `hold`, a share of the mean precision of
+        translations, leaves motion along it to the start, which must then be a prediction worth
+        keeping (compare the degenerate directions of Zhang, Kaess and Singh 2016).
+        """
+        precision = self.precision()
+        across = jnp.trace(precision[:3, :3]) / 3.0
+        held = STIFFNESS + hold * across * jnp.asarray([1, 1, 1, 0, 0, 0], precision.dtype)
+        return jnp.linalg.solve(precision + jnp.diag(held), self.scores().sum(1) - held * offset)
 
 
 @dataclass(frozen=True)
@@ -195,20 +206,19 @@ def aligned(
     view: DepthView,
     noise: DepthNoise,
     start: jax.Array,
-    stiffness: jax.Array,
+    hold: jax.Array | float,
     schedule: tuple[Passes, ...],
 ) -> tuple[jax.Array, Agreement]:
     """Local optimum (7,) of the view's density over model_from_camera, from `start` (7,).
 
     A point's surface element is the one it projects to, anew in each pass, so starts may be some
-    hundredth of the field of view away. `stiffness` (6,) is a diagonal precision around the start that
-    holds directions which no pixel sees.
+    hundredth of the field of view away; it is held at the start as in `PixelTerms.held_step`.
     """
 
     def iteration(pose: jax.Array, inflation: jax.Array, stride_px: int) -> tuple[jax.Array, Agreement]:
         planes, variance, observed, rays = associated(model, view, pose, stride_px)
         terms = pixel_terms(planes, variance, observed, rays, pose, noise, inflation)
-        step = terms.step(jnp.diag(stiffness), -stiffness * pose_gaussian.coordinates(start, pose))
+        step = terms.held_step(pose_gaussian.coordinates(start, pose), hold)
         return pose_gaussian.displaced(pose, step), terms.agreement
 
     pose, agreements = start, None

@@ -7,6 +7,7 @@ along a ray d (scaled to z = 1) as the depth 1 / (N . d), moves between frames b
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from operator import add
@@ -26,6 +27,10 @@ BLOCK_DEPTH_BAND = 0.03
 PLANE_WINDOW_RADIUS_PX = 3
 PLANE_DEPTH_BANDS = (0.04, 0.01)
 """Relative distances from a pixel's tangent plane within which neighbours belong to it, pass by pass."""
+
+WIDE_STEPS, WIDE_STEP_PX = 2, 4
+WIDE_TURN = 0.06
+"""Difference in orientation, radians, within which two windows lie on one plane."""
 
 
 @jax.tree_util.register_dataclass
@@ -105,9 +110,31 @@ def tangent_planes(depth_m: jax.Array, rays: jax.Array, camera: Camera) -> jax.A
     fit = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
     for band in PLANE_DEPTH_BANDS:
         fit = _window_fit(inverse_depth, fit, camera, band)
-    slope_x, slope_y, _ = fit
+    slope_x, slope_y = _widened(fit[:2], inverse_depth, camera)
     offset = inverse_depth - slope_x * rays[0] - slope_y * rays[1]
     return jnp.where(known[None], jnp.stack([slope_x, slope_y, offset]), 0.0)
+
+
+def _widened(slopes: jax.Array, inverse_depth: jax.Array, camera: Camera) -> jax.Array:
+    """Slopes (2, H, W) averaged with those of alike, coplanar pixels a few windows around.
+
+    A plane has the same N everywhere, so that noise averages out over all of it. It matters: along a bare
+    wall noise of N passes for information on motion that leaves no trace.
+    """
+    reach, shape = WIDE_STEPS * WIDE_STEP_PX, inverse_depth.shape
+    padded = jnp.pad(jnp.concatenate([slopes, inverse_depth[None]]), ((0, 0), (reach, reach), (reach, reach)))
+    steps = range(0, 2 * reach + 1, WIDE_STEP_PX)
+    total, weight = jnp.zeros_like(slopes), jnp.zeros_like(inverse_depth)
+    for row, column in itertools.product(steps, steps):
+        x, y = (column - reach) / camera.fx, (row - reach) / camera.fy
+        around = padded[:, row : row + shape[0], column : column + shape[1]]
+        off_plane = jnp.abs(around[2] - inverse_depth - slopes[0] * x - slopes[1] * y)
+        turn = jnp.maximum(jnp.abs(around[0] - slopes[0]), jnp.abs(around[1] - slopes[1]))
+        alike = (around[2] > 0) & (turn < WIDE_TURN * inverse_depth)
+        alike &= off_plane <= PLANE_DEPTH_BANDS[-1] * inverse_depth
+        total += jnp.where(alike[None], around[:2], 0.0)
+        weight += alike
+    return total / jnp.maximum(weight, 1.0)[None]
 
 
 def _window_fit(inverse_depth: jax.Array, fit: jax.Array, camera: Camera, band: float) -> jax.Array:

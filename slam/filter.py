@@ -43,6 +43,9 @@ KEYFRAME_SHIFT = 0.1
 """A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
 KEYFRAME_ANGLE_RAD = 0.2
 KEYFRAME_COVERAGE = 0.75
+PREDICTION_HOLD = 0.01
+"""`PixelTerms.held_step`'s hold at a trusted prediction."""
+LONGEST_RATIO = 3.0
 LOOSE_RADIUS = 0.15
 """Relative standard deviation of an orbit's radius that nobody gave."""
 
@@ -174,10 +177,15 @@ def step(
     """
     state = _with_room(state)
     particles: CameraParticles = state.population.particles
-    predicted = _predicted(particles, _velocity_ratio(state.times_ns, time_ns))
+    ratio = _velocity_ratio(state.times_ns, time_ns)
+    trusted = 0.0 < ratio < LONGEST_RATIO and not state.was_lost
+    predicted = _predicted(particles, ratio)
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
     groups = grouped(matrices_of(particles.pose), weights)
-    found = _found(state, view, predicted, groups, weights, config, odometry)
+    found = _found(state, view, predicted, groups, weights, config, odometry, trusted)
+    if state.calibration.frames == 0 and found[0].group >= 0:
+        state = _with_calibration(state, found[0])
+        found = _found(state, view, predicted, groups, weights, config, odometry, trusted)
     components = _components(found, state, predicted)
     population, info, proposed = _advance(
         key,
@@ -198,9 +206,9 @@ def step(
 
 
 def _velocity_ratio(times_ns: tuple[int, int], time_ns: int) -> float:
-    """The coming interval in units of the last one; zero where there is none, at most three."""
+    """The coming interval in units of the last one; zero where there is none, at most `LONGEST_RATIO`."""
     last = times_ns[1] - times_ns[0]
-    return float(np.clip((time_ns - times_ns[1]) / last, 0.0, 3.0)) if last > 0 else 0.0
+    return float(np.clip((time_ns - times_ns[1]) / last, 0.0, LONGEST_RATIO)) if last > 0 else 0.0
 
 
 @jax.jit
@@ -226,8 +234,11 @@ def _found(
     weights: NDArray[np.float64],
     config: SlamConfig,
     odometry: NDArray[np.float64] | None,
+    trusted: bool,
 ) -> list[Located]:
     """Optima worth proposing, the best first; a single one of group -1 where the camera is lost.
+
+    Where depth tells nothing of a direction, as along a bare wall, a `trusted` prediction is kept.
 
     Each group of particles looks near its own prediction. Where none finds a convincing place, or the
     camera was lost and predictions mean little, all look where it was last found, and everywhere.
@@ -235,13 +246,14 @@ def _found(
     particles: CameraParticles = state.population.particles
     searcher = Searcher(state.keyframe_map, view, state.calibration.noise, config.keyframes_compared)
     found = []
+    hold = PREDICTION_HOLD if trusted else 0.0
     for group in range(0 if state.was_lost else groups.max() + 1):
         group_map = _group_map(state, np.where(groups == group, weights, 0.0), group)
         last = _mean(particles.pose, group_map.weights)[0]
         starts = [] if odometry is None else [poses_of(matrices_of(last) @ odometry)]
         if config.proposal != "kiss" or odometry is None:
             starts = [_mean(predicted, group_map.weights)[0], last, *starts]
-        found.append(searcher.near(group_map, starts))
+        found.append(searcher.near(group_map, starts, hold if len(starts) > 1 else 0.0))
     convincing = [located for located in found if located.is_convincing]
     if not convincing:
         everyone = _group_map(state, weights, 0)

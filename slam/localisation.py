@@ -42,11 +42,12 @@ COARSE_SURFACE_SIGMA_M = 0.03
 WIDE_SURFACE_SIGMA_M = 0.06
 COARSE_SCHEDULE = (Passes(4, (8.0, 4.0, 2.0, 2.0)),)
 FINE_SCHEDULE = (Passes(2, (2.0, 1.0, 1.0)), Passes(1, (1.0, 1.0)))
+LEAST_GAIN = 0.2
+"""Nats a coarse pixel by which a candidate must beat a prediction worth keeping: along a bare wall all score
+alike, and their noise must not choose."""
 LATTICE_STEPS = 3
 BLOCK_SIDE = 10
 """Side in lattice pixels of the blocks whose scores are taken as independent."""
-STIFFNESS = 10.0
-"""Precision in 1/m^2 and 1/rad^2 that holds a start in directions which no pixel sees."""
 
 
 @jax.tree_util.register_dataclass
@@ -107,12 +108,18 @@ def model_image(local_map: LocalMap, camera_pose: jax.Array, view: DepthView) ->
 
 @jax.jit
 def best_aligned(
-    local_map: LocalMap, view: DepthView, noise: DepthNoise, starts: jax.Array, offsets: jax.Array
+    local_map: LocalMap,
+    view: DepthView,
+    noise: DepthNoise,
+    starts: jax.Array,
+    offsets: jax.Array,
+    hold: jax.Array | float,
 ) -> jax.Array:
     """The pose (7,) that aligns best near the starts: where to look for the density's optimum.
 
     The map is rendered at the first start. Every start and every offset from the first (a grid over
-    position and viewing angle) is scored there; the best few are aligned; the winner is refined.
+    position and viewing angle) is scored there; the first start and the best few are aligned; the winner
+    is refined.
 
     Args:
         local_map: what to compare with.
@@ -120,6 +127,7 @@ def best_aligned(
         noise: the sensor.
         starts: (S, 7) reference_from_camera, the likeliest first.
         offsets: (G, 6) in the chart at the first start.
+        hold: how firmly translations are held at a start, as in `PixelTerms.held_step`.
     """
     model = model_image(local_map, starts[0], view)
     anchor = jaxlie.SE3(starts[0])
@@ -128,30 +136,38 @@ def best_aligned(
     grid = jax.vmap(partial(pose_gaussian.displaced, identity))(offsets)
     candidates = jax.lax.optimization_barrier(jnp.concatenate([relative_starts, grid]))
     scores = projected_scores(model, view, noise, candidates, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M)
-    _, best = jax.lax.top_k(scores, STARTS)
-    stiffness = jnp.full(6, STIFFNESS, starts.dtype)
-    align_coarse = partial(aligned, model, view, noise, stiffness=stiffness, schedule=COARSE_SCHEDULE)
+    _, best = jax.lax.top_k(scores.at[0].set(jnp.inf), STARTS)
+    align_coarse = partial(aligned, model, view, noise, hold=hold, schedule=COARSE_SCHEDULE)
     coarse, _ = jax.lax.optimization_barrier(
         jax.vmap(lambda start: align_coarse(start=start))(candidates[best])
     )
     coarse_scores = projected_scores(model, view, noise, coarse, COARSE_STRIDE_PX // 2, 0.0)
-    winner = coarse[jnp.argmax(coarse_scores)]
-    fine, _ = aligned(model, view, noise, winner, stiffness, FINE_SCHEDULE)
+    lead = jnp.where(hold > 0, LEAST_GAIN * view.depth_m.size / COARSE_STRIDE_PX**2, 0.0)
+    winner = coarse[jnp.argmax(coarse_scores.at[0].add(lead))]
+    fine, _ = aligned(model, view, noise, winner, hold, FINE_SCHEDULE)
     return (anchor @ jaxlie.SE3(fine)).wxyz_xyz
 
 
 def local_optimum(
-    local_map: LocalMap, view: DepthView, noise: DepthNoise, starts: jax.Array, offsets: jax.Array
+    local_map: LocalMap,
+    view: DepthView,
+    noise: DepthNoise,
+    starts: jax.Array,
+    offsets: jax.Array,
+    hold: jax.Array | float,
 ) -> Optimum:
     """The density's optimum near the starts, as for `best_aligned`; the map is rendered anew there.
 
     Two kernels: compiled as one they run twice as long (measured, XLA's CPU backend).
     """
-    return optimum_at(local_map, view, noise, best_aligned(local_map, view, noise, starts, offsets))
+    pose = best_aligned(local_map, view, noise, starts, offsets, hold)
+    return optimum_at(local_map, view, noise, pose, hold)
 
 
 @jax.jit
-def optimum_at(local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: jax.Array) -> Optimum:
+def optimum_at(
+    local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: jax.Array, hold: jax.Array | float = 0.0
+) -> Optimum:
     """The density's optimum next to `pose` (7,), with the map rendered at `pose`."""
     keyframes_from_camera = local_map.keyframes_from_camera(pose)
     image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
@@ -165,8 +181,7 @@ def optimum_at(local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: ja
         return pixel_terms(lattice_planes, lattice_variance, pixels.observed_m, pixels.rays, relative, noise)
 
     def climb(relative: jax.Array, _: None) -> tuple[jax.Array, None]:
-        pull = -STIFFNESS * pose_gaussian.coordinates(identity, relative)
-        step = terms_at(relative).step(STIFFNESS * jnp.eye(6), pull)
+        step = terms_at(relative).held_step(pose_gaussian.coordinates(identity, relative), hold)
         return pose_gaussian.displaced(relative, step), None
 
     relative, _ = jax.lax.scan(climb, identity, None, length=LATTICE_STEPS)

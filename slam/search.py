@@ -28,8 +28,9 @@ WIDE_REFINED = 6
 WIDE_KEYFRAMES = 8
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
 FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
-REFINEMENTS = 2
-"""Rounds of rendering anew and aligning again, while the optimum lies far from where it was rendered."""
+REFINEMENTS = 3
+"""Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
+while it rises where the start was a guess."""
 SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
 NEGLIGIBLE_LOG_SHARE = 15.0
 
@@ -104,21 +105,28 @@ class Searcher:
     noise: DepthNoise
     compared: int
 
-    def near(self, group: GroupMap, starts: list[jax.Array]) -> Located:
-        """The best optimum near the starts (7,), the likeliest first, and on the grid around that one."""
+    def near(self, group: GroupMap, starts: list[jax.Array], hold: float = 0.0) -> Located:
+        """The best optimum near the starts (7,), the likeliest first, and on the grid around that one.
+
+        `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`).
+        """
         padded = jnp.stack([*starts, *[starts[0]] * (3 - len(starts))])
-        located = self._near(group, padded)
+        located = self._near(group, padded, hold)
         for _ in range(REFINEMENTS):
-            if _is_near(located.optimum.pose, padded[0]):
+            is_near = _is_near(located.optimum.pose, padded[0])
+            if is_near and hold > 0:
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
-            located = self._near(group, padded)
+            again = self._near(group, padded, hold)
+            if is_near and float(again.optimum.log_density) <= float(located.optimum.log_density):
+                break
+            located = again
         return located
 
-    def _near(self, group: GroupMap, starts: jax.Array) -> Located:
+    def _near(self, group: GroupMap, starts: jax.Array, hold: float) -> Located:
         indices, local_map = self._local_map(group, starts[0])
         grid = jnp.asarray(enumeration.local_grid())
-        optimum = local_optimum(local_map, self.view, self.noise, starts, grid)
+        optimum = local_optimum(local_map, self.view, self.noise, starts, grid, hold)
         return Located(optimum, indices, local_map, group.group)
 
     def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
