@@ -21,6 +21,7 @@ class Surface:
         depth_m: (H, W) float32, `NO_RETURN` where unknown.
         planes: (3, H, W) plane vectors N through those points: N . P = 1.
         variance_m2: (H, W) variance of the depth.
+        measured: (H, W) bool, the pixels that the image has.
         rays: (3, H, W) through the pixel centres, z = 1.
         camera: intrinsics at working resolution.
     """
@@ -28,6 +29,7 @@ class Surface:
     depth_m: jax.Array
     planes: jax.Array
     variance_m2: jax.Array
+    measured: jax.Array
     rays: jax.Array
     camera: Camera
 
@@ -40,7 +42,7 @@ def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     """The surface that a single view shows."""
     planes = tangent_planes(view.depth_m, view.rays, view.camera)
     variance = depth_noise.standard_deviation(noise, view.depth_m) ** 2
-    return Surface(view.depth_m, planes, variance, view.rays, view.camera)
+    return Surface(view.depth_m, planes, variance, view.measured, view.rays, view.camera)
 
 
 def with_planes_refitted(surface: Surface) -> Surface:

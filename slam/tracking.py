@@ -13,6 +13,7 @@ from slam.config import SlamConfig
 from slam.depth_view import view_of_frame
 from slam.filter import FilterState, FrameInfo
 from slam.history import History
+from slam.loop_repair import repaired
 from slam.odometry import KissOdometry
 from slam.result import SlamResult
 
@@ -58,4 +59,5 @@ def track(
         raise ValueError("the recording has no depth frame")
     if not has_return:
         raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
-    return history.result(state)
+    repair_key = jax.random.fold_in(key, len(history.frames))
+    return history.result(repaired(repair_key, state, config.keyframes_compared))

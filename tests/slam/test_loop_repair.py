@@ -1,0 +1,79 @@
+"""Loop repair on a filter state whose drift is known."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slam import filter as camera_filter
+from slam.config import SlamConfig
+from slam.depth_view import view_of_frame
+from slam.filter import FilterState
+from slam.loop_repair import repaired
+from slam.rigid import matrices_of, poses_of
+from tests.slam import box_room
+
+CONFIG = SlamConfig(particles=8)
+DRIFT_M = 0.004
+"""A keyframe after another."""
+
+
+@pytest.fixture(scope="module")
+def tracked() -> FilterState:
+    """Four keyframes that overlap."""
+    poses = np.stack([box_room.pose(0.12 * i, 0.05 * i, -0.5, 0.21 * i) for i in range(4)])
+    frames = box_room.frames(poses, seed=3)
+    views = [view_of_frame(frame, box_room.INTRINSICS) for frame in frames]
+    state, _ = camera_filter.init(views[0], frames[0].time_ns, CONFIG)
+    for index, (view, frame) in enumerate(zip(views[1:], frames[1:], strict=True)):
+        state, _ = camera_filter.step(jax.random.key(index), state, view, frame.time_ns, CONFIG)
+    return state
+
+
+def _drifted(state: FilterState) -> FilterState:
+    particles = state.population.particles
+    used = len(state.keyframe_map)
+    matrices = matrices_of(particles.keyframe_poses)
+    matrices[:, :used, 0, 3] += DRIFT_M * np.arange(used)
+    particles = replace(particles, keyframe_poses=poses_of(matrices))
+    return replace(state, population=replace(state.population, particles=particles))
+
+
+def _keyframes(state: FilterState) -> np.ndarray:
+    weights = np.exp(np.asarray(state.population.log_weights))
+    poses = matrices_of(state.population.particles.keyframe_poses[:, : len(state.keyframe_map)])
+    return np.einsum("k,knij->nij", weights, poses)
+
+
+def test_drift_is_undone(key, tracked):
+    """Keyframes return to within a millimetre of where they stood before the drift, the first untouched."""
+    used = len(tracked.keyframe_map)
+    assert used >= 3
+
+    after = repaired(key, _drifted(tracked), CONFIG.keyframes_compared)
+
+    shift = np.linalg.norm(_keyframes(after)[:, :3, 3] - _keyframes(tracked)[:, :3, 3], axis=-1)
+    assert shift[0] == 0.0
+    assert shift.max() < 0.25 * DRIFT_M * (used - 1)
+    assert after.keyframe_map is tracked.keyframe_map
+
+
+def test_equal_keys_give_equal_poses(key, tracked):
+    """Repair draws from its key alone."""
+    first, second = (repaired(jax.random.clone(key), tracked, CONFIG.keyframes_compared) for _ in range(2))
+    np.testing.assert_array_equal(
+        np.asarray(first.population.particles.keyframe_poses),
+        np.asarray(second.population.particles.keyframe_poses),
+    )
+
+
+def test_a_lone_keyframe_stays(key):
+    """Without overlaps there is nothing to repair."""
+    view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
+    state, _ = camera_filter.init(view, 0, CONFIG)
+    after = repaired(key, state, CONFIG.keyframes_compared)
+    assert jnp.array_equal(
+        after.population.particles.keyframe_poses, state.population.particles.keyframe_poses
+    )
