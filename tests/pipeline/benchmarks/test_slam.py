@@ -30,7 +30,7 @@ def test_a_row_reports_ours_and_counts_lost_peers(monkeypatch: pytest.MonkeyPatc
 
     settings = {"exact": Mock(return_value=truth), "broken": Mock(side_effect=RuntimeError("no overlap"))}
     monkeypatch.setattr(bench, "settings_of", lambda name: {name: settings[name]})
-    row = Row(name="orbit", case=first, real=True, configs={"voxscene": SlamConfig(particles=8)})
+    row = Row(name="orbit", case=first, real=True, configs={"voxscene": SlamConfig(particles=16)})
     told = Mock()
 
     document = bench.measure_slam([row], ["exact", "broken"], 3, 0, told)
