@@ -7,6 +7,6 @@ from pipeline.cli import LazyGroup
 command = LazyGroup(
     name="bench",
     package="pipeline.commands.benches",
-    members=("shapes", "slam", "speed"),
+    members=("shapes", "slam", "poses", "sampler", "speed"),
     help="Measure speed and accuracy beside peers.",
 )

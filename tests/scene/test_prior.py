@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pipeline.benchmarks.cubes import cube_model, floating_draw
 from scene.contact import relative_box
 from scene.graph import SceneGraph, all_trees, floating_scene
 from scene.prior import (
@@ -15,7 +16,6 @@ from scene.prior import (
     sample_pose,
 )
 from scene.rotation_densities import LOG_CONTACT_JACOBIAN
-from tests.scene.cubes import cube_model, floating_draw
 from tests.scene.test_contact import random_poses
 from tests.statistical import assert_mean, assert_uniform
 

@@ -4,6 +4,7 @@ import jaxlie
 import numpy as np
 import pytest
 
+from pipeline.benchmarks.cubes import cube_model
 from scene import pose_mixture
 from scene.pose_mixture import PoseMixture
 from scene.prior import log_eta
@@ -14,7 +15,6 @@ from scene.rotation_densities import (
     uniform_rotation,
     von_mises_fisher_direction,
 )
-from tests.scene.cubes import cube_model
 from tests.statistical import assert_frequencies, assert_mean
 
 

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pipeline.benchmarks.cubes import code_of, cube_kernel, cube_model, start_chains, tree_frequencies
 from scene import structure_move
 from scene.chain import run_block
 from scene.graph import ROOT, all_trees
 from scene.graph_table import GraphTable
 from scene.model import SceneModel
-from tests.scene.cubes import code_of, cube_kernel, cube_model, start_chains, tree_frequencies
 from tests.statistical import assert_mean
 
 CHAINS = 256

@@ -1,34 +1,21 @@
 """Poses as the BOP challenge reads them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from pipeline.publishing.bop_poses import bop_lines
 from scene.result import SceneResult
+from tests.scene.results import scene_result
 
 
 def scene(names: list[str], presence: list[float]) -> SceneResult:
     """Objects at distinct places, turned a quarter about x."""
-    count = len(names)
-    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses = np.tile(np.eye(4), (len(names), 1, 1))
     poses[:, :3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    poses[:, 0, 3] = 0.1 * np.arange(count)
-    return SceneResult(
-        names=np.array(names),
-        frames=np.array([7]),
-        camera_from_object=poses,
-        mean=poses,
-        covariance=np.tile(np.eye(6), (count, 1, 1)),
-        presence=np.array(presence),
-        visible_fraction=np.ones(count),
-        mode_poses=poses[:, None],
-        mode_probabilities=np.ones((count, 1)),
-        edge_probabilities=np.zeros((count, count + 1)),
-        edge_faces=np.full((count, count + 1, 2), -1, np.int32),
-        sample_poses=np.zeros((1, count, 7)),
-        sample_parents=np.full((1, count), -1, np.int32),
-        sample_log_posteriors=np.zeros(1),
-        chain=np.zeros(1, np.int32),
-    )
+    poses[:, 0, 3] = 0.1 * np.arange(len(names))
+    on_table = [len(names)] * len(names)
+    return replace(scene_result(names, poses, on_table), presence=np.array(presence), frames=np.array([7]))
 
 
 def test_one_line_for_each_object_found() -> None:

@@ -1,0 +1,33 @@
+"""Parsed scenes without a chain."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from scene.result import SceneResult
+
+
+def scene_result(names: Sequence[str], poses: ArrayLike, parents: Sequence[int]) -> SceneResult:
+    """Objects at certain poses (N, 4, 4) on certain parents; N is the table."""
+    count = len(names)
+    placed = np.asarray(poses, np.float64)
+    edges = np.zeros((count, count + 1))
+    edges[np.arange(count), parents] = 1
+    return SceneResult(
+        names=np.array(names),
+        frames=np.array([0]),
+        camera_from_object=placed,
+        mean=placed,
+        covariance=np.tile(np.eye(6), (count, 1, 1)),
+        presence=np.ones(count),
+        visible_fraction=np.ones(count),
+        mode_poses=placed[:, None],
+        mode_probabilities=np.ones((count, 1)),
+        edge_probabilities=edges,
+        edge_faces=np.full((count, count + 1, 2), -1, np.int32),
+        sample_poses=np.zeros((1, count, 7)),
+        sample_parents=np.asarray([parents], np.int32),
+        sample_log_posteriors=np.zeros(1),
+        chain=np.zeros(1, np.int32),
+    )
