@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,9 @@ def learn_stage(
     """
     config = session.common.settings.section("learn", LearnConfig, options)
     posed = _recorded(session) if recorded_poses else _tracked(session)
+    tracking_sigma_m = 0.0 if recorded_poses else config.tracking_sigma_m
+    registration_sigma_m = float(np.hypot(config.registration_sigma_m, tracking_sigma_m))
+    used = replace(config, registration_sigma_m=registration_sigma_m)
 
     def compute() -> ShapePrior:
         stamps = set(posed.times_ns.tolist())
@@ -63,7 +66,7 @@ def learn_stage(
                     session.recording.intrinsics,
                     posed.trajectories,
                     posed.log_weights,
-                    config,
+                    used,
                     progress,
                 )
             except ValueError as error:

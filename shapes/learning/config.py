@@ -22,7 +22,8 @@ class LearnConfig:
         partly_filled: share of empty voxels that hold some surface all the same.
         partial_opacity: probability that a ray through such a voxel ends there.
         unresolved: share of returns from surfaces that no voxel stands for.
-        registration_sigma_m: standard deviation of a view's registration along its rays.
+        registration_sigma_m: standard deviation of a view's registration along its rays, at best.
+        tracking_sigma_m: what tracking adds to it; left out where the poses are recorded ones.
         sweeps: of expectation propagation.
         damping: of expectation propagation.
         noise: the depth sensor.
@@ -38,6 +39,7 @@ class LearnConfig:
     partial_opacity: float = 0.5
     unresolved: float = 0.02
     registration_sigma_m: float = 0.0004
+    tracking_sigma_m: float = 0.0015
     sweeps: int = 25
     damping: float = 0.3
     noise: DepthNoise = field(default_factory=DepthNoise)
@@ -60,5 +62,6 @@ class LearnConfig:
                 raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
         if not 0 < self.damping <= 1:
             raise ValueError(f"damping must lie in (0, 1], got {self.damping}")
-        if self.registration_sigma_m < 0:
-            raise ValueError(f"registration_sigma_m must not be negative, got {self.registration_sigma_m}")
+        for name in ("registration_sigma_m", "tracking_sigma_m"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
