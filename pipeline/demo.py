@@ -30,6 +30,7 @@ from pipeline.synthesis.filming import film_object, film_table
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paths import PathConfig
 from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, ObjectScene, TableScene
 from pipeline.synthesis.writing import write_recording
 
@@ -37,9 +38,10 @@ OBJECTS = ("box", "can", "bottle", "bracket", "marker")
 """Walls of the others are thinner than a voxel, so that no grid of voxels comes near them."""
 TABLE = "table"
 ROUND_THE_OBJECT = PathConfig(
-    kind="handheld", frames=60, degrees_per_frame=12.0, radius_m=0.75, elevations_deg=(20.0, 55.0)
+    kind="handheld", frames=60, degrees_per_frame=12.0, radius_m=0.75, elevations_deg=(20.0, 50.0)
 )
 """Twice round, from the side upwards."""
+ROOM = RoomConfig(kind="cluttered")
 CAMERA = CameraConfig(width=640, height=480)
 AT_THE_TABLE = PathConfig(
     kind="handheld", frames=5, degrees_per_frame=4.0, radius_m=0.8, elevations_deg=(40.0,)
@@ -121,7 +123,7 @@ def film(folder: Path, common: Common) -> None:
     (folder / "recordings").mkdir(parents=True, exist_ok=True)
     meshes = {name: built_in_object(name) for name in OBJECTS}
     for number, name in enumerate(OBJECTS):
-        scene = ObjectScene(camera=CAMERA, path=ROUND_THE_OBJECT)
+        scene = ObjectScene(camera=CAMERA, room=ROOM, path=ROUND_THE_OBJECT)
         _write(folder, name, film_object(name, meshes[name], scene, common.seed + number), common)
     scene = TableScene(objects=len(OBJECTS), path=AT_THE_TABLE)
     _write(folder, TABLE, film_table(meshes, scene, common.seed), common)
