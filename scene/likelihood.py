@@ -6,8 +6,10 @@ hypothesis of one object costs only the pixels that this object covers.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from functools import partial
+from operator import itemgetter
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +22,8 @@ from shapes.ray_casting import PosedObjects
 from shapes.tile_queue import for_each_block
 from shapes.tiles import TILE_PIXELS, tiled
 
+LANES = 2
+"""Loops side by side, so that two cores have work."""
 SCENE_TILES = 2**15
 """Tiles of the scenes rendered together: 2 MiB of depth."""
 IMPOSSIBLE = -1e4
@@ -97,6 +101,18 @@ def log_likelihood_ratio(
     library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
 ) -> jax.Array:
     """Log likelihood (N,) of each hypothesis's image with its object, less that of the image without."""
+    count = len(posed)
+    ends = [count * lane // LANES for lane in range(LANES + 1)] if count >= LANES else [0, count]
+    lanes = [
+        _gain_over_rest(library, noise, evidence, jax.tree.map(itemgetter(slice(*lane)), posed))
+        for lane in itertools.pairwise(ends)
+    ]
+    return jnp.concatenate(lanes)
+
+
+def _gain_over_rest(
+    library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
+) -> jax.Array:
     tiles = len(evidence.observed_m) // len(evidence.log_likelihood_of_rest)
 
     def add(

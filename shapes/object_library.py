@@ -7,7 +7,7 @@ one table and an object is a traced index, so other objects compile nothing anew
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -22,6 +22,8 @@ MARGIN = 3
 DISTANCE_STEPS = 16
 """Distances are stored in sixteenths of a voxel, up to 64 voxels."""
 NORMAL_STEPS = 63
+LEVELS = 3
+"""Levels of detail: the voxels of each are twice as large as those before."""
 DEFAULT_VOXELS = 2**20
 """Voxels of an object unless its pitch is given: 4 MiB, about 1 mm for an object of 10 cm."""
 
@@ -32,10 +34,11 @@ class ObjectLibrary:
     """M rigid objects.
 
     Attributes:
-        table: (T,) int32, the packed voxels of all objects.
+        table: (T,) int32, the packed voxels of all objects, level after level.
         first_voxel: (M,) int32, where each object's voxels start.
-        size: (M, 3) int32, voxels per axis; voxel (i, j, k) is at (i size_y + j) size_z + k.
-        pitch_m: (M,) edge of a voxel.
+        size: (M, 3) int32, voxels per axis; voxel (i, j, k) is at (i size_y + j) size_z + k. A level has
+            half the voxels per axis of the one before it.
+        pitch_m: (M,) edge of the finest voxels.
         grid_origin_m: (M, 3) corner of voxel (0, 0, 0) in the object's frame.
         centre_m: (M, 3) centre of the bounding box in the object's frame.
         half_extent_m: (M, 3) half the edges of the bounding box.
@@ -79,11 +82,12 @@ def library_of_mesh(
     if extent.max() <= 0:
         raise ValueError("the mesh has no extent")
     pitch_m = _fitting_pitch(extent) if pitch_m is None else pitch_m
-    size = np.ceil(extent / pitch_m).astype(int) + 2 * MARGIN
+    size = _grid_size(extent, pitch_m)
     origin = centre - size * pitch_m / 2
     distance, gradient = signed_distance((vertices_m - origin) / pitch_m, faces, tuple(size.tolist()))
+    levels = [_packed(*level).ravel() for level in _levels(distance, gradient)]
     return ObjectLibrary(
-        table=jnp.asarray(_packed(distance, gradient).ravel()),
+        table=jnp.asarray(np.concatenate(levels)),
         first_voxel=jnp.zeros(1, jnp.int32),
         size=jnp.asarray(size[None], jnp.int32),
         pitch_m=jnp.array([pitch_m], jnp.float32),
@@ -113,9 +117,34 @@ def _fitting_pitch(extent_m: NDArray[np.float64]) -> float:
     low, high = extent_m.max() / DEFAULT_VOXELS, extent_m.max()
     for _ in range(60):
         pitch = np.sqrt(low * high)
-        too_many = np.prod(np.ceil(extent_m / pitch) + 2 * MARGIN) > DEFAULT_VOXELS
+        too_many = np.prod(_grid_size(extent_m, pitch)) > DEFAULT_VOXELS
         low, high = (pitch, high) if too_many else (low, pitch)
     return float(high)
+
+
+def _grid_size(extent_m: NDArray[np.float64], pitch_m: float) -> NDArray[np.int64]:
+    """Voxels per axis, margins included, that the coarsest level divides."""
+    coarsest = 2 ** (LEVELS - 1)
+    return np.ceil((np.ceil(extent_m / pitch_m) + 2 * MARGIN) / coarsest).astype(int) * coarsest
+
+
+def _levels(
+    distance: NDArray[np.float32], gradient: NDArray[np.float32]
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Distance in voxels of its own and unit gradient of each level: means over the level before."""
+    for level in range(LEVELS):
+        if level:
+            distance = _mean_of_eight(distance[..., None])[..., 0] / 2
+            gradient = _mean_of_eight(gradient)
+            length = np.linalg.norm(gradient, axis=-1, keepdims=True)
+            gradient = gradient / np.maximum(length, 1e-9)
+        yield distance, gradient
+
+
+def _mean_of_eight(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Means (X/2, Y/2, Z/2, C) over the eight voxels under each larger one, of values (X, Y, Z, C)."""
+    x, y, z, channels = values.shape
+    return values.reshape(x // 2, 2, y // 2, 2, z // 2, 2, channels).mean(axis=(1, 3, 5))
 
 
 def _packed(distance: NDArray[np.float32], gradient: NDArray[np.float32]) -> NDArray[np.int32]:
@@ -123,6 +152,19 @@ def _packed(distance: NDArray[np.float32], gradient: NDArray[np.float32]) -> NDA
     steps = np.clip(np.rint(distance * DISTANCE_STEPS), -1024, 1023).astype(np.int32)
     x, y, z = np.moveaxis(np.rint(gradient * NORMAL_STEPS).astype(np.int32) & 127, -1, 0)
     return steps << 21 | x << 14 | y << 7 | z
+
+
+def level_of(
+    library: ObjectLibrary, model: jax.Array, level: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Pitch (B,), voxels per axis (3, B) and first voxel (B,) of objects `model` at levels of detail (B,)."""
+    pitch, size, first_voxel = library.pitch_m[model], library.size.T[:, model], library.first_voxel[model]
+    for coarser in range(1, LEVELS):
+        reached = level >= coarser
+        first_voxel = jnp.where(reached, first_voxel + size[0] * size[1] * size[2], first_voxel)
+        size = jnp.where(reached[None], size // 2, size)
+        pitch = jnp.where(reached, 2 * pitch, pitch)
+    return pitch, size, first_voxel
 
 
 def unpacked(word: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
