@@ -134,10 +134,9 @@ def _levels(
     """Distance in voxels of its own and unit gradient of each level: means over the level before."""
     for level in range(LEVELS):
         if level:
-            distance = _mean_of_eight(distance[..., None])[..., 0] / 2
+            distance = _mean_of_eight(distance[..., None])[..., 0] * np.float32(0.5)
             gradient = _mean_of_eight(gradient)
-            length = np.linalg.norm(gradient, axis=-1, keepdims=True)
-            gradient = gradient / np.maximum(length, 1e-9)
+            gradient /= np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
         yield distance, gradient
 
 

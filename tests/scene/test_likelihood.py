@@ -11,7 +11,7 @@ from scipy import stats
 from recordings.types import DepthNoise
 from scene.likelihood import depth_evidence, log_likelihood
 from shapes.depth_rendering import render_layers
-from shapes.object_library import ObjectLibrary, library_of_mesh
+from shapes.object_library import ObjectLibrary, joined, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views
 
 HEIGHT, WIDTH = INTRINSICS.height, INTRINSICS.width
@@ -115,3 +115,22 @@ def test_each_hypothesis_is_held_against_its_own_image(library: ObjectLibrary, s
         single = depth_evidence(NOISE, cameras(), observed[index][None], rest[index][None])
         alone = log_likelihood(library, NOISE, single, posed(poses[index : index + 1]))
         np.testing.assert_allclose(together[index], alone[0], rtol=1e-6)
+
+
+def test_one_trace_serves_all_poses_and_objects_of_a_bucket(library: ObjectLibrary, seed: int) -> None:
+    """Other poses, another object, another lens and another image of the same sizes compile nothing anew."""
+    rng = np.random.default_rng(seed)
+    observed, rest = (jnp.asarray(image)[None] for image in scene(rng))
+    both = joined([library, library])
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, 2, 3] = [0.4, 0.6, 0.8, 2.0]
+
+    def score(index: int, focal: float) -> None:
+        lens = jax.tree.map(lambda leaf: leaf * focal, cameras())
+        log_likelihood(both, NOISE, depth_evidence(NOISE, lens, observed, rest), posed(poses, index))
+
+    score(0, 1.0)
+    traced = log_likelihood._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+    score(1, 1.3)
+
+    assert log_likelihood._cache_size() == traced  # pyright: ignore[reportAttributeAccessIssue]
