@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
-.PHONY: venv demo test lint clean
+.PHONY: venv demo test lint bench clean
 
 demo: venv
 	$(BIN)/voxscene demo --out demo
@@ -16,6 +16,12 @@ lint: venv
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+bench: venv
+	$(BIN)/voxscene bench speed
+	$(BIN)/voxscene bench sampler
+	$(BIN)/voxscene bench slam --rooms 2
+	$(BIN)/voxscene bench poses --tables 10
 
 venv: $(INSTALLED)
 

@@ -101,7 +101,7 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
                 "overrides",
                 multiple=True,
                 metavar="SECTION.KEY=VALUE",
-                help=f"One setting, over the file's. Sections: {', '.join(sections)}.",
+                help=f"One setting, over the file's. Sections: {', '.join(('run', *sections))}.",
             ),
         ]
         return _decorated(with_common, options)
