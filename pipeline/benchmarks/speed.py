@@ -1,7 +1,8 @@
 """Hypotheses rendered and scored a second, beside Embree with NumPy on the same poses.
 
-Every call gets poses that were never seen before, results reach the host, compile time is apart, and what
-is called are the functions that the scene stage calls.
+Every call gets poses that were never seen before, results reach the host, and compile time is apart. What is
+called is `scene.likelihood` on whole scenes; the chains of `parse` use the same rays and sensor density, but
+keep the layers of objects that did not move (`scene.depth_images`).
 """
 
 from __future__ import annotations

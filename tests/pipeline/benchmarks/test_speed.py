@@ -23,7 +23,7 @@ def task() -> Problem:
     return problem(library_of_mesh(*mug()), 50, np.random.default_rng(11))
 
 
-def test_it_calls_the_functions_of_the_scene_stage() -> None:
+def test_it_calls_the_likelihoods_of_the_scene_package() -> None:
     """The very objects, not copies."""
     assert speed.log_likelihood is scene.likelihood.log_likelihood
     assert speed.log_likelihood_of_scenes is scene.likelihood.log_likelihood_of_scenes
