@@ -58,7 +58,7 @@ def octomap(hit: float, miss: float) -> VoxelMap:
     """OctoMap (Hornung et al. 2013) with its own inverse sensor model; needs octomap-python."""
 
     def build(views: PosedViews, grid: VoxelGrid) -> NDArray[np.float64]:
-        import octomap as library
+        import octomap as library  # pyright: ignore[reportMissingImports]
 
         tree = library.OcTree(grid.pitch_m)
         tree.setProbHit(hit)
