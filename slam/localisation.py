@@ -19,6 +19,7 @@ from slam.alignment import (
     Passes,
     PixelTerms,
     aligned,
+    associated,
     pixel_terms,
     projected_scores,
 )
@@ -45,6 +46,11 @@ FINE_SCHEDULE = (Passes(2, (2.0, 1.0, 1.0)), Passes(1, (1.0, 1.0)))
 LEAST_GAIN = 0.2
 """Nats a coarse pixel by which a candidate must beat a prediction worth keeping: along a bare wall all score
 alike, and their noise must not choose."""
+SLIDES = tuple(sign * size for size in (0.0015, 0.003, 0.006, 0.012, 0.024) for sign in (-1, 1))
+"""Metres and radians along an eigenvector of the precision."""
+WEAK_DIRECTIONS = 2
+SLIDE_GAIN = 30.0
+"""Nats by which a slide must win: on bare walls all score alike."""
 LATTICE_STEPS = 3
 BLOCK_SIDE = 10
 """Side in lattice pixels of the blocks whose scores are taken as independent."""
@@ -145,7 +151,26 @@ def best_aligned(
     lead = jnp.where(hold > 0, LEAST_GAIN * view.depth_m.size / COARSE_STRIDE_PX**2, 0.0)
     winner = coarse[jnp.argmax(coarse_scores.at[0].add(lead))]
     fine, _ = aligned(model, view, noise, winner, hold, FINE_SCHEDULE)
-    return (anchor @ jaxlie.SE3(fine)).wxyz_xyz
+    slid = jax.lax.optimization_barrier(slides(model, view, noise, fine))
+    slid_scores = projected_scores(model, view, noise, slid, FINE_SCHEDULE[0].stride_px, 0.0)
+    best_slid = slid[jnp.argmax(slid_scores.at[0].add(SLIDE_GAIN))]
+    return (anchor @ jaxlie.SE3(best_slid)).wxyz_xyz
+
+
+def slides(model: ModelImage, view: DepthView, noise: DepthNoise, pose: jax.Array) -> jax.Array:
+    """Poses (S, 7) from `pose` (7,) itself, the first, along the directions in which it is held least.
+
+    Where walls and a floor fill the image, the little that holds the camera along them lies in a few
+    pixels, which count as outliers once it is off by more than they resolve: Gauss-Newton stays there.
+    """
+    stride = FINE_SCHEDULE[0].stride_px
+    planes, variance, observed, rays = associated(model, view, pose, stride)
+    terms = pixel_terms(planes, variance, observed, rays, pose, noise)
+    _, directions = jnp.linalg.eigh(terms.precision())
+    steps = jnp.asarray(SLIDES, pose.dtype)
+    offsets = (steps[:, None, None] * directions.T[None, :WEAK_DIRECTIONS]).reshape(-1, 6)
+    offsets = jnp.concatenate([jnp.zeros((1, 6), pose.dtype), offsets])
+    return jax.vmap(partial(pose_gaussian.displaced, pose))(offsets)
 
 
 def local_optimum(
