@@ -7,10 +7,15 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 LARGEST_BYTES = 4 << 30
 """An archive whose arrays claim more than this is refused before memory is taken."""
@@ -61,6 +66,34 @@ def load_arrays(path: Path, *, largest_bytes: int = LARGEST_BYTES) -> dict[str, 
             return {member.filename.removesuffix(".npy"): _read(archive, member) for member in members}
     except _DAMAGE as error:
         raise ValueError(f"{path} is not a readable npz file: {error}") from error
+
+
+def save_fields(path: Path, value: DataclassInstance, *, format_version: int) -> None:
+    """Write a value whose fields are all arrays, as `load_fields` reads it.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    arrays = {field.name: getattr(value, field.name) for field in fields(value)}
+    save_arrays(path, {"format_version": format_version, **arrays})
+
+
+def load_fields(
+    path: Path, kind: type[DataclassInstance], *, format_version: int, title: str
+) -> dict[str, NDArray]:
+    """The fields of a value that `save_fields` wrote; `title` is what messages call it.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged, of another format, or lacks a field.
+    """
+    arrays = load_arrays(path)
+    if arrays.pop("format_version", np.asarray(0)) != format_version:
+        raise ValueError(f"{path} is not a {title} of format {format_version}")
+    differing = {field.name for field in fields(kind)} ^ set(arrays)
+    if differing:
+        raise ValueError(f"{path} is not a {title}: {', '.join(sorted(differing))}")
+    return arrays
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.archive import load_arrays, save_arrays
+from shapes.archive import load_fields, save_fields
 
 FORMAT_VERSION = 1
 
@@ -66,8 +66,7 @@ class SlamResult:
         Raises:
             OSError: the folder cannot be written.
         """
-        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        save_arrays(path, {"format_version": FORMAT_VERSION, **arrays})
+        save_fields(path, self, format_version=FORMAT_VERSION)
 
     @classmethod
     def load(cls, path: Path) -> SlamResult:
@@ -77,11 +76,4 @@ class SlamResult:
             FileNotFoundError: there is no such file.
             ValueError: the file is damaged, or not a SLAM result of this format.
         """
-        arrays = load_arrays(path)
-        version = arrays.pop("format_version", np.asarray(0))
-        if version != FORMAT_VERSION:
-            raise ValueError(f"{path} is not a SLAM result of format {FORMAT_VERSION}")
-        missing = {field.name for field in fields(cls)} ^ set(arrays)
-        if missing:
-            raise ValueError(f"{path} is not a SLAM result: {', '.join(sorted(missing))}")
-        return cls(**arrays)
+        return cls(**load_fields(path, cls, format_version=FORMAT_VERSION, title="SLAM result"))
