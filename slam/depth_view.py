@@ -51,6 +51,13 @@ class DepthView:
     camera: Camera
 
 
+def framing(view: DepthView) -> NDArray[np.float64]:
+    """What the view's image takes in (6,): fx, fy, cx, cy, columns, rows, in pixels."""
+    camera = view.camera
+    rows, columns = np.argwhere(np.asarray(view.measured)).max(axis=0) + 1
+    return np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, columns, rows], float)
+
+
 def reduction_factor(intrinsics: CameraIntrinsics) -> int:
     """Side in pixels of the square blocks that bring an image onto the canvas."""
     return max(1, -(-intrinsics.width // CANVAS_WIDTH), -(-intrinsics.height // CANVAS_HEIGHT))

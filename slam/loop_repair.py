@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from slam import pose_gaussian, pose_graph
-from slam.depth_view import DepthView
+from slam.alignment import STIFFNESS
+from slam.depth_view import DepthView, framing
 from slam.filter import FilterState
 from slam.image_density import ScoredPixels, log_image_density
 from slam.keyframe_map import KeyframeMap, selected_keyframes
 from slam.keyframes import Surface
-from slam.particles import IDENTITY, CameraParticles, mean_and_covariance
+from slam.particles import IDENTITY, CameraParticles, mean_keyframes
 from slam.pose_graph import GraphOptimum, PoseGraph
 from slam.rigid import matrices_of, poses_of
 from slam.search import GroupMap, Located, Searcher
@@ -61,7 +62,7 @@ def repaired(key: jax.Array, state: FilterState, compared: int) -> FilterState:
     particles: CameraParticles = state.population.particles
     used, noise = len(state.keyframe_map), state.calibration.noise
     weights = jnp.exp(state.population.log_weights)
-    filtered = _mean_keyframes(particles.keyframe_poses[:, :used], weights)
+    filtered = mean_keyframes(particles.keyframe_poses[:, :used], weights)
     overlaps = _overlaps(state.keyframe_map, matrices_of(filtered), noise, compared)
     if not overlaps:
         return state
@@ -75,12 +76,6 @@ def repaired(key: jax.Array, state: FilterState, compared: int) -> FilterState:
     return replace(state, population=population)
 
 
-@jax.jit
-def _mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
-    """Means (N, 7) over particles (K, N, 7)."""
-    return jax.vmap(mean_and_covariance, (1, None))(poses, weights)[0]
-
-
 def _overlaps(
     keyframe_map: KeyframeMap, poses: NDArray[np.float64], noise: DepthNoise, compared: int
 ) -> list[Overlap]:
@@ -90,7 +85,7 @@ def _overlaps(
     for second in range(1, len(keyframe_map)):
         view = _view_of(keyframe_map.surfaces[second])
         before = KeyframeMap(surfaces=keyframe_map.surfaces[:second], samples=keyframe_map.samples[:second])
-        for first in selected_keyframes(before, poses[:second], poses[second], _extent(view), OVERLAPS):
+        for first in selected_keyframes(before, poses[:second], poses[second], framing(view), OVERLAPS):
             relative = np.linalg.inv(poses[first]) @ poses[second]
             searcher = Searcher(_only(keyframe_map, int(first)), view, noise, compared)
             located = searcher.near(at_origin, [poses_of(relative)])
@@ -109,12 +104,6 @@ def _view_of(surface: Surface) -> DepthView:
     return DepthView(surface.depth_m, surface.measured, surface.rays, surface.camera)
 
 
-def _extent(view: DepthView) -> NDArray[np.float64]:
-    camera = view.camera
-    extent = np.argwhere(np.asarray(view.measured)).max(axis=0) + 1
-    return np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, extent[1], extent[0]], float)
-
-
 def _shares(overlaps: list[Overlap], exponent: float) -> NDArray[np.float64]:
     """Exponent (E,) of each overlap: an image that several surfaces explain counts once in all."""
     times = np.bincount([overlap.second for overlap in overlaps])
@@ -124,7 +113,7 @@ def _shares(overlaps: list[Overlap], exponent: float) -> NDArray[np.float64]:
 def _graph(overlaps: list[Overlap], shares: NDArray[np.float64]) -> PoseGraph:
     optima = [overlap.located.optimum for overlap in overlaps]
     precision = np.stack([np.asarray(one.layer_precisions.sum(0), np.float64) for one in optima])
-    floor = pose_graph.STIFFNESS * np.eye(6)
+    floor = STIFFNESS * np.eye(6)
     return PoseGraph(
         first=np.asarray([overlap.first for overlap in overlaps]),
         second=np.asarray([overlap.second for overlap in overlaps]),

@@ -73,6 +73,12 @@ def mean_and_covariance(
     return mean, between + jnp.einsum("k,kij->ij", weights, covariances)
 
 
+@jax.jit
+def mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
+    """Means (N, 7) of keyframe poses (K, N, 7) over weighted particles (K,)."""
+    return jax.vmap(mean_and_covariance, (1, None))(poses, weights)[0]
+
+
 GROUP_SHIFT_M = 0.1
 GROUP_ANGLE_RAD = 0.1
 MOST_GROUPS = 4

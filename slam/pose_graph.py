@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from slam import pose_gaussian
+from slam.alignment import STIFFNESS
 from slam.rigid import matrices_of, poses_of
 
 ITERATIONS = 8
 CONVERGED = 1e-6
 """Largest coordinate of a last step, metres or radians."""
-STIFFNESS = 10.0
-"""Precision in 1/m^2 and 1/rad^2 that holds a pose where it was in directions which no edge measures."""
 TRUSTED_SQUARED_DISTANCE = 12.6
 """95% point of chi-square with six degrees of freedom: edges beyond it are scaled down."""
 EDGE_BUCKET = 64

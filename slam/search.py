@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from slam import enumeration
-from slam.depth_view import DepthView
+from slam.depth_view import DepthView, framing
 from slam.keyframe_map import KeyframeMap, selected_keyframes
 from slam.localisation import LocalMap, Optimum, local_optimum, log_map_scores
-from slam.particles import mean_and_covariance
+from slam.particles import mean_keyframes
 from slam.rigid import matrices_of, poses_of
 
 CONVINCING_EXPLAINED = 0.75
@@ -142,11 +142,8 @@ class Searcher:
         return [found[index] for index in kept]
 
     def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
-        camera = self.view.camera
-        extent = np.argwhere(np.asarray(self.view.measured)).max(axis=0) + 1
-        intrinsics = np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, extent[1], extent[0]], float)
         chosen = selected_keyframes(
-            self.keyframe_map, group.representative, matrices_of(pose), intrinsics, self.compared
+            self.keyframe_map, group.representative, matrices_of(pose), framing(self.view), self.compared
         )
         return self._stacked(group, chosen, self.compared)
 
@@ -155,7 +152,7 @@ class Searcher:
     ) -> tuple[NDArray[np.int_], LocalMap]:
         present = np.arange(count) < len(chosen)
         indices = np.where(present, np.resize(chosen, count), chosen[0])
-        poses = _mean_keyframes(group.keyframe_poses[:, indices], group.weights)
+        poses = mean_keyframes(group.keyframe_poses[:, indices], group.weights)
         return indices, LocalMap(self.keyframe_map.stacked(indices), jnp.asarray(present), poses)
 
     def _map_scores(self, group: GroupMap, candidates: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -177,11 +174,6 @@ def _is_near(pose: jax.Array, start: jax.Array) -> bool:
     relative = np.linalg.inv(matrices_of(start)) @ matrices_of(pose)
     shift = np.linalg.norm(relative[:3, 3])
     return bool(shift < FAR_SHIFT_M and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(FAR_ANGLE_RAD))
-
-
-@jax.jit
-def _mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
-    return jax.vmap(mean_and_covariance, (1, None))(poses, weights)[0]
 
 
 def worth_keeping(found: list[Located], exponent: float) -> list[Located]:

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.pose_graph import STIFFNESS, PoseGraph, optimum
+from slam.alignment import STIFFNESS
+from slam.pose_graph import PoseGraph, optimum
 from slam.rigid import poses_of
 from tests.statistical import assert_mean
 
