@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from recordings.depth_topics import choose_depth_topic
+from recordings.mcap_files.attachments import Attachment
 from recordings.mcap_files.bag import Bag
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.options import ReadOptions
@@ -66,6 +67,7 @@ class Overview:
     """A recording at a glance; `problems` are sentences for a person."""
 
     topics: tuple[TopicOverview, ...]
+    attachments: tuple[Attachment, ...]
     depth: DepthOverview | None
     damage: Damage
     problems: tuple[str, ...]
@@ -85,6 +87,7 @@ def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overvie
     depth = None if recording is None else _survey_depth(recording, hashes=hashes)
     return Overview(
         topics=topics,
+        attachments=tuple(bag.attachments),
         depth=depth,
         damage=bag.damage if recording is None else recording.damage,
         problems=tuple(bag.problems if recording is None else recording.problems),

@@ -36,7 +36,14 @@ def command(ctx: click.Context, source: Source, hashes: bool, common: Common) ->
 
 
 def _lines(overview: Overview) -> list[str]:
-    lines = [*_depth_lines(overview), "", *_topic_lines(overview), "", _verdict(overview)]
+    lines = [
+        *_depth_lines(overview),
+        *_attachment_lines(overview),
+        "",
+        *_topic_lines(overview),
+        "",
+        _verdict(overview),
+    ]
     hashes = overview.depth.frame_hashes if overview.depth else None
     return lines if hashes is None else [*lines, "", *hashes]
 
@@ -103,6 +110,13 @@ def _gap_lines(pace: Pace) -> list[str]:
     longest = sorted(pace.gaps_s, key=lambda gap: -gap[1])[:_GAPS_SHOWN]
     shown = ", ".join(f"{length:.3g} s at {start:.3f} s" for start, length in longest)
     return [f"gaps    {len(pace.gaps_s)} in the depth frames, the longest {shown}"]
+
+
+def _attachment_lines(overview: Overview) -> list[str]:
+    if not overview.attachments:
+        return []
+    files = [f"{one.name} ({one.media_type}, {one.data_size} bytes)" for one in overview.attachments]
+    return [f"files   {', '.join(files)}"]
 
 
 def _topic_lines(overview: Overview) -> list[str]:

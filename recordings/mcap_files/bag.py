@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from recordings.errors import RecordingError
+from recordings.mcap_files.attachments import Attachment
 from recordings.mcap_files.mcap_file import McapFile, Message, Topic
 from recordings.types import Damage
 
@@ -41,6 +42,11 @@ class Bag:
     def topics(self) -> list[Topic]:
         """What the recording's channels carry, by name; a topic with two schemas stands there twice."""
         return sorted({topic for file in self.files for topic in file.topics}, key=lambda topic: topic.name)
+
+    @property
+    def attachments(self) -> list[Attachment]:
+        """The files that the recording carries beside its messages."""
+        return [attachment for file in self.files for attachment in file.index.attachments]
 
     @property
     def damage(self) -> Damage:

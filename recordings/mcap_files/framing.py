@@ -20,6 +20,9 @@ HEAD_SIZE = 9
 MAX_BLOCK_SIZE = 1 << 28
 """Largest chunk or message that is read, packed or unpacked: more is damage, or an attack on memory."""
 
+NO_CRC = 0
+"""How MCAP marks a checksum that was not written."""
+
 MESSAGE_HEAD_SIZE = 22
 
 _HEAD = struct.Struct("<BQ")

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from mcap.opcode import Opcode
 from mcap.records import Channel, MessageIndex, Schema
 
+from recordings.mcap_files.attachments import Attachment
 from recordings.mcap_files.chunks import crc_field, unpack
-from recordings.mcap_files.framing import MalformedRecord, parse, spans
+from recordings.mcap_files.framing import NO_CRC, MalformedRecord, parse, spans
 from recordings.mcap_files.sources import Source
-
-NO_CRC = 0
-"""How MCAP marks a checksum that was not written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +67,7 @@ class FileIndex:
         definitions_verified: whether all schemas and channels stood under a checksum that held.
         loose_records_verified: the same for messages outside chunks.
         metadata: the metadata records, by name.
+        attachments: the files that the recording carries beside its messages.
     """
 
     blocks: tuple[Block, ...]
@@ -79,6 +78,7 @@ class FileIndex:
     definitions_verified: bool = True
     loose_records_verified: bool = False
     metadata: tuple[tuple[str, Mapping[str, str]], ...] = ()
+    attachments: tuple[Attachment, ...] = ()
 
 
 def read_block(source: Source, block: Block) -> tuple[bytes, int]:

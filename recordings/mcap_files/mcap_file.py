@@ -12,8 +12,15 @@ from mcap.opcode import Opcode
 
 from recordings.errors import RecordingError
 from recordings.mcap_files.block_reader import BlockCache, read_blocks
-from recordings.mcap_files.framing import MAGIC, MESSAGE_HEAD_SIZE, MalformedRecord, parse_message_head, spans
-from recordings.mcap_files.index import NO_CRC, FileIndex, Loss, indexed_message_counts
+from recordings.mcap_files.framing import (
+    MAGIC,
+    MESSAGE_HEAD_SIZE,
+    NO_CRC,
+    MalformedRecord,
+    parse_message_head,
+    spans,
+)
+from recordings.mcap_files.index import FileIndex, Loss, indexed_message_counts
 from recordings.mcap_files.recovery import rebuild_index
 from recordings.mcap_files.sources import Source, open_source
 from recordings.mcap_files.summary import index_of_summary, read_summary

@@ -14,6 +14,7 @@ from mcap.records import Channel, DataEnd, MessageIndex, Metadata, Schema
 from mcap.summary import Summary
 from zlib_ng.zlib_ng import crc32
 
+from recordings.mcap_files.attachments import Attachment, attachment_at
 from recordings.mcap_files.chunks import (
     VISIBLE_SIZE,
     DamagedBlock,
@@ -25,13 +26,14 @@ from recordings.mcap_files.framing import (
     MAGIC,
     MAX_BLOCK_SIZE,
     MESSAGE_HEAD_SIZE,
+    NO_CRC,
     MalformedRecord,
     is_known,
     parse,
     parse_message_head,
     spans,
 )
-from recordings.mcap_files.index import NO_CRC, Block, FileIndex, Loss
+from recordings.mcap_files.index import Block, FileIndex, Loss
 from recordings.mcap_files.sources import Source
 from recordings.mcap_files.steps import (
     LONGEST_CHUNK_HEAD,
@@ -70,6 +72,7 @@ class _Recovery:
         self._blocks: list[Block] = []
         self._losses: list[Loss] = []
         self._metadata: list[tuple[str, Mapping[str, str]]] = []
+        self._attachments: list[Attachment] = []
         self._run = _Run()
         self._lost_chunk_end: int | None = None
         self._data_ended = False
@@ -87,6 +90,7 @@ class _Recovery:
             or (set(self._schemas) == self._proven_schemas and set(self._channels) == self._proven_channels),
             loose_records_verified=self._data_proven,
             metadata=tuple(self._metadata),
+            attachments=tuple(self._attachments),
         )
 
     def run(self) -> None:
@@ -115,7 +119,7 @@ class _Recovery:
         if step.opcode == Opcode.MESSAGE:
             return self._take_message(step)
         if step.opcode == Opcode.ATTACHMENT:
-            return True
+            return self._take_attachment(step)
         body = self._source.read(step.body_offset, min(step.body_size, MAX_BLOCK_SIZE))
         try:
             if step.opcode == Opcode.CHUNK or not is_known(step.opcode):
@@ -137,6 +141,14 @@ class _Recovery:
             # A kind of record that the specification does not know (yet) is left out without loss,
             # but was tried as a chunk: one flipped bit in the opcode must not hide a chunk.
             return not is_known(step.opcode)
+        return True
+
+    def _take_attachment(self, step: Step) -> bool:
+        try:
+            attachment = attachment_at(self._source, step.body_offset, step.body_size)
+        except MalformedRecord:
+            return False
+        self._attachments.append(attachment)
         return True
 
     def _take_message(self, step: Step) -> bool:

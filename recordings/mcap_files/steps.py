@@ -13,10 +13,10 @@ from recordings.mcap_files.framing import (
     HEAD_SIZE,
     MAX_BLOCK_SIZE,
     MESSAGE_HEAD_SIZE,
+    NO_CRC,
     MalformedRecord,
     record_head,
 )
-from recordings.mcap_files.index import NO_CRC
 from recordings.mcap_files.sources import Source
 
 LONGEST_CHUNK_HEAD = 64

@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    Footer,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.summary import Summary
 from zlib_ng.zlib_ng import crc32
 
+from recordings.mcap_files.attachments import Attachment, attachment_at
 from recordings.mcap_files.chunks import payload_offset
 from recordings.mcap_files.framing import (
     HEAD_SIZE,
     MAGIC,
     MAX_BLOCK_SIZE,
+    NO_CRC,
     MalformedRecord,
     parse,
     record_head,
     spans,
 )
-from recordings.mcap_files.index import NO_CRC, Block, FileIndex
+from recordings.mcap_files.index import Block, FileIndex
 from recordings.mcap_files.sources import Source
 
 _FOOTER_SIZE = HEAD_SIZE + 20
@@ -65,6 +78,7 @@ def index_of_summary(source: Source, summary: Summary) -> FileIndex | None:
         channels=summary.channels,
         expected_messages=statistics.channel_message_counts,
         metadata=tuple(_metadata(source, index) for index in summary.metadata_indexes),
+        attachments=tuple(_attachments(source, summary.attachment_indexes)),
     )
 
 
@@ -84,6 +98,8 @@ def _parse_summary(section: bytes) -> Summary:
             summary.chunk_indexes.append(parse(ChunkIndex, body))
         elif opcode == Opcode.METADATA_INDEX:
             summary.metadata_indexes.append(parse(MetadataIndex, body))
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            summary.attachment_indexes.append(parse(AttachmentIndex, body))
     return summary
 
 
@@ -109,3 +125,10 @@ def _metadata(source: Source, index: MetadataIndex) -> tuple[str, dict[str, str]
     except MalformedRecord:
         return index.name, {}
     return metadata.name, metadata.metadata
+
+
+def _attachments(source: Source, indexes: Iterable[AttachmentIndex]) -> Iterator[Attachment]:
+    """The attachments that the summary lists and that are there."""
+    for index in indexes:
+        with suppress(MalformedRecord):
+            yield attachment_at(source, index.offset + HEAD_SIZE, index.length - HEAD_SIZE)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from mcap.writer import Writer
 
 from pipeline.cli import voxscene
 from recordings.types import CameraIntrinsics, Frame
@@ -63,6 +64,19 @@ def test_text_tells_a_person_the_same(recording):
     text = run("info", recording).stdout
     for part in ("10 frames of 8x6", "fx 10.000", "1 in the depth frames", "1 s at 0.800 s", "nothing lost"):
         assert part in text
+
+
+def test_files_carried_along_are_told(tmp_path):
+    """Attachments stand in the text with their kind and size."""
+    path = tmp_path / "r.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_attachment(
+            create_time=1, log_time=2, name="camera.yaml", media_type="application/yaml", data=b"fx: 1"
+        )
+        writer.finish()
+    assert "camera.yaml (application/yaml, 5 bytes)" in run("info", path).stdout
 
 
 def test_damage_is_exit_code_3(recording):

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from recordings.mcap_files.attachments import attachment_data
 from recordings.mcap_files.index import FileIndex
 from recordings.mcap_files.mcap_file import McapFile
 from recordings.mcap_files.recovery import rebuild_index
@@ -51,6 +52,18 @@ def assert_definitions(index: FileIndex, expected: dict[str, list[dict[str, Any]
     ]
 
 
+def assert_attachments(path: Path, index: FileIndex, expected: dict[str, list[dict[str, Any]]]) -> None:
+    """Attachments and their content are those of the file."""
+    with open_source(path) as source:
+        assert [
+            (one.name, one.media_type, one.log_time_ns, one.create_time_ns, attachment_data(source, one))
+            for one in index.attachments
+        ] == [
+            (a["name"], a["media_type"], int(a["log_time"]), int(a["create_time"]), as_bytes(a["data"]))
+            for a in expected.get("Attachment", [])
+        ]
+
+
 def assert_messages(path: Path, index: FileIndex, expected: dict[str, list[dict[str, Any]]]) -> None:
     """Messages are those of the file, none is lost, and the statistics agree."""
     file = McapFile(path, index=index)
@@ -67,15 +80,13 @@ def assert_messages(path: Path, index: FileIndex, expected: dict[str, list[dict[
 
 
 def test_recovery_reports_every_record(conformance_files):
-    """Reading from front to end finds all schemas, channels, messages and metadata.
-
-    Attachments are passed over: nothing in voxscene reads them.
-    """
+    """Reading from front to end finds all schemas, channels, messages, metadata and attachments."""
     for path in conformance_files:
         with open_source(path) as source:
             index = rebuild_index(source)
         expected = expected_records(path)
         assert_definitions(index, expected)
+        assert_attachments(path, index, expected)
         assert_messages(path, index, expected)
 
 
@@ -94,9 +105,12 @@ def test_the_indexed_path_reports_every_record(conformance_files):
         if index is None:
             declined[_reason(path)] += 1
             continue
-        if not _has_metadata_index(path):
+        if "mdx" not in _features(path):
             expected.pop("Metadata", None)
+        if "ax" not in _features(path):
+            expected.pop("Attachment", None)
         assert_definitions(index, expected)
+        assert_attachments(path, index, expected)
         assert_messages(path, index, expected)
     assert None not in declined
     assert len(conformance_files) - sum(declined.values()) == 24
@@ -111,10 +125,6 @@ def test_opening_reports_every_message(conformance_files):
 
 def _features(path: Path) -> set[str]:
     return set(path.stem.split("-")[1:])
-
-
-def _has_metadata_index(path: Path) -> bool:
-    return "mdx" in _features(path)
 
 
 def _reason(path: Path) -> str | None:
