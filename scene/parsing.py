@@ -15,6 +15,7 @@ from scene.chain import Kernel, run_block, scene_kernel
 from scene.config import ParseConfig
 from scene.contact import TOP_FACE
 from scene.depth_images import DepthImages
+from scene.detection import SupportPlane
 from scene.foreground import frame_data, scene_data
 from scene.graph import Bodies, floating_scene
 from scene.initialisation import Initialisation, SceneData, initialise
@@ -33,6 +34,8 @@ HEIGHT_M = 0.6
 TABLE_HALF_THICKNESS_M = 0.01
 FREE_HALF_SIZE_M = 1.5
 """Of the cuboid in front of the camera that holds objects where there is no table."""
+SPACE_MARGIN_M = 0.05
+"""Of that cuboid round the places where chains start."""
 UNINFORMATIVE = 0.5
 """Probability of no return, with and without a surface: dark and grazing surfaces make it say little."""
 COMPONENTS = 8
@@ -98,7 +101,9 @@ def parse_scene(
         world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
         poses = [np.linalg.inv(world_from_camera @ pose) for pose in first_camera_from_camera]
         likelihood = _likelihood(views, poses, renderer, noise, config)
-        model = _model(data, objects, likelihood, config)
+        rotation, translation = world_from_camera[:3, :3], world_from_camera[:3, 3]
+        starts = start.poses[start.found, 4:] @ rotation.T + translation
+        model = _model(data, objects, likelihood, space_of(data.table, starts), config)
         samples = _sample(chain_key, model, start, world_from_camera, config, progress)
         return summarise(samples, model, start, world_from_camera, objects, np.asarray(frame_indices), config)
 
@@ -124,26 +129,44 @@ def _likelihood(
     )
 
 
+def space_of(
+    table: SupportPlane | None, starts_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of the cuboid that holds floating objects: over the table, or before the camera without one.
+
+    It is widened to hold the centres (N, 3) where chains start, so that none starts where it cannot be.
+    """
+    if table is None:
+        low = np.array([-FREE_HALF_SIZE_M, -FREE_HALF_SIZE_M, 0.0])
+        high = np.array([FREE_HALF_SIZE_M, FREE_HALF_SIZE_M, 2 * FREE_HALF_SIZE_M])
+    else:
+        low = np.append(-table.half_size_m, -TABLE_HALF_THICKNESS_M)
+        high = np.append(table.half_size_m, HEIGHT_M)
+    return (
+        np.minimum(low, np.min(starts_m - SPACE_MARGIN_M, axis=0, initial=np.inf)),
+        np.maximum(high, np.max(starts_m + SPACE_MARGIN_M, axis=0, initial=-np.inf)),
+    )
+
+
 def _model(
-    data: SceneData, objects: Sequence[SceneObject], likelihood: DepthImages, config: ParseConfig
+    data: SceneData,
+    objects: Sequence[SceneObject],
+    likelihood: DepthImages,
+    space: tuple[NDArray[np.float64], NDArray[np.float64]],
+    config: ParseConfig,
 ) -> SceneModel:
     """The target in the table's frame; the table is the last body, a slab under z = 0."""
     half_extents = [one.half_extents_m for one in objects]
-    low, high = np.full(3, -FREE_HALF_SIZE_M), np.full(3, FREE_HALF_SIZE_M)
     movable = [True] * len(objects)
     supporting = [[True] * 6 for _ in objects]
     if data.table is not None:
         half_extents.append(np.append(data.table.half_size_m, TABLE_HALF_THICKNESS_M))
-        low = np.append(-data.table.half_size_m, -TABLE_HALF_THICKNESS_M)
-        high = np.append(data.table.half_size_m, HEIGHT_M)
         movable.append(False)
         supporting.append([face == TOP_FACE for face in range(6)])
-    else:
-        low[2], high[2] = 0.0, 2 * FREE_HALF_SIZE_M
     bodies = Bodies(jnp.asarray(np.stack(half_extents)), jnp.asarray(movable), jnp.asarray(supporting))
     prior = PosePrior(
-        low_m=jnp.asarray(low),
-        high_m=jnp.asarray(high),
+        low_m=jnp.asarray(space[0]),
+        high_m=jnp.asarray(space[1]),
         contact_sigma_m=jnp.asarray(config.contact_sigma_m),
         contact_concentration=jnp.asarray(config.contact_concentration),
         slack_share=jnp.asarray(config.slack_share),
