@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,19 @@ def surface_hashes(folder: Path) -> dict[str, str]:
     return {path.name: file_hash(path) for path in sorted(_shapes_of(folder).iterdir()) if path.is_file()}
 
 
+@contextmanager
+def usable(path: Path) -> Iterator[None]:
+    """Turn what is wrong with a learned shape's file into an error that names it.
+
+    Raises:
+        PipelineError: the shape cannot be read, or has no surface.
+    """
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise PipelineError(f"cannot use the shape {path}: {error}") from error
+
+
 def chosen(surfaces: Mapping[str, Surface], names: tuple[str, ...]) -> dict[str, Surface]:
     """The surfaces of these names, all of them where none is named.
 
@@ -57,8 +71,6 @@ def _shapes_of(folder: Path) -> Path:
 
 
 def _learned_surface(path: Path) -> Surface:
-    try:
+    with usable(path):
         mesh = ShapePrior.load(path).surface()
-    except (OSError, ValueError) as error:
-        raise PipelineError(f"cannot use the shape {path}: {error}") from error
     return Surface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64))

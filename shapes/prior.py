@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.archive import load_arrays, save_arrays
+from shapes.learning.grid import VoxelGrid
 from shapes.surface import SurfaceMesh, level_surface
 
 FORMAT_VERSION = 1
@@ -65,6 +66,17 @@ class ShapePrior:
         pose = self.reference_from_grid
         if pose.shape != (4, 4) or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6):
             raise ValueError("reference_from_grid is not a rigid 4x4 transform")
+
+    @property
+    def grid(self) -> VoxelGrid:
+        """Where the voxels are; whether a plane ends rays at z = 0 is not kept."""
+        i, j, k = self.phi.shape
+        return VoxelGrid(
+            shape=(i, j, k),
+            pitch_m=self.pitch_m,
+            reference_from_grid=self.reference_from_grid,
+            on_plane=False,
+        )
 
     @property
     def solid(self) -> NDArray[np.bool_]:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 import trimesh
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
+from pipeline.synthesis.world import Part, RayCaster
 from shapes.prior import ShapePrior
-
-INSIDE_RAYS = 7
-"""Rays that vote on whether a voxel's centre is inside; odd, so that leaks of one face do not decide."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +37,7 @@ def shape_agreement(
     return ShapeAgreement(
         solid=intersection_over_union(shape.solid, truth),
         shell=intersection_over_union(_shell(shape.solid), _shell(truth)),
-        observed=intersection_over_union(shape.seen_occupied & decided, truth & decided),
+        observed=intersection_over_union(shape.seen_occupied, truth & decided),
     )
 
 
@@ -48,14 +45,10 @@ def true_voxels(
     shape: ShapePrior, mesh: trimesh.Trimesh, reference_from_mesh: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Voxels (I, J, K) of a shape's grid whose centre lies inside the mesh (Open3D's ray parity)."""
-    centres = (np.moveaxis(np.indices(shape.phi.shape), 0, -1).reshape(-1, 3) + 0.5) * shape.pitch_m
     mesh_from_grid = np.linalg.inv(reference_from_mesh) @ shape.reference_from_grid
-    scene = o3d.t.geometry.RaycastingScene()
-    tensor = o3d.core.Tensor.from_numpy
-    scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.faces.astype(np.uint32)))
-    points = trimesh.transform_points(centres, mesh_from_grid).astype(np.float32)
-    inside = scene.compute_occupancy(tensor(points), nsamples=INSIDE_RAYS).numpy()
-    return inside.reshape(shape.phi.shape) > 0.5
+    points = trimesh.transform_points(shape.grid.centres_m, mesh_from_grid)
+    surface = RayCaster([Part(name="object", mesh=mesh, world_from_part=np.eye(4))])
+    return surface.holds(points).reshape(shape.phi.shape)
 
 
 def intersection_over_union(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
@@ -66,4 +59,4 @@ def intersection_over_union(one: NDArray[np.bool_], other: NDArray[np.bool_]) ->
 
 def _shell(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Voxels with a face on the outside."""
-    return voxels & ~binary_erosion(voxels)
+    return voxels & ~np.asarray(binary_erosion(voxels), np.bool_)

@@ -16,6 +16,9 @@ from recordings.truth import SceneTruth, TrueObject, recorded_scene_truth
 from recordings.types import Trajectory
 from slam.result import SlamResult
 
+MEDIAN_ROUNDS = 30
+SAME_ROTATION_RAD = 1e-4
+
 
 class RecordedTruth:
     """What really stood in front of a recording's camera, and where the camera was.
@@ -69,9 +72,7 @@ class RecordedTruth:
     def reference_from_object(self, one: TrueObject, slam: SlamResult) -> NDArray[np.float64]:
         """Pose (4, 4) of a true object in a run's reference frame, as all frames together have it.
 
-        Each frame that was tracked says where the object is, through its true pose; mean rotation and
-        median position of these count, so that a single frame's error, the first one's included, is not
-        taken for one of a shape that was learned from all of them.
+        See `pose_in_reference`.
 
         Raises:
             PipelineError: fewer than two frames have a true pose.
@@ -79,11 +80,24 @@ class RecordedTruth:
         frames, world_from_camera = compared(slam.times_ns, self.trajectory)
         tracked = ~slam.lost[frames]
         camera_from_object = np.linalg.inv(world_from_camera[tracked]) @ one.world_from_object
-        each = slam.mean[frames[tracked]] @ camera_from_object
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_matrix(each[:, :3, :3]).mean().as_matrix()
-        pose[:3, 3] = np.median(each[:, :3, 3], axis=0)
-        return pose
+        return pose_in_reference(slam.mean[frames[tracked]] @ camera_from_object)
+
+
+def pose_in_reference(reference_from_object: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where an object is (4, 4), from what every tracked frame says of it (T, 4, 4) by its true pose.
+
+    The medians of their rotations (geodesic L1, Hartley et al. 2013) and places, so that a single frame's
+    error, the first one's included, is not taken for one of a shape that was learned from all of them.
+    """
+    rotations = Rotation.from_matrix(reference_from_object[:, :3, :3])
+    middle = rotations.mean()
+    for _ in range(MEDIAN_ROUNDS):
+        apart = (rotations * middle.inv()).magnitude()
+        middle = rotations.mean(weights=1.0 / np.maximum(apart, SAME_ROTATION_RAD))
+    pose = np.eye(4)
+    pose[:3, :3] = middle.as_matrix()
+    pose[:3, 3] = np.median(reference_from_object[:, :3, 3], axis=0)
+    return pose
 
 
 def true_mesh(one: TrueObject) -> trimesh.Trimesh:

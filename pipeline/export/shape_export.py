@@ -14,6 +14,7 @@ from pipeline.errors import PipelineError
 from pipeline.export.bop import bop_models
 from pipeline.export.meshes import mesh_bytes, moved, shape_mesh
 from pipeline.meshes import Units
+from pipeline.shape_folder import usable
 from shapes.prior import ShapePrior
 
 SHAPE_FORMATS = ("npz", "ply", "obj", "glb", "stl", "bop")
@@ -48,10 +49,8 @@ def export_shape(
         PipelineError: the shape cannot be read, has no closed surface, or the folder cannot be written.
     """
     name = path.stem
-    try:
+    with usable(path):
         shape = ShapePrior.load(path)
-    except (OSError, ValueError) as error:
-        raise PipelineError(f"cannot use the shape {path}: {error}") from error
     levels = (0.5, *SHELLS) if shells else (0.5,)
     meshes = {level: shape_mesh(shape, name, level) for level in levels}
     contents: dict[str, bytes] = {}

@@ -67,8 +67,10 @@ def octomap(hit: float, miss: float) -> VoxelMap:
         for depth, pose in zip(views.depths_m, views.reference_from_camera, strict=True):
             grid_from_camera = grid_from_reference @ pose
             points = _points(depth, views.intrinsics, grid_from_camera, grid)
-            if len(points):
-                tree.insertPointCloud(points, grid_from_camera[:3, 3].copy(), -1.0, True)
+            eye = grid_from_camera[:3, 3].copy()
+            beyond = np.linalg.norm(np.maximum(eye, np.asarray(grid.shape) * grid.pitch_m - eye))
+            if len(points):  # rays are cut off behind the grid, where nobody asks
+                tree.insertPointCloud(points, eye, float(beyond), True)
         tree.updateInnerOccupancy()
         phi = np.full(len(grid), np.nan)
         for index, centre in enumerate(grid.centres_m):

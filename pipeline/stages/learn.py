@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from recordings.poses.recorded import recorded_trajectory
 from shapes.learning.config import LearnConfig
 from shapes.learning.distillation import learn_shape
 from shapes.prior import ShapePrior
+from slam.result import SlamResult
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,9 +53,7 @@ def learn_stage(
     """
     config = session.common.settings.section("learn", LearnConfig, options)
     posed = _recorded(session) if recorded_poses else _tracked(session)
-    tracking_sigma_m = 0.0 if recorded_poses else config.tracking_sigma_m
-    registration_sigma_m = float(np.hypot(config.registration_sigma_m, tracking_sigma_m))
-    used = replace(config, registration_sigma_m=registration_sigma_m)
+    used = config if recorded_poses else config.for_tracked_poses
 
     def compute() -> ShapePrior:
         stamps = set(posed.times_ns.tolist())
@@ -76,18 +75,29 @@ def learn_stage(
     return session.stage(f"learn/{name}", ShapePrior.load, compute, {"learn": config}, inputs)
 
 
-def _tracked(session: Session) -> PosedFrames:
-    """What slam found, without the frames that it lost."""
-    result = slam_stage(session)
+def tracked_frames(result: SlamResult, origin: str = "") -> PosedFrames:
+    """The poses of the frames that slam did not lose.
+
+    Raises:
+        PipelineError: it lost all of them.
+    """
     found = ~result.lost
     if not found.any():
-        raise PipelineError(f"{session.source.path}: slam lost every frame, there are no poses to learn from")
+        raise PipelineError("slam lost every frame, there are no poses to learn from")
     return PosedFrames(
         times_ns=result.times_ns[found],
         trajectories=result.trajectories[:, found],
         log_weights=result.log_weights,
-        origin=session.run.fingerprint("slam"),
+        origin=origin,
     )
+
+
+def _tracked(session: Session) -> PosedFrames:
+    result = slam_stage(session)
+    try:
+        return tracked_frames(result, session.run.fingerprint("slam"))
+    except PipelineError as error:
+        raise PipelineError(f"{session.source.path}: {error}") from error
 
 
 def _recorded(session: Session) -> PosedFrames:

@@ -14,6 +14,8 @@ from recordings.types import CameraIntrinsics
 
 NOTHING = -1
 """Part index where a ray meets nothing."""
+INSIDE_RAYS = 7
+"""Rays that vote on whether a point is inside; odd, so that leaks of one face do not decide."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,6 +97,11 @@ class RayCaster:
         hits = self.cast(world_from_camera[:3, 3], directions)
         cosine = np.einsum("hwc,hwc->hw", hits.normal, directions) / np.linalg.norm(directions, axis=-1)
         return View(depth_m=hits.distance, cos_incidence=np.abs(cosine).astype(np.float32), part=hits.part)
+
+    def holds(self, points_m: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Whether points (N, 3) lie inside the parts, by the parity of surfaces that rays cross."""
+        inside = self._scene.compute_occupancy(_tensor(points_m.astype(np.float32)), nsamples=INSIDE_RAYS)
+        return np.asarray(inside.numpy() > 0.5)
 
     def clearance_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float32]:
         """Distance from points (N, 3) to the nearest surface."""

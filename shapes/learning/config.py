@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 from recordings.types import DepthNoise
 
@@ -65,3 +66,9 @@ class LearnConfig:
         for name in ("registration_sigma_m", "tracking_sigma_m"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+    @property
+    def for_tracked_poses(self) -> LearnConfig:
+        """The same where the poses come from tracking and not from elsewhere."""
+        sigma = math.hypot(self.registration_sigma_m, self.tracking_sigma_m)
+        return replace(self, registration_sigma_m=sigma)

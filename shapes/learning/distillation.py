@@ -57,7 +57,8 @@ def learn_shape(
     """
     total = trajectories.shape[1]
     chosen = np.unique(np.round(np.linspace(0, total - 1, min(config.views, total))).astype(int))
-    kept = [frame for number, frame in enumerate(frames) if number in set(chosen.tolist())]
+    wanted = set(chosen.tolist())
+    kept = [frame for number, frame in enumerate(frames) if number in wanted]
     if len(kept) != len(chosen):
         raise ValueError(f"the trajectory has {total} poses, the recording fewer frames")
     depths = [frame.depth_m for frame in kept]

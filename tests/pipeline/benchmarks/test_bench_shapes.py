@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from pipeline.benchmarks import shape_films
 from pipeline.benchmarks import shapes as bench
-from pipeline.benchmarks.shapes import measure_shapes
+from pipeline.benchmarks.shape_summary import exponent, falls, summary
+from pipeline.benchmarks.shapes import shape_rows
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig
 from shapes.learning.config import LearnConfig
@@ -32,11 +34,12 @@ def document(learned_with: list) -> dict:
             return learn_shape(*arguments)
 
         patch.setattr(bench, "learn_shape", spied)
-        patch.setattr(bench, "ROOM", RoomConfig(kind="bare"))
-        patch.setattr(bench, "CAMERA", CameraConfig(width=200, height=150))
+        patch.setattr(shape_films, "ROOM", RoomConfig(kind="bare"))
+        patch.setattr(shape_films, "CAMERA", CameraConfig(width=200, height=150))
         config = replace(LearnConfig(), pitch_m=0.01)
         films = {"solid": solid, "thin": thin}
-        return measure_shapes(films, [4], ["carving", "tsdf"], config, 0, lambda *_: None)
+        rows = list(shape_rows(films, [4], ["true"], ["carving", "tsdf"], config, 0))
+        return summary(rows, [], config.pitch_m)
 
 
 def test_it_calls_the_production_function(document: dict, learned_with: list) -> None:
@@ -64,7 +67,25 @@ def test_peers_see_the_same_box(document: dict) -> None:
 
 def test_calibration_is_pooled_over_objects(document: dict) -> None:
     """For every method, on the same voxels."""
-    counts = {one["count"] for one in document["calibration"]["4"].values()}
-    assert len(counts) == 1
-    assert document["calibration"]["4"]["voxscene"]["ece"] < 0.2
-    assert np.isfinite([one["brier"] for one in document["calibration"]["4"].values()]).all()
+    scores = document["calibration"]
+    assert len({one["count"] for one in scores}) == 1
+    assert next(one for one in scores if one["method"] == "voxscene")["ece"] < 0.2
+    assert np.isfinite([one["brier"] for one in scores]).all()
+
+
+def test_a_fall_with_more_views_is_told() -> None:
+    """From the best of fewer views, beyond what is tolerated."""
+    rows = [
+        {"object": "cup", "poses": "true", "views": views, "solid": solid}
+        for views, solid in ((20, 0.93), (5, 0.94), (10, 0.937))
+    ]
+    (fall,) = falls(rows)
+    assert fall["views"] == 20
+    assert fall["fall"] == pytest.approx(0.01)
+
+
+def test_growth_is_the_power_of_the_size() -> None:
+    """Of an exact power; of one size nothing is known."""
+    sizes = [100.0, 200.0, 400.0]
+    assert exponent(sizes, [3 * size**1.5 for size in sizes]) == pytest.approx(1.5)
+    assert exponent([5, 5], [1.0, 2.0]) is None
