@@ -1,17 +1,16 @@
 """First intersections of pixel rays with posed objects, by stepping through their distance fields.
 
-A ray is p(s) = start + s direction in the object's voxel coordinates, where s is depth relative to the
-object's centre: small numbers, so that float32 loses nothing.
+A ray is p(z) = origin + z direction in the object's voxel coordinates, where z is depth in metres.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from shapes.camera import Camera
 from shapes.object_library import LEVELS, ObjectLibrary, level_of, unpacked
@@ -25,10 +24,11 @@ SHALLOW = 0.7
 """Least cosine to the normal with which such a step reckons: no further than 1 / SHALLOW distances."""
 LONGEST = 1.5
 """Longest step in distances to the surface; above 1 it may cross thin walls."""
-STEPS = 6
-"""Steps between two looks at which tiles are done."""
-MOST_STEPS = 48
-CONE_STEPS = 16
+STEPS = (6, 10, 12)
+"""After each of these the rays that are not done go on by themselves."""
+SHRINKING = 8
+"""How many times fewer rays go on together."""
+CONE_STEPS = 8
 CONE_SLACK = 0.3
 """Voxels by which a stored distance may overrate the true one."""
 VOXELS_PER_PIXEL = 2.0
@@ -72,27 +72,25 @@ def in_single_precision(posed: PosedObjects, cameras: Camera) -> tuple[PosedObje
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TileRays:
-    """The rays of B tiles, linear in the pixel's place; leaves (B,).
+    """The rays of B tiles, p(z) = origin + z direction; leaves (B,), or broadcasting against each other.
 
     Attributes:
-        start: of the tile's first pixel, in voxels.
+        origin: the camera's centre, in voxels.
         direction: of the tile's first pixel, in voxels per metre of depth.
         across: change of `direction` from one column to the next.
         down: the same from one row to the next.
-        reference_m: depth at s = 0; `start` changes by this times `across` and `down`.
         speed: voxels per metre of depth, the largest in the tile.
         spread: voxels per metre of depth from the tile's central ray to its corner.
         size: voxels per axis, as floats.
         first_voxel: of the object in the table.
-        nearest_m: least s, of the bounding sphere or just before the camera.
-        furthest_m: greatest s, of the bounding sphere.
+        nearest_m: least depth, of the bounding sphere or just before the camera.
+        furthest_m: greatest depth, of the bounding sphere.
     """
 
-    start: Vector
+    origin: Vector
     direction: Vector
     across: Vector
     down: Vector
-    reference_m: jax.Array
     speed: jax.Array
     spread: jax.Array
     size: Vector
@@ -116,35 +114,29 @@ def tile_rays(
     camera = jax.tree.map(lambda leaf: leaf[posed.camera_index[view]], cameras)
     centre = library.centre_m.T[:, model]
     origin = library.grid_origin_m.T[:, model]
-    centre_camera = [_dot(rotation[axis], centre) + translation[axis] for axis in range(3)]
+    depth_of_centre = _dot(rotation[2], centre) + translation[2]
     radius = library.radius_m[model]
-    reference = jnp.maximum(centre_camera[2], 0.05 * radius)
-    pixel = jnp.maximum(centre_camera[2] - radius, 0.05 * radius) / jnp.maximum(camera.fx, camera.fy)
+    pixel = jnp.maximum(depth_of_centre - radius, 0.05 * radius) / jnp.maximum(camera.fx, camera.fy)
     level = _level_of_detail(library.pitch_m[model], pixel)
     pitch, size, first_voxel = level_of(library, model, level)
+    inverse = 1.0 / pitch
     # grid axis a of a camera vector c: sum_b rotation[b][a] c[b] / pitch
-    to_grid = [[rotation[b][a] / pitch for b in range(3)] for a in range(3)]
+    to_grid = [[rotation[b][a] * inverse for b in range(3)] for a in range(3)]
     x = (column * TILE - camera.cx) / camera.fx
     y = (row * TILE - camera.cy) / camera.fy
-    offset = (
-        (x - centre_camera[0] / reference) * reference,
-        (y - centre_camera[1] / reference) * reference,
-        reference - centre_camera[2],
-    )
     furthest = jnp.maximum(jnp.abs(x), jnp.abs(x + (TILE - 1) / camera.fx)) ** 2
     furthest += jnp.maximum(jnp.abs(y), jnp.abs(y + (TILE - 1) / camera.fy)) ** 2
     return TileRays(
-        start=[_dot(to_grid[a], offset) + (centre[a] - origin[a]) / pitch for a in range(3)],
+        origin=[-_dot(to_grid[a], translation) - origin[a] * inverse for a in range(3)],
         direction=[_dot(to_grid[a], (x, y, jnp.ones_like(x))) for a in range(3)],
         across=[to_grid[a][0] / camera.fx for a in range(3)],
         down=[to_grid[a][1] / camera.fy for a in range(3)],
-        reference_m=reference,
-        speed=jnp.sqrt(1.0 + furthest) / pitch,
-        spread=(TILE - 1) / 2 * jnp.sqrt(1 / camera.fx**2 + 1 / camera.fy**2) / pitch,
+        speed=jnp.sqrt(1.0 + furthest) * inverse,
+        spread=(TILE - 1) / 2 * jnp.sqrt(1 / camera.fx**2 + 1 / camera.fy**2) * inverse,
         size=[axis.astype(jnp.float32) for axis in size],
         first_voxel=first_voxel,
-        nearest_m=jnp.maximum(centre_camera[2] - radius, NEAREST_M) - reference,
-        furthest_m=centre_camera[2] + radius - reference,
+        nearest_m=jnp.maximum(depth_of_centre - radius, NEAREST_M),
+        furthest_m=depth_of_centre + radius,
     )
 
 
@@ -155,58 +147,104 @@ def _level_of_detail(pitch_m: jax.Array, pixel_m: jax.Array) -> jax.Array:
 
 
 def free_depth(table: jax.Array, rays: TileRays) -> jax.Array:
-    """Depth s (B,) up to which the whole tile sees nothing; +inf where it sees nothing at all.
+    """Depth (B,) up to which the whole tile sees nothing; +inf where it sees nothing at all.
 
     Cone marching: the rays of a tile stay within `spread` times the depth of the central one.
     """
     half = (TILE - 1) / 2
-    change = [half * (a + d) for a, d in zip(rays.across, rays.down, strict=True)]
-    direction = _plus(rays.direction, change)
-    start = _plus(rays.start, [rays.reference_m * c for c in change])
+    direction = _direction(rays, half, half)
+    pace = 1.0 / (rays.speed + rays.spread)
 
-    def advance(_: jax.Array, s: jax.Array) -> jax.Array:
-        point = [p + s * d for p, d in zip(start, direction, strict=True)]
+    def advance(_: jax.Array, depth: jax.Array) -> jax.Array:
+        point = [p + depth * d for p, d in zip(rays.origin, direction, strict=True)]
         inside = [jnp.clip(p, 0.0, n - 0.5) for p, n in zip(point, rays.size, strict=True)]
         outside = [p - q for p, q in zip(point, inside, strict=True)]
         beyond = jnp.sqrt(_dot(outside, outside))
         distance, _ = _distance(table, rays.first_voxel, rays.size, inside)
         clearance = jnp.maximum(distance - beyond, beyond) - CONE_SLACK
-        radius = (rays.reference_m + s) * rays.spread
-        return s + jnp.maximum((clearance - radius) / (rays.speed + rays.spread), 0.0)
+        return depth + jnp.maximum((clearance - depth * rays.spread) * pace, 0.0)
 
-    s = jax.lax.fori_loop(0, CONE_STEPS, advance, rays.nearest_m)
-    return jnp.where(s <= rays.furthest_m, s, jnp.inf)
-
-
-def begun(rays: TileRays, free: jax.Array) -> jax.Array:
-    """Depths s (B, TILE_PIXELS) where rays enter the grid, but not before `free` (B,) of `free_depth`."""
-    rays = jax.tree.map(lambda leaf: leaf[:, None], rays)
-    enter, _ = _crossing(*_of_pixels(rays), rays.size)
-    return jnp.maximum(free[:, None], enter)
+    depth = jax.lax.fori_loop(0, CONE_STEPS, advance, rays.nearest_m)
+    return jnp.where(depth <= rays.furthest_m, depth, jnp.inf)
 
 
-def advanced(table: jax.Array, rays: TileRays, depth: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Depths s (B, TILE_PIXELS) after `STEPS` further steps, what the rays met there, and who is done.
+def first_hits(table: jax.Array, tiles: TileRays, free: jax.Array) -> jax.Array:
+    """Depth in metres (B, TILE_PIXELS) where each ray first meets the surface, +inf where it meets none.
+
+    A few rays graze the surface and need many steps: they go on by themselves, without the others.
+
+    Args:
+        table: of the library.
+        tiles: rays of B tiles.
+        free: (B,) of `free_depth`; +inf where nothing shall be looked for.
+    """
+    number = jnp.arange(TILE_PIXELS, dtype=jnp.int32)[None]
+    rays = jax.tree.map(lambda leaf: leaf[:, None], tiles)
+    depth, met, left = _advanced(table, rays, number, free[:, None], STEPS[0])
+    pixel = jnp.arange(depth.size, dtype=jnp.int32)
+    depth, met, left = depth.reshape(-1), met.reshape(-1), left.reshape(-1)
+    hits = jnp.where(met, depth, jnp.inf)
+    return _continued(table, tiles, pixel, depth, ~(met | left), hits, STEPS[1:]).reshape(-1, TILE_PIXELS)
+
+
+def _continued(
+    table: jax.Array,
+    tiles: TileRays,
+    pixel: jax.Array,
+    depth: jax.Array,
+    undone: jax.Array,
+    hits: jax.Array,
+    steps: tuple[int, ...],
+) -> jax.Array:
+    """The hits (B * TILE_PIXELS,) with those of rays (P,), now at `depth`, that are not done."""
+    if not steps:
+        return hits
+    order, count = chosen_first(undone)
+    together = len(pixel) // SHRINKING
+
+    def march(turn: jax.Array, hits: jax.Array) -> jax.Array:
+        mine = jax.lax.dynamic_slice_in_dim(order, turn * together, together)
+        there = turn * together + jnp.arange(together, dtype=jnp.int32) < count
+        where = pixel[mine]
+        rays = jax.tree.map(itemgetter(where // TILE_PIXELS), tiles)
+        reached = jnp.where(there, depth[mine], jnp.inf)
+        reached, met, left = _advanced(table, rays, where % TILE_PIXELS, reached, steps[0])
+        hits = hits.at[jnp.where(met, where, len(hits))].set(reached, mode="drop", unique_indices=True)
+        return _continued(table, tiles, where, reached, ~(met | left), hits, steps[1:])
+
+    return jax.lax.fori_loop(0, -(-count // together), march, hits)
+
+
+def chosen_first(chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Indices (N,) of which the first are those of the chosen (N,), in order, and the number of these."""
+    place = jnp.cumsum(chosen, dtype=jnp.int32)
+    number = jnp.arange(len(chosen), dtype=jnp.int32)
+    target = jnp.where(chosen, place - 1, len(chosen))
+    order = jnp.zeros_like(number).at[target].set(number, mode="drop", unique_indices=True)
+    return order, place[-1]
+
+
+def _advanced(
+    table: jax.Array, rays: TileRays, number: jax.Array, depth: jax.Array, steps: int
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Depths of pixels `number` of tiles after so many steps, who meets the surface there and who has left.
 
     Sphere tracing with longer steps (Keinert et al. 2014, Enhanced Sphere Tracing): towards a plane at
     an angle with cosine a, the empty balls round both ends of a step of 2 / (1 + a) distances just touch.
     Close to the surface the tangent plane is met itself; a ray that has met it stays there.
-
-    Returns:
-        Depths s; depth in metres where a ray has met the surface, +inf elsewhere; and the rays, as bools,
-        that have met it or left it behind.
     """
-    rays = jax.tree.map(lambda leaf: leaf[:, None], rays)
-    start, direction = _of_pixels(rays)
-    leave = jnp.minimum(_crossing(start, direction, rays.size)[1], rays.furthest_m)
+    column, row = number % TILE, number // TILE
+    direction = _direction(rays, column.astype(jnp.float32), row.astype(jnp.float32))
+    enter, leave = _crossing(rays.origin, direction, rays.size)
+    leave = jnp.minimum(leave, rays.furthest_m)
     voxel_m = 1.0 / rays.speed
 
     def word_at(depth: jax.Array) -> jax.Array:
-        point = [p + depth * d for p, d in zip(start, direction, strict=True)]
+        point = [p + depth * d for p, d in zip(rays.origin, direction, strict=True)]
         return _word(table, rays.first_voxel, rays.size, point)
 
     def look(depth: jax.Array, word: jax.Array) -> tuple[jax.Array, jax.Array]:
-        point = [p + depth * d for p, d in zip(start, direction, strict=True)]
+        point = [p + depth * d for p, d in zip(rays.origin, direction, strict=True)]
         distance, normal = _plane_distance(word, rays.size, point)
         approach = -_dot(normal, direction) * voxel_m
         onto = distance / jnp.maximum(approach, SHALLOW)
@@ -218,19 +256,16 @@ def advanced(table: jax.Array, rays: TileRays, depth: jax.Array) -> tuple[jax.Ar
         _, depth = look(*march)
         return depth, word_at(depth)
 
-    depth, word = jax.lax.fori_loop(0, STEPS - 1, advance, (depth, word_at(depth)))
+    depth = jnp.maximum(depth, enter)
+    depth, word = jax.lax.fori_loop(0, steps - 1, advance, (depth, word_at(depth)))
     distance, further = look(depth, word)
-    passed = ~(depth <= leave)
-    met = ~passed & (distance < ARRIVED)
-    return further, jnp.where(met, rays.reference_m + further, jnp.inf), met | passed
+    left = ~(depth <= leave)
+    return further, ~left & (distance < ARRIVED), left
 
 
-def _of_pixels(rays: TileRays) -> tuple[Vector, Vector]:
-    """Start and direction of each pixel's ray, for rays with leaves (B, 1)."""
-    column = np.arange(TILE_PIXELS, dtype=np.float32)[None] % TILE
-    row = np.arange(TILE_PIXELS, dtype=np.float32)[None] // TILE
-    change = [column * a + row * d for a, d in zip(rays.across, rays.down, strict=True)]
-    return _plus(rays.start, [rays.reference_m * c for c in change]), _plus(rays.direction, change)
+def _direction(rays: TileRays, column: Any, row: Any) -> Vector:
+    """Of the pixels at this column and row of the tile."""
+    return [d + column * a + row * b for d, a, b in zip(rays.direction, rays.across, rays.down, strict=True)]
 
 
 def _distance(
@@ -244,7 +279,7 @@ def _word(table: jax.Array, first_voxel: jax.Array, size: Vector, point: Vector)
     """The packed voxel that holds a point, or the nearest one."""
     i, j, k = _voxel(size, point)
     index = first_voxel + ((i * size[1] + j) * size[2] + k).astype(jnp.int32)
-    return table.at[index].get(mode="clip")
+    return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def _plane_distance(word: jax.Array, size: Vector, point: Vector) -> tuple[jax.Array, Vector]:
@@ -258,7 +293,7 @@ def _voxel(size: Vector, point: Vector) -> Vector:
 
 
 def _crossing(start: Vector, direction: Vector, size: Vector) -> tuple[jax.Array, jax.Array]:
-    """Depths s at which rays enter and leave the grid; enter > leave for those that pass it by."""
+    """Depths at which rays enter and leave the grid; enter > leave for those that pass it by."""
     enter, leave = [], []
     for p, d, n in zip(start, direction, size, strict=True):
         inverse = 1.0 / jnp.where(jnp.abs(d) < 1e-9, 1e-9, d)

@@ -8,7 +8,8 @@ is spent on empty tiles.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from operator import itemgetter
 from typing import TypeVar
 
 import jax
@@ -18,54 +19,23 @@ import numpy as np
 from shapes.camera import Camera
 from shapes.object_library import ObjectLibrary
 from shapes.ray_casting import (
-    MOST_STEPS,
     NEAREST_M,
-    STEPS,
     PosedObjects,
-    TileRays,
-    advanced,
-    begun,
+    chosen_first,
+    first_hits,
     free_depth,
     in_single_precision,
     tile_rays,
 )
-from shapes.tiles import TILE, TILE_PIXELS, tile_counts
+from shapes.tiles import TILE, tile_counts
 
 BLOCK = 1024
 """Tiles cast together: their pixels stay in the second-level cache."""
-CANDIDATES = 2048
+CANDIDATES = 4096
 """Tiles examined together."""
 
 Carry = TypeVar("Carry")
 Visit = Callable[[Carry, jax.Array, jax.Array, jax.Array, jax.Array], Carry]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _Stack:
-    """Tiles whose rays are on their way: the first `count` entries of each array.
-
-    A turn takes the uppermost `BLOCK` tiles a few steps further and puts those that are not over back, so
-    that one ray with many steps holds up its own tile alone.
-    """
-
-    count: jax.Array
-    view: jax.Array
-    tile: jax.Array
-    steps: jax.Array
-    depth: jax.Array
-    rays: TileRays
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _Finished:
-    """Tiles whose depth is known and not yet looked at: the first `count` entries of each array."""
-
-    count: jax.Array
-    view: jax.Array
-    tile: jax.Array
-    depth: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -105,106 +75,38 @@ def for_each_block(
     total = candidates.end[-1]
     across = tile_counts(height, width)[1]
 
-    def fill(state: tuple) -> tuple:
-        following, stack = state
-        return following + CANDIDATES, _appended(
-            library, posed, cameras, candidates, across, following, stack
-        )
+    def examine(state: tuple[jax.Array, Carry]) -> tuple[jax.Array, Carry]:
+        following, carry = state
+        view, row, column, known = _numbered(candidates, following)
+        rays = tile_rays(library, posed, cameras, view, row, column)
+        free = free_depth(library.table, rays)
+        order, count = chosen_first(known & jnp.isfinite(free))
 
-    def look(state: tuple) -> tuple:
-        finished, carry = state
-        start = jnp.maximum(finished.count - BLOCK, 0)
-        view, tile, depth = (
-            jax.lax.dynamic_slice_in_dim(array, start, BLOCK)
-            for array in (finished.view, finished.tile, finished.depth)
-        )
-        valid = jnp.arange(BLOCK, dtype=jnp.int32) < finished.count
-        return replace(finished, count=start), visit(carry, view, tile, depth, valid)
+        def cast(turn: jax.Array, carry: Carry) -> Carry:
+            chosen = jax.lax.dynamic_slice_in_dim(order, turn * BLOCK, BLOCK)
+            valid = turn * BLOCK + jnp.arange(BLOCK, dtype=jnp.int32) < count
+            clear = jnp.where(valid, free[chosen], jnp.inf)
+            depth = first_hits(library.table, jax.tree.map(itemgetter(chosen), rays), clear)
+            return visit(carry, view[chosen], (row * across + column)[chosen], depth, valid)
 
-    def turn(state: tuple) -> tuple:
-        following, stack, finished, carry = state
-        hungry = (following < total) & (stack.count < BLOCK)
-        following, stack = jax.lax.cond(hungry, fill, lambda state: state, (following, stack))
-        stack, finished = _marched(library.table, stack, finished)
-        ended = (following >= total) & (stack.count == 0)
-        ready = (finished.count >= BLOCK) | ended
-        finished, carry = jax.lax.cond(ready, look, lambda state: state, (finished, carry))
-        return following, stack, finished, carry
+        return following + CANDIDATES, jax.lax.fori_loop(0, -(-count // BLOCK), cast, carry)
 
-    def going(state: tuple) -> jax.Array:
-        following, stack, finished, _ = state
-        return (following < total) | (stack.count > 0) | (finished.count > 0)
-
-    return jax.lax.while_loop(going, turn, (jnp.int32(0), _no_stack(), _none_finished(), carry))[3]
+    return jax.lax.while_loop(lambda state: state[0] < total, examine, (jnp.int32(0), carry))[1]
 
 
-def _no_stack() -> _Stack:
-    none = jnp.zeros(BLOCK + CANDIDATES, jnp.int32)
-    rows = jnp.zeros((BLOCK + CANDIDATES, TILE_PIXELS), jnp.float32)
-    one = none.astype(jnp.float32)
-    rays = TileRays([one] * 3, [one] * 3, [one] * 3, [one] * 3, one, one, one, [one] * 3, none, one, one)
-    return _Stack(jnp.int32(0), none, none, none, rows, rays)
-
-
-def _none_finished() -> _Finished:
-    none = jnp.zeros(2 * BLOCK, jnp.int32)
-    return _Finished(jnp.int32(0), none, none, jnp.zeros((2 * BLOCK, TILE_PIXELS), jnp.float32))
-
-
-def _marched(table: jax.Array, stack: _Stack, finished: _Finished) -> tuple[_Stack, _Finished]:
-    """The uppermost tiles some steps further; those that are over have moved to the finished."""
-    start = jnp.maximum(stack.count - BLOCK, 0)
-    arrays = (stack.view, stack.tile, stack.steps, stack.depth, stack.rays)
-    view, tile, steps, depth, rays = jax.tree.map(
-        lambda array: jax.lax.dynamic_slice_in_dim(array, start, BLOCK), arrays
-    )
-    depth, met, done = advanced(table, rays, depth)
-    steps = steps + STEPS
-    there = jnp.arange(BLOCK, dtype=jnp.int32) < stack.count
-    over = there & (done.all(axis=1) | (steps >= MOST_STEPS))
-    known = _pushed(finished.count, over, (finished.view, finished.tile, finished.depth), (view, tile, met))
-    left = _pushed(start, there & ~over, arrays, (view, tile, steps, depth, rays))
-    return _Stack(*left), _Finished(*known)
-
-
-def _pushed(count: jax.Array, chosen: jax.Array, arrays: tuple, values: tuple) -> tuple:
-    """The new count and the arrays with the chosen rows of the values after their first `count` rows."""
-    place = count + jnp.cumsum(chosen, dtype=jnp.int32) - 1
-    place = jnp.where(chosen, place, jnp.iinfo(jnp.int32).max)
-
-    def put(array: jax.Array, value: jax.Array) -> jax.Array:
-        return array.at[place].set(value, mode="drop", unique_indices=True)
-
-    return count + chosen.sum(dtype=jnp.int32), *jax.tree.map(put, arrays, values)
-
-
-def _appended(
-    library: ObjectLibrary,
-    posed: PosedObjects,
-    cameras: Camera,
-    candidates: _Candidates,
-    across: int,
-    following: jax.Array,
-    stack: _Stack,
-) -> _Stack:
-    """The stack with those of the next candidates that the distance field does not prove empty."""
+def _numbered(
+    candidates: _Candidates, following: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """View, row and column of the `CANDIDATES` tiles from number `following` on, and whether they exist."""
     number = following + jnp.arange(CANDIDATES, dtype=jnp.int32)
+    views = len(candidates.end)
     view = jnp.searchsorted(candidates.end, number, side="right").astype(jnp.int32)
-    known = view < len(posed)
-    view = jnp.minimum(view, len(posed) - 1)
+    known = view < views
+    view = jnp.minimum(view, views - 1)
     columns = jnp.maximum(candidates.columns[view], 1)
     local = number - jnp.where(view > 0, candidates.end[view - 1], 0)
     row = candidates.first_row[view] + local // columns
-    column = candidates.first_column[view] + local % columns
-    rays = tile_rays(library, posed, cameras, view, row, column)
-    free = free_depth(library.table, rays)
-    pushed = _pushed(
-        stack.count,
-        known & jnp.isfinite(free),
-        (stack.view, stack.tile, stack.steps, stack.depth, stack.rays),
-        (view, row * across + column, jnp.zeros_like(view), begun(rays, free), rays),
-    )
-    return _Stack(*pushed)
+    return view, row, candidates.first_column[view] + local % columns, known
 
 
 def _candidates(
