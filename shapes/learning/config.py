@@ -22,6 +22,7 @@ class LearnConfig:
         hidden_occupied: p_hidden, of a voxel hidden behind seen surface in every view.
         partly_filled: share of empty voxels that hold some surface all the same.
         partial_opacity: probability that a ray through such a voxel ends there.
+        walled: share of empty voxels that a wall passes on one side of the centre, thinner than a voxel.
         unresolved: share of returns from surfaces that no voxel stands for.
         registration_sigma_m: standard deviation of a view's registration along its rays, at best.
         tracking_sigma_m: what tracking adds to it; left out where the poses are recorded ones.
@@ -38,6 +39,7 @@ class LearnConfig:
     hidden_occupied: float = 0.9
     partly_filled: float = 0.3
     partial_opacity: float = 0.5
+    walled: float = 0.1
     unresolved: float = 0.02
     registration_sigma_m: float = 0.0004
     tracking_sigma_m: float = 0.0015
@@ -58,7 +60,7 @@ class LearnConfig:
         for name in ("prior_occupied", "hidden_occupied", "partial_opacity"):
             if not 0 < getattr(self, name) < 1:
                 raise ValueError(f"{name} must lie between 0 and 1, got {getattr(self, name)}")
-        for name in ("partly_filled", "unresolved"):
+        for name in ("partly_filled", "walled", "unresolved"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
         if not 0 < self.damping <= 1:

@@ -4,9 +4,10 @@ The noisy forward model of one ray (MATH.md I): it ends at the first voxel that 
 
     p(z | O) = sum_i [prod_(j<i) (1 - o_j)] o_i s(z | z_i) + [prod_j (1 - o_j)] s_miss(z),
 
-where o is the opacity of a voxel's state: 1 if it is occupied, 0 if it is empty; states between hold some
-surface although their centre is free. One ray is exact by a forward and a backward recursion; crossing rays
-are not, and sites are refined in damped parallel sweeps (Minka 2001).
+where o is the opacity of a voxel's state for rays that come from its one side or the other: 1 if it is
+occupied, 0 if it is empty; further states hold some surface although their centre is free. One ray is exact
+by a forward and a backward recursion; crossing rays are not, and sites are refined in damped parallel sweeps
+(Minka 2001).
 """
 
 from __future__ import annotations
@@ -31,12 +32,14 @@ class SensorRays:
         association: (R, L) probability that the ray passes the voxel at all; 1 for an exact ray.
         density: (R, L) s(z | z_i) of the measured depth if the ray ends there.
         miss: (R,) s_miss(z) if it ends nowhere. Density and miss share any factor per ray.
+        side: (R, L) int32, from which side the ray comes to each voxel: a row of the opacities.
     """
 
     voxel: jax.Array
     association: jax.Array
     density: jax.Array
     miss: jax.Array
+    side: jax.Array
 
 
 class VoxelStates(NamedTuple):
@@ -62,32 +65,32 @@ def voxel_states(
     Args:
         rays: the measurements.
         log_prior: (V, C) log probability of each of C states, up to a constant per voxel.
-        opacity: (C,) probability that a ray which passes a voxel in that state ends there.
+        opacity: (S, C) probability that a ray which comes from that side to a voxel in that state ends there.
         sweeps: how often every site is refined.
         damping: share of the way that a site moves in one sweep.
     """
     count = len(log_prior)
     real = (rays.voxel < count)[..., None]
     padded = jnp.pad(log_prior, ((0, 1), (0, 0)))
+    ends = rays.association[..., None] * opacity[rays.side]
 
     def beliefs(sites: jax.Array) -> jax.Array:
         return padded.at[rays.voxel].add(sites)
 
     def sweep(sites: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         cavity = jax.nn.softmax(beliefs(sites)[rays.voxel] - sites, axis=-1)
-        ended, open_, beyond = _ray_messages(rays, rays.association * (cavity @ opacity))
-        ends = rays.association[..., None] * opacity[None, None]
+        ended, open_, beyond = _ray_messages(rays, (cavity * ends).sum(axis=-1))
         here = ends * rays.density[..., None] + (1 - ends) * beyond[..., None]
         refined = jnp.log(ended[..., None] + open_[..., None] * here + TINY)
         refined -= jnp.log(ended + open_ * beyond + TINY)[..., None]
         step = damping * jnp.where(real, refined - sites, 0.0)
         return sites + step, jnp.abs(step).max(initial=0.0)
 
-    nothing = jnp.zeros((*rays.voxel.shape, len(opacity)), log_prior.dtype)
+    nothing = jnp.zeros(ends.shape, log_prior.dtype)
     sites, change = jax.lax.scan(sweep, nothing, length=sweeps)
     total = beliefs(sites)
     cavity = jax.nn.softmax(total[rays.voxel] - sites, axis=-1)
-    reached = jnp.where(real[..., 0], _came_as_far(rays, rays.association * (cavity @ opacity)), 0.0)
+    reached = jnp.where(real[..., 0], _came_as_far(rays, (cavity * ends).sum(axis=-1)), 0.0)
     reach = jnp.zeros(count + 1, log_prior.dtype).at[rays.voxel].max(reached)
     return VoxelStates(jax.nn.softmax(total[:count], axis=-1), reach[:count], change)
 

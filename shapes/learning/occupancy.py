@@ -102,14 +102,13 @@ def occupancy(
         for view, pose in zip(views, reference_from_camera, strict=True)
         if view is not None
     ]
-    states = np.asarray([1.0, config.partial_opacity, 0.0])
-    p0, partly = config.prior_occupied, config.partly_filled
-    log_prior = np.log(np.maximum([p0, (1 - p0) * partly, (1 - p0) * (1 - partly)], 1e-30))
+    states, log_prior = _states(config)
+    p0 = config.prior_occupied
     if not readings:
         nothing = np.zeros(count, np.bool_)
         return Occupancy(phi=np.full(count, p0), seen=nothing, hidden=nothing)
     found = evidence(readings, grid, states, config)
-    prior = np.broadcast_to(log_prior, (len(padded), 3)).astype(np.float32).copy()
+    prior = np.broadcast_to(log_prior, (len(padded), len(log_prior))).astype(np.float32).copy()
     prior[:count] += found.log_crossings
     posterior = voxel_states(
         found.rays,
@@ -123,6 +122,20 @@ def occupancy(
     hidden = ~seen & found.hidden
     phi = np.where(seen, phi, np.where(hidden, config.hidden_occupied, p0))
     return Occupancy(phi=phi, seen=seen, hidden=hidden)
+
+
+def _states(config: LearnConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Opacities (2, C) of a voxel's states for rays from its wall's two sides, and their log prior (C,).
+
+    Occupied; partly filled; free with a wall before its centre, seen from the one side or from the other;
+    empty.
+    """
+    part = config.partial_opacity
+    opacity = np.asarray([[1.0, part, 1.0, 0.0, 0.0], [1.0, part, 0.0, 1.0, 0.0]])
+    p0, partly, walled = config.prior_occupied, config.partly_filled, config.walled
+    shares = [partly, walled / 2, walled / 2, 1 - partly - walled]
+    prior = np.asarray([p0, *((1 - p0) * share for share in shares)])
+    return opacity, np.log(np.maximum(prior, 1e-30))
 
 
 def _read(
@@ -143,6 +156,7 @@ def _read(
         config.registration_sigma_m,
     )
     arrays = {name: np.asarray(value)[: len(grid)] for name, value in vars(readings).items()}
+    direction = (grid.centres_m - np.linalg.inv(camera_from_grid)[:3, 3]).astype(np.float32)
     plane = np.full(len(grid), np.inf, np.float32)
     if grid.on_plane:
         eye = np.linalg.inv(camera_from_grid)[2, 3]
@@ -150,7 +164,7 @@ def _read(
         above = eye > height
         plane[above] = arrays["depth_m"][above] * (eye / (eye - height[above]))
     footprint = grid.pitch_m * float(camera.fx) / _distance(grid, reference_from_camera)
-    return ViewReadings(**arrays, plane_depth_m=plane, footprint=footprint)
+    return ViewReadings(**arrays, direction=direction, plane_depth_m=plane, footprint=footprint)
 
 
 def _distance(grid: VoxelGrid, reference_from_camera: NDArray[np.float64]) -> float:

@@ -42,9 +42,11 @@ class ViewReadings:
         behind_m: (N, 2).
         sigma_m: (N, 2).
         association: (N, 2).
+        normal: (N, 2, 3).
         column: (N,).
         row: (N,).
         depth_m: (N,) of the voxels' centres.
+        direction: (N, 3) from the camera to the centres, in the grid frame, of any length.
         plane_depth_m: (N,) depth of the support plane on the ray through each centre; +inf without one.
         footprint: edge of a voxel in pixels.
     """
@@ -52,9 +54,11 @@ class ViewReadings:
     behind_m: NDArray[np.float32]
     sigma_m: NDArray[np.float32]
     association: NDArray[np.float32]
+    normal: NDArray[np.float32]
     column: NDArray[np.float32]
     row: NDArray[np.float32]
     depth_m: NDArray[np.float32]
+    direction: NDArray[np.float32]
     plane_depth_m: NDArray[np.float32]
     footprint: float
 
@@ -85,31 +89,62 @@ def unexplained_density(config: LearnConfig) -> float:
 def evidence(
     views: Sequence[ViewReadings], grid: VoxelGrid, opacity: NDArray[np.float64], config: LearnConfig
 ) -> Evidence:
-    """Sort the readings of all views into crossings and rays; `opacity` (C,) of a voxel's states."""
+    """Sort the readings of all views into crossings and rays.
+
+    Args:
+        views: their readings.
+        grid: the voxels.
+        opacity: (2, C) of a voxel's states for rays from before and from behind its wall.
+        config: settings.
+    """
     count = len(grid)
     crossed, hidden = np.zeros(count), np.zeros(count, np.bool_)
-    log_crossings = np.zeros((count, len(opacity)))
+    log_crossings = np.zeros((count, opacity.shape[1]))
+    walls = _wall_normals(views, grid)
     slip = unexplained_density(config) / PEAK_DENSITY
     places = []
     for number, view in enumerate(views):
-        band = np.maximum(BAND_PITCHES * grid.pitch_m, BAND_SIGMAS * view.sigma_m)
+        band = _band(view, grid)
         measured = view.association > LEAST_ASSOCIATION
         before = measured & (view.behind_m < -band)
         through = np.where(before, view.association, 0.0).max(axis=1)
         crossed = np.maximum(crossed, through)
-        log_crossings += np.log1p(-through[:, None] * opacity * (1 - slip))
+        side = ((view.direction * walls).sum(axis=1) > 0).astype(np.int32)
+        log_crossings += np.log1p(-through[:, None] * opacity[side] * (1 - slip))
         hidden |= np.where(measured & (view.behind_m > 0), view.association, 0.0).sum(axis=1) > 0.5
         for layer in range(view.behind_m.shape[1]):
             voxel = np.flatnonzero(measured[:, layer] & (np.abs(view.behind_m[:, layer]) <= band[:, layer]))
-            places.append(_places(view, number, layer, voxel))
+            places.append(_places(view, number, layer, voxel, side))
     fields = [np.concatenate(parts) for parts in zip(*places, strict=True)] if places else []
     return Evidence(
         rays=_assembled(fields, grid, config), crossed=crossed, log_crossings=log_crossings, hidden=hidden
     )
 
 
-def _places(view: ViewReadings, number: int, layer: int, voxel: NDArray[np.intp]) -> tuple:
-    """Voxel, distances and ray label (view, footprint column and row, on the plane) of band readings."""
+def _band(view: ViewReadings, grid: VoxelGrid) -> NDArray[np.float32]:
+    """Distances (N, 2) from a surface within which a ray through a voxel is kept."""
+    return np.maximum(BAND_PITCHES * grid.pitch_m, BAND_SIGMAS * view.sigma_m)
+
+
+def _wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.float64]:
+    """Line (N, 3) along which the surfaces near each voxel face, from all views; of either sign."""
+    spread = np.zeros((len(grid), 3, 3))
+    for view in views:
+        near = (view.association > LEAST_ASSOCIATION) & (np.abs(view.behind_m) <= grid.pitch_m)
+        for layer in range(near.shape[1]):
+            voxel = np.flatnonzero(near[:, layer])
+            weighted = view.normal[voxel, layer] * view.association[voxel, layer, None]
+            spread[voxel] += weighted[:, :, None] * view.normal[voxel, layer, None, :]
+    walls = np.zeros((len(grid), 3))
+    facing = np.flatnonzero(spread[:, 0, 0] + spread[:, 1, 1] + spread[:, 2, 2])
+    walls[facing] = np.linalg.eigh(spread[facing])[1][:, :, 2]
+    return walls
+
+
+def _places(
+    view: ViewReadings, number: int, layer: int, voxel: NDArray[np.intp], side: NDArray[np.int32]
+) -> tuple:
+    """Voxel, distances, ray label (view, footprint column and row, on the plane) and side of readings."""
     behind, sigma = view.behind_m[voxel, layer], view.sigma_m[voxel, layer]
     surface = view.depth_m[voxel] - behind
     from_plane = surface - view.plane_depth_m[voxel]
@@ -122,15 +157,15 @@ def _places(view: ViewReadings, number: int, layer: int, voxel: NDArray[np.intp]
         ],
         axis=1,
     )
-    return voxel, behind, sigma, view.association[voxel, layer], surface, from_plane, label
+    return voxel, behind, sigma, view.association[voxel, layer], surface, from_plane, label, side[voxel]
 
 
 def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> SensorRays:
-    voxel, behind, sigma, association, surface, from_plane, label = fields
+    voxel, behind, sigma, association, surface, from_plane, label, side = fields
     ray = _surfaces(label, surface, SURFACES_APART_PITCHES * grid.pitch_m)
     order = np.lexsort((behind, ray))
-    voxel, behind, sigma, association, from_plane, ray = (
-        field[order] for field in (voxel, behind, sigma, association, from_plane, ray)
+    voxel, behind, sigma, association, from_plane, ray, side = (
+        field[order] for field in (voxel, behind, sigma, association, from_plane, ray, side)
     )
     first = np.diff(ray, prepend=-1) > 0
     ray = np.cumsum(first) - 1
@@ -150,8 +185,10 @@ def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> S
         "voxel": np.full(shape, len(grid), np.int32),
         "association": np.zeros(shape, np.float32),
         "density": np.zeros(shape, np.float32),
+        "side": np.zeros(shape, np.int32),
     }
-    for name, values in (("voxel", voxel), ("association", association), ("density", density / largest[ray])):
+    known = {"voxel": voxel, "association": association, "density": density / largest[ray], "side": side}
+    for name, values in known.items():
         table[name][ray, place] = values
     missed = np.ones(shape[0], np.float32)
     missed[:rays] = miss / largest

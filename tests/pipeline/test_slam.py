@@ -1,4 +1,4 @@
-"""`voxscene slam` reads depth alone: recorded poses and truth are there for `eval`."""
+"""`voxscene slam` and `learn` read depth alone: recorded poses and truth are there for `eval`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from pipeline.commands.slam import command
+from pipeline.commands.learn import command
 
 
 def _without_poses_and_truth(source: Path, target: Path) -> None:
@@ -30,16 +30,17 @@ def _without_poses_and_truth(source: Path, target: Path) -> None:
 
 
 def test_truth_and_poses_change_no_byte(mug_file: Path, tmp_path: Path) -> None:
-    """The trajectory, its uncertainty and the summary are the same without the topics that give it away."""
+    """Trajectory, uncertainty, shape and summary are the same without the topics that give them away."""
     bare = tmp_path / "bare.mcap"
     _without_poses_and_truth(mug_file, bare)
     assert b"/truth/scene" in mug_file.read_bytes()
     assert b"/truth/scene" not in bare.read_bytes()
     for source, run in ((mug_file, "with"), (bare, "without")):
-        options = ["--particles", "16", "--every", "3", "--quiet", "-o", str(tmp_path / run)]
+        options = ["--name", "mug", "--box", "-0.1,-0.1,0.6,0.1,0.1,0.8", "-s", "slam.particles=16"]
+        options += ["--every", "3", "--quiet", "-o", str(tmp_path / run)]
         result = CliRunner().invoke(command, [str(source), *options], catch_exceptions=False)
         assert result.exit_code == 0, result.output
 
-    for name in ("slam.npz", "trajectory.tum", "summary.json"):
+    for name in ("slam.npz", "trajectory.tum", "mug.npz", "summary.json"):
         files = [next((tmp_path / run).rglob(name)).read_bytes() for run in ("with", "without")]
         assert files[0] == files[1], name

@@ -16,6 +16,13 @@ from shapes.learning.expectation_propagation import SensorRays, VoxelStates, vox
 SENSOR = DepthNoise(sigma_base_m=1.0, sigma_growth_per_m=0.0, none_hit_probability=0.02, max_range_m=20.0)
 
 
+def rays_of(voxel: Any, association: Any, density: Any, miss: Any, side: Any = None) -> SensorRays:
+    """Rays for which all voxels look alike from both sides, unless the sides are given."""
+    voxel = jnp.asarray(voxel)
+    side = jnp.zeros_like(voxel) if side is None else jnp.asarray(side)
+    return SensorRays(voxel, jnp.asarray(association), jnp.asarray(density), jnp.asarray(miss), side)
+
+
 def exact_marginals(rays: SensorRays, prior: NDArray[np.float64]) -> NDArray[np.float64]:
     """p(O_v = 1 | all rays) by summing over every state; a ray's density is that of the forward model."""
     voxel, density, miss = (np.asarray(leaf) for leaf in (rays.voxel, rays.density, rays.miss))
@@ -33,7 +40,7 @@ def exact_marginals(rays: SensorRays, prior: NDArray[np.float64]) -> NDArray[np.
 def binary_states(rays: SensorRays, prior: NDArray[np.float64], **options: Any) -> VoxelStates:
     """Voxels that are occupied or empty."""
     log_prior = jnp.log(jnp.stack([prior, 1 - prior], axis=-1))
-    return voxel_states(rays, log_prior, jnp.asarray([1.0, 0.0]), **options)
+    return voxel_states(rays, log_prior, jnp.asarray([[1.0, 0.0]]), **options)
 
 
 def measured_ray(line: list[int], truth: NDArray[np.int_], rng: np.random.Generator) -> tuple:
@@ -59,7 +66,7 @@ def test_one_ray_is_exact(seed: int) -> None:
             prior = rng.uniform(0.05, 0.95, count)
             truth = (rng.random(count) < prior).astype(int)
             density, miss = measured_ray(list(range(count)), truth, rng)
-            rays = SensorRays(
+            rays = rays_of(
                 jnp.arange(count)[None], jnp.ones((1, count)), jnp.asarray(density)[None], jnp.asarray([miss])
             )
             got = binary_states(rays, prior, damping=1.0, sweeps=2).probability[:, 0]
@@ -71,8 +78,8 @@ def test_padding_and_rays_that_pass_by_change_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     with jax.enable_x64(True):
         density = jnp.asarray(rng.uniform(0.1, 1.0, (1, 3)))
-        alone = SensorRays(jnp.arange(3)[None], jnp.ones((1, 3)), density, jnp.asarray([0.3]))
-        padded = SensorRays(
+        alone = rays_of(jnp.arange(3)[None], jnp.ones((1, 3)), density, jnp.asarray([0.3]))
+        padded = rays_of(
             jnp.asarray([[0, 1, 2, 4], [4, 4, 4, 4], [3, 4, 4, 4]]),
             jnp.asarray([[1.0, 1, 1, 0], [0, 0, 0, 0], [0, 0, 0, 0]]),
             jnp.concatenate([jnp.pad(density, ((0, 0), (0, 1))), jnp.ones((2, 4))]),
@@ -87,7 +94,7 @@ def test_padding_and_rays_that_pass_by_change_nothing(seed: int) -> None:
 
 def test_a_ray_reaches_up_to_where_it_ends() -> None:
     """Voxels before the end are free, those behind keep their prior and are not reached."""
-    rays = SensorRays(
+    rays = rays_of(
         jnp.arange(5)[None],
         jnp.ones((1, 5)),
         jnp.asarray([[1e-6, 1e-6, 1.0, 1e-6, 1e-6]]),
@@ -101,28 +108,47 @@ def test_a_ray_reaches_up_to_where_it_ends() -> None:
 def test_a_state_that_stops_half_of_the_rays_explains_rays_that_disagree() -> None:
     """Of two rays through one voxel one ends there and one passes: neither occupied nor empty."""
     stops, passes = [1.0, 1e-6], [1e-6, 1.0]
-    rays = SensorRays(
+    rays = rays_of(
         jnp.asarray([[0, 1]] * 2), jnp.ones((2, 2)), jnp.asarray([stops, passes]), jnp.full(2, 1e-6)
     )
     log_prior = jnp.log(jnp.asarray([[0.4, 0.2, 0.4]] * 2))
-    found = voxel_states(rays, log_prior, jnp.asarray([1.0, 0.5, 0.0])).probability
+    found = voxel_states(rays, log_prior, jnp.asarray([[1.0, 0.5, 0.0]])).probability
     np.testing.assert_allclose(found[0], [0, 1, 0], atol=1e-3)
+
+
+def test_a_thin_wall_before_a_free_centre_explains_rays_from_both_sides() -> None:
+    """Rays from one side end at the voxel, those from the other pass: neither occupied nor empty."""
+    stops, passes = [1.0, 1e-6], [1e-6, 1.0]
+    rays = rays_of(
+        [[0, 1], [0, 1], [0, 2], [0, 2]],
+        jnp.ones((4, 2)),
+        [stops, stops, passes, passes],
+        jnp.full(4, 1e-6),
+        [[0, 0], [0, 0], [1, 0], [1, 0]],
+    )
+    log_prior = jnp.log(jnp.asarray([[0.5, 0.05, 0.05, 0.4]] * 3))
+    opacity = jnp.asarray([[1.0, 1.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]])
+    found = voxel_states(rays, log_prior, opacity).probability
+    np.testing.assert_allclose(found[0], [0, 1, 0, 0], atol=1e-3)
 
 
 def test_an_open_state_without_prior_mass_changes_nothing(seed: int) -> None:
     """Three states, of which one has no prior mass, are two."""
     rng = np.random.default_rng(seed)
     density = jnp.asarray(rng.uniform(0.1, 1.0, (3, 4)), jnp.float32)
-    rays = SensorRays(jnp.asarray(GRID[:3]), jnp.ones((3, 4)), density, jnp.full(3, 0.2))
+    rays = rays_of(jnp.asarray(GRID[:3]), jnp.ones((3, 4)), density, jnp.full(3, 0.2))
     prior = jnp.asarray(rng.uniform(0.1, 0.9, 12), jnp.float32)
     log_prior = jnp.stack([jnp.log(prior), jnp.full(12, -80.0), jnp.log1p(-prior)], axis=-1)
-    three = voxel_states(rays, log_prior, jnp.asarray([1.0, 0.5, 0.0])).probability[:, 0]
+    three = voxel_states(rays, log_prior, jnp.asarray([[1.0, 0.5, 0.0]])).probability[:, 0]
     two = binary_states(rays, np.asarray(prior)).probability[:, 0]
     np.testing.assert_allclose(three, two, atol=1e-5)
 
 
-EMPTY_SPACE = 0.2
-"""Prior of a scene that is mostly empty, as before a sensor: some rays end deep inside, some pass through."""
+SPARSE = (0.1, 0.2)
+"""Priors of scenes that are mostly empty, as before a sensor: rays end deep inside, or pass through."""
+DENSE = 0.5
+"""What learning starts from. Loops then hold the largest error at 0.17, whatever damping and sweeps; the
+expected log loss, which every voxel enters, stays within its bound."""
 GRID = np.arange(16).reshape(4, 4)
 LINES = [
     *(list(line) for row in (*GRID, *GRID.T) for line in (row, row[::-1])),
@@ -133,16 +159,16 @@ LINES = [
 
 
 @pytest.fixture(scope="module")
-def crossing_scenes() -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def crossing_scenes(request: pytest.FixtureRequest) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Exact marginals and ours of 20 scenes, sigma of one voxel."""
     rng = np.random.default_rng(20)
-    prior = np.full(16, EMPTY_SPACE)
+    prior = np.full(16, request.param)
     scenes = []
     with jax.enable_x64(True):
         for _ in range(20):
             truth = (rng.random(16) < prior).astype(int)
             measured = [measured_ray(line, truth, rng) for line in LINES]
-            rays = SensorRays(
+            rays = rays_of(
                 jnp.asarray(LINES),
                 jnp.ones((len(LINES), 4)),
                 jnp.asarray([density for density, _ in measured]),
@@ -153,12 +179,14 @@ def crossing_scenes() -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     return scenes
 
 
+@pytest.mark.parametrize("crossing_scenes", SPARSE, indirect=True)
 def test_crossing_rays_are_near_the_exact_marginals(crossing_scenes: list) -> None:
     """Mean over the scenes of the largest error in phi."""
     errors = [np.abs(ours - exact).max() for exact, ours in crossing_scenes]
     assert np.mean(errors) <= 0.1
 
 
+@pytest.mark.parametrize("crossing_scenes", [*SPARSE, DENSE], indirect=True)
 def test_crossing_rays_lose_little_against_the_exact_marginals(crossing_scenes: list) -> None:
     """Log loss expected under the exact marginals, which the draw of the truth does not blur."""
 
