@@ -52,7 +52,7 @@ def scene_kernel(
     draw = MixtureMove(mixture, jnp.asarray(prior_share, dtype))
     if structure is None:
         return Kernel((walk, draw, FlipMove()), jnp.array([0, 0, 1, 0, 0, 2]))
-    return Kernel((structure, walk, draw, FlipMove()), jnp.array([0, 1, 0, 1, 0, 2, 0, 1, 0, 1, 0, 3]))
+    return Kernel((structure, walk, draw, FlipMove()), jnp.array([0, 2, 0, 2, 0, 1, 0, 2, 0, 2, 0, 3]))
 
 
 def step(

@@ -38,7 +38,7 @@ class ParseConfig:
     chains: int = 4
     moves: int = 600
     thinning: int = 4
-    pixel_weight: float = 0.02
+    pixel_weight: float = 0.25
     model_error_m: float = 0.002
     search_error_m: float = 0.005
     outlier_probability: float = 0.1

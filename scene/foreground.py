@@ -11,8 +11,8 @@ from scipy.ndimage import binary_dilation, label, maximum_filter, median_filter,
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.detection import SupportPlane, support_plane
-from scene.initialisation import SceneData
 from scene.observation import DepthView, pooled_view, unprojected
+from scene.scene_data import SceneData
 from scene.window import PixelWindow, window_over
 
 VIEW_WIDTH = 320

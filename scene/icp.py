@@ -2,79 +2,115 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 
 from scene.observation import DepthView
+from shapes.camera import Camera
 
 GRAZING = -0.15
 """Cosine between normal and ray above which a surface point is not seen."""
 DAMPING = (0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4)
 """Of the normal equations, in weights and weights m^2: what nothing constrains stays."""
+NORMAL_STEPS = 511
+
+Vector = Any
+"""Components x, y, z: three arrays of one shape."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Correspondence:
-    """What a view shows where points (..., 3) project.
+class ViewTable:
+    """A depth view in two words a pixel, for look-ups that are mostly waiting for memory.
 
     Attributes:
-        surface_m: (..., 3) the observed point in the camera frame.
-        normal: (..., 3), zero where unknown.
-        measured: (...) whether there is one.
-        unexplained: (...) whether it waits for an object.
+        camera: of the view.
+        depth_m: (H * W,).
+        code: (H * W,) int32: 3 x 10 bits of normal, one spare, and whether the pixel is unexplained.
+        height, width: of the view.
     """
 
-    surface_m: jax.Array
-    normal: jax.Array
+    camera: Camera
+    depth_m: jax.Array
+    code: jax.Array
+    height: int = field(metadata={"static": True})
+    width: int = field(metadata={"static": True})
+
+    @classmethod
+    def of(cls, view: DepthView) -> ViewTable:
+        """The table of a view."""
+        x, y, z = jnp.moveaxis(jnp.round(view.normals * NORMAL_STEPS).astype(jnp.int32) & 1023, -1, 0)
+        code = x << 22 | y << 12 | z << 2 | view.unexplained.astype(jnp.int32)
+        return cls(view.camera, view.depth_m.reshape(-1), code.reshape(-1), *view.depth_m.shape)
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """What a view shows where points project.
+
+    Attributes:
+        depth_m: of the observed surface, along the ray of the pixel (`ray_x`, `ray_y`, 1).
+        ray_x, ray_y: of the pixel's middle.
+        normal: towards the camera, of unit length; zero where unknown.
+        measured: whether there is a measurement.
+        unexplained: whether it waits for an object.
+    """
+
+    depth_m: jax.Array
+    ray_x: jax.Array
+    ray_y: jax.Array
+    normal: Vector
     measured: jax.Array
     unexplained: jax.Array
 
 
-def look_up(view: DepthView, points_m: jax.Array) -> Correspondence:
-    """The observed points onto which points (..., 3) project."""
-    height, width = view.depth_m.shape
+def look_up(view: ViewTable, point: Vector) -> Correspondence:
+    """The observed points onto which points project."""
     camera = view.camera
-    z = jnp.maximum(points_m[..., 2], 1e-3)
-    u = jnp.round(camera.fx * points_m[..., 0] / z + camera.cx).astype(jnp.int32)
-    v = jnp.round(camera.fy * points_m[..., 1] / z + camera.cy).astype(jnp.int32)
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (points_m[..., 2] > 1e-3)
-    place = jnp.clip(v, 0, height - 1) * width + jnp.clip(u, 0, width - 1)
-    depth = view.depth_m.reshape(-1)[place]
-    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    x, y, z = point
+    inverse = 1 / jnp.maximum(z, 1e-3)
+    u = jnp.floor(camera.fx * x * inverse + camera.cx + 0.5).astype(jnp.int32)
+    v = jnp.floor(camera.fy * y * inverse + camera.cy + 0.5).astype(jnp.int32)
+    inside = (u >= 0) & (u < view.width) & (v >= 0) & (v < view.height) & (z > 1e-3)
+    place = jnp.where(inside, v * view.width + u, 0)
+    depth = view.depth_m.at[place].get(mode="promise_in_bounds")
+    code = view.code.at[place].get(mode="promise_in_bounds")
     return Correspondence(
-        surface_m=jnp.stack([x * depth, y * depth, depth], axis=-1),
-        normal=view.normals.reshape(-1, 3)[place],
+        depth_m=depth,
+        ray_x=(u - camera.cx) / camera.fx,
+        ray_y=(v - camera.cy) / camera.fy,
+        normal=[(code << shift >> 22) * (1.0 / NORMAL_STEPS) for shift in (0, 10, 20)],
         measured=inside & (depth > 0),
-        unexplained=view.unexplained.reshape(-1)[place],
+        unexplained=(code & 1) == 1,
     )
 
 
-def seen(points_m: jax.Array, normals: jax.Array) -> jax.Array:
-    """Which surface points (..., P, 3) face the camera at the origin."""
-    cosine = jnp.sum(points_m * normals, axis=-1) / jnp.linalg.norm(points_m, axis=-1)
-    return cosine < GRAZING
+def faces_camera(point: Vector, normal: Vector) -> jax.Array:
+    """Which surface points face the camera at the origin."""
+    return dot(point, normal) < GRAZING * jnp.sqrt(dot(point, point))
 
 
 @partial(jax.jit, static_argnames="iterations")
 def align(
-    view: DepthView,
+    view: ViewTable,
     points_m: jax.Array,
     normals: jax.Array,
     visible: jax.Array,
     poses: jax.Array,
-    first_m: float,
-    last_m: float,
+    first_m: jax.Array | float,
+    last_m: jax.Array | float,
     iterations: int,
 ) -> jax.Array:
     """Poses (K, 7) camera_from_box after point-to-plane ICP with projective correspondences.
 
     Each point takes the depth pixel onto which it falls; Geman-McClure weights narrow from `first_m` to
-    `last_m`.
+    `last_m`. A point takes part if it faces the camera, if the pixel is unexplained, the normals agree and
+    the depths differ by less than four scales.
 
     Args:
         view: the observation.
@@ -90,18 +126,19 @@ def align(
 
     def improve(pose: jax.Array, scale: jax.Array, shown: jax.Array) -> jax.Array:
         rotation = jaxlie.SO3(pose[:4]).as_matrix()
-        arms = jnp.sum(rotation[None] * points_m[:, None], axis=-1)
-        outward = jnp.sum(rotation[None] * normals[:, None], axis=-1)
-        placed = arms + pose[4:][None]
+        arm, outward = rotated(rotation, points_m), rotated(rotation, normals)
+        placed = [arm[axis] + pose[4 + axis] for axis in range(3)]
         observed = look_up(view, placed)
-        residual = jnp.sum(outward * (observed.surface_m - placed), axis=-1)
-        agree = jnp.sum(observed.normal * outward, axis=-1) > 0.3
-        near = jnp.abs(observed.surface_m[:, 2] - placed[:, 2]) < 4 * scale
-        use = shown & observed.measured & observed.unexplained & agree & near & seen(placed, outward)
+        gap = observed.depth_m - placed[2]
+        depth = observed.depth_m
+        offset = [observed.ray_x * depth - placed[0], observed.ray_y * depth - placed[1], gap]
+        residual = dot(outward, offset)
+        agree = (dot(observed.normal, outward) > 0.3) & (jnp.abs(gap) < 4 * scale)
+        use = shown & observed.measured & observed.unexplained & agree & faces_camera(placed, outward)
         weight = jnp.where(use, (1 + (residual / scale) ** 2) ** -2, 0.0)
-        rows = jnp.concatenate([outward, jnp.cross(arms, outward)], axis=1)
-        matrix = (weight[:, None] * rows).T @ rows + jnp.diag(jnp.asarray(DAMPING))
-        step = jnp.linalg.solve(matrix, rows.T @ (weight * residual))
+        columns = jnp.stack([*outward, *_cross(arm, outward)])
+        matrix = (weight[None] * columns) @ columns.T + jnp.diag(jnp.asarray(DAMPING))
+        step = jnp.linalg.solve(matrix, columns @ (weight * residual))
         turned = jaxlie.SO3.exp(step[3:]) @ jaxlie.SO3(pose[:4])
         return jnp.concatenate([turned.normalize().wxyz, pose[4:] + step[:3]])
 
@@ -109,3 +146,18 @@ def align(
         return jax.vmap(improve, in_axes=(0, None, 0))(poses, scale, visible), None
 
     return jax.lax.scan(narrow, poses, scales)[0]
+
+
+def rotated(rotation: jax.Array, vectors: jax.Array) -> Vector:
+    """Components of rotated vectors (P, 3)."""
+    x, y, z = vectors.T
+    return [rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z for axis in range(3)]
+
+
+def dot(a: Vector, b: Vector) -> jax.Array:
+    """Inner products."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

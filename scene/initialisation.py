@@ -8,61 +8,36 @@ set of hypotheses, never samples (MATH.md section K).
 
 from __future__ import annotations
 
+import itertools
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from scene.compared_pixels import ComparedPixels
 from scene.detection import SupportPlane, clusters
-from scene.icp import align, look_up
-from scene.observation import DepthView, unprojected
+from scene.observation import unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
+from scene.polishing import polished
 from scene.pose_choice import PoseLayers, choose, log_conditional
 from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
+from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.template_search import search
-from scene.window import PixelWindow
-from shapes import depth_noise
 
 ORIENTATIONS, FREE_ORIENTATIONS = 320, 576
 YAWS = 16
-ANCHORS, CENTRES = 128, 8
-ANCHOR_SPACING_M = 0.015
+ANCHORS, CENTRES = 192, 8
+ANCHOR_SPACING_M = 0.012
 CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
 UNEXPLAINED_M = 0.012
-FOREGROUND_PIXELS = 1024
-LOWEST_LOG_DENSITY = -20.0
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
-POLISH_ROUNDS, POLISH_ITERATIONS = 4, 6
-POLISH_FIRST_M, POLISH_LAST_M = 0.006, 0.002
-SELF_OCCLUSION_M = 0.008
-"""A surface point that lies further behind the rendered scene is hidden."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SceneData:
-    """What one frame gives to the search.
-
-    Attributes:
-        view: pooled image.
-        foreground: (H, W) bool, the view's pixels that may show an object.
-        window: the pixels on which scenes are compared.
-        window_foreground: its pixels that may show an object.
-        rest_m: the window's background depth: the table's plane, elsewhere what was seen; +inf if nothing.
-        table: None where nothing supports the objects.
-    """
-
-    view: DepthView
-    foreground: NDArray[np.bool_]
-    window: PixelWindow
-    window_foreground: NDArray[np.bool_]
-    rest_m: NDArray[np.float32]
-    table: SupportPlane | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,30 +82,30 @@ def initialise(
         pool: poses an object and round.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+    pixels = ComparedPixels.of(data, noise, surface_sigma_m, rng)
     rotations = [_orientations(one, data.table) for one in objects]
     unexplained = [data.foreground] * len(objects)
-    pools = jnp.tile(jnp.asarray(OUT_OF_SIGHT, jnp.float32), (len(objects), pool * (rounds + 1), 1))
-    chosen = np.full(len(objects), pools.shape[1])
-    layers = None
+    everywhere = pool * (rounds + 1)
+    pools = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), everywhere, 1))
+    layers = pixels.no_layers(len(objects), everywhere)
+    chosen = np.full(len(objects), everywhere)
     for turn, round_key in enumerate(jax.random.split(key, rounds + 1)):
-        found = [
-            _hypotheses(data, one, turns, mask, rng, pool)
-            for one, turns, mask in zip(objects, rotations, unexplained, strict=True)
-        ]
-        pools = pools.at[:, turn * pool : (turn + 1) * pool].set(jnp.stack(found))
-        layers = _layers(data, renderer, pools, noise, surface_sigma_m, rng)
+        found = _hypotheses(data, objects, rotations, unexplained, rng, pool)
+        pools[:, turn * pool : (turn + 1) * pool] = found
+        depth = renderer.layers(np.repeat(np.arange(len(objects)), pool), found.reshape(-1, 7), data.window)
+        layers = pixels.with_layers(layers, depth, len(objects), turn * pool)
         choices, log_densities = choose(round_key, layers, HOT, COLD, PARTICLES, SWEEPS)
-        chosen = np.asarray(choices[jnp.argmax(log_densities)])
-        unexplained = _unexplained_without_each(data, renderer, pools, chosen)
-    assert layers is not None
-    present = np.asarray(chosen < pools.shape[1])
-    poses = np.asarray(pools)[np.arange(len(objects)), np.minimum(chosen, pools.shape[1] - 1)]
-    poses = _polished(data, objects, renderer, poses, present)
+        chosen = np.asarray(choices)[int(np.argmax(log_densities))]
+        shown = _shown(renderer, data, pools, chosen)
+        unexplained = [_unexplained(data, np.delete(shown, one, axis=0)) for one in range(len(objects))]
+    present = chosen < everywhere
+    poses = pools[np.arange(len(objects)), np.minimum(chosen, everywhere - 1)]
+    poses = polished(data, objects, renderer, poses, present)
     return Initialisation(
         poses=poses.astype(np.float64),
         found=present,
-        pools=np.asarray(pools, np.float64),
-        log_gains=_log_gains(layers, chosen),
+        pools=pools.astype(np.float64),
+        log_gains=np.asarray(_gains(layers, chosen), np.float64),
     )
 
 
@@ -145,23 +120,21 @@ def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.fl
 
 def _hypotheses(
     data: SceneData,
-    one: SceneObject,
-    rotations: NDArray[np.float32],
-    mask: NDArray[np.bool_],
+    objects: Sequence[SceneObject],
+    rotations: Sequence[NDArray[np.float32]],
+    masks: Sequence[NDArray[np.bool_]],
     rng: np.random.Generator,
     pool: int,
-) -> jax.Array:
-    anchors, centres = _places(data, mask, rng)
-    poses, _ = search(
-        replace(data.view, unexplained=jnp.asarray(mask)),
-        jnp.asarray(one.points_m),
-        jnp.asarray(one.normals),
-        jnp.asarray(rotations),
-        jnp.asarray(anchors),
-        jnp.asarray(centres),
-        pool,
-    )
-    return poses
+) -> NDArray[np.float32]:
+    """Poses (N, pool, 7) of every object on the pixels of its mask, searched side by side on all cores."""
+    places = [_places(data, mask, rng) for mask in masks]
+
+    def find(index: int) -> NDArray[np.float32]:
+        one, view = objects[index], replace(data.view, unexplained=masks[index])
+        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places[index], pool)[0])
+
+    with ThreadPoolExecutor(os.cpu_count()) as cores:
+        return np.stack(list(cores.map(find, range(len(objects)))))
 
 
 def _places(
@@ -169,9 +142,8 @@ def _places(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Anchors (ANCHORS, 3) spread over the masked points, and cluster centres (CENTRES, 3)."""
     points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
-    masked = points[mask]
-    if len(masked) < 10:
-        masked = points[data.foreground]
+    masked = points[mask] if mask.sum() >= 10 else points[data.foreground]
+    masked = masked[rng.permutation(len(masked))]
     _, first = np.unique(np.floor(masked / ANCHOR_SPACING_M).astype(int), axis=0, return_index=True)
     anchors = masked[rng.permutation(first)]
     centres = clusters(anchors, CLUSTER_SCALES_M, fewest=3)
@@ -181,136 +153,38 @@ def _places(
     )
 
 
-def _layers(
-    data: SceneData,
-    renderer: ObjectRenderer,
-    pools: jax.Array,
-    noise: DepthNoise,
-    surface_sigma_m: float,
-    rng: np.random.Generator,
-) -> PoseLayers:
-    """Layers of all pools, an absent object last, on at most FOREGROUND_PIXELS pixels of the foreground."""
-    count, poses = pools.shape[:2]
-    indices = jnp.repeat(jnp.arange(count), poses)
-    depth = renderer.layers(indices, pools.reshape(-1, 7), data.window).reshape(count, poses, -1)
-    near, inside = data.window_foreground.ravel(), data.window.inside.ravel()
-    places = rng.permutation(np.flatnonzero(near & inside))
-    share = min(FOREGROUND_PIXELS / max(len(places), 1), 1.0)
-    weight = np.zeros(FOREGROUND_PIXELS, np.float32)
-    weight[: len(places)] = 1 / share
-    return _pose_layers(
-        depth,
-        noise,
-        surface_sigma_m,
-        jnp.asarray(data.window.depth_m.ravel()),
-        jnp.asarray(data.rest_m.ravel()),
-        jnp.asarray(inside & ~near),
-        jnp.asarray(np.resize(places, FOREGROUND_PIXELS)),
-        jnp.asarray(weight),
-    )
-
-
-@jax.jit
-def _pose_layers(
-    depth_m: jax.Array,
-    noise: DepthNoise,
-    surface_sigma_m: float,
-    observed_m: jax.Array,
-    rest_m: jax.Array,
-    uncontested: jax.Array,
-    places: jax.Array,
-    weight: jax.Array,
-) -> PoseLayers:
-    """Layers (N, K + 1, X) of depth (N, K, pixels) at weighted places; uncontested pixels are summed up."""
-    count, _, pixels = depth_m.shape
-    depth_m = jnp.concatenate([depth_m, jnp.full((count, 1, pixels), jnp.inf)], axis=1)
-
-    def log_density(observed_m: jax.Array, depth_m: jax.Array) -> jax.Array:
-        observed_m = jnp.broadcast_to(observed_m, depth_m.shape)
-        density = depth_noise.log_density(noise, observed_m, depth_m, surface_sigma_m)
-        return jnp.maximum(density, LOWEST_LOG_DENSITY)
-
-    rest = log_density(observed_m, rest_m)
-
-    def alone(layer_m: jax.Array) -> jax.Array:
-        gain = log_density(observed_m, layer_m) - rest
-        return jnp.sum(jnp.where(uncontested & (layer_m < rest_m), gain, 0.0))
-
-    log_alone = jax.lax.map(alone, depth_m.reshape(-1, pixels)).reshape(depth_m.shape[:2])
-    shown_m = depth_m[:, :, places]
-    return PoseLayers(
-        depth_m=shown_m,
-        log_density=log_density(observed_m[places][None, None], shown_m) * weight[None, None],
-        log_alone=log_alone,
-        rest_m=rest_m[places],
-        rest_log_density=rest[places] * weight,
-    )
-
-
-def _unexplained_without_each(
-    data: SceneData, renderer: ObjectRenderer, pools: jax.Array, chosen: NDArray[np.int64]
-) -> list[NDArray[np.bool_]]:
-    """For every object, the foreground that the scene without it leaves unexplained."""
-    count, poses = pools.shape[:2]
-    placed = pools[jnp.arange(count), jnp.minimum(chosen, poses - 1)]
-    depth = np.asarray(renderer.view_layers(jnp.arange(count), placed, data.view)).copy()
-    depth[chosen >= poses] = np.inf
-    observed = np.asarray(data.view.depth_m)
-    masks = []
-    for one in range(count):
-        others = np.delete(depth, one, axis=0).min(axis=0, initial=np.inf)
-        masks.append(data.foreground & ~(np.abs(observed - others) < UNEXPLAINED_M))
-    return masks
-
-
-def _polished(
-    data: SceneData,
-    objects: Sequence[SceneObject],
-    renderer: ObjectRenderer,
-    poses: NDArray[np.floating],
-    present: NDArray[np.bool_],
+def _shown(
+    renderer: ObjectRenderer, data: SceneData, pools: NDArray[np.float32], chosen: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """ICP of the rendered visible clouds of the whole scene, rendered anew in an outer loop."""
-    current = jnp.asarray(poses, jnp.float32)
-    points = jnp.stack([jnp.asarray(one.points_m) for one in objects])
-    normals = jnp.stack([jnp.asarray(one.normals) for one in objects])
-    for _ in range(POLISH_ROUNDS):
-        layers = renderer.view_layers(jnp.arange(len(objects)), current, data.view)
-        layers = jnp.where(jnp.asarray(present)[:, None, None], layers, jnp.inf)
-        current = _polish_once(data.view, points, normals, current, jnp.min(layers, axis=0))
-    return np.asarray(current)
+    """Depth (N, H, W) of every object's chosen pose alone in the window, +inf for absent ones."""
+    count, poses = pools.shape[:2]
+    placed = pools[np.arange(count), np.minimum(chosen, poses - 1)]
+    depth = renderer.layers(np.arange(count), placed, data.window)
+    return np.where((chosen < poses)[:, None, None], depth, np.float32(np.inf))
 
 
-@jax.jit
-def _polish_once(
-    view: DepthView, points_m: jax.Array, normals: jax.Array, poses: jax.Array, scene_m: jax.Array
-) -> jax.Array:
-    """One round: a point takes part if the rendered scene shows it."""
-    rendered = replace(view, depth_m=jnp.where(jnp.isfinite(scene_m), scene_m, 0.0))
+def _unexplained(data: SceneData, others_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """The view's foreground that other objects, layers (N - 1, H, W) of the window, leave unexplained.
 
-    def one(points_m: jax.Array, normals: jax.Array, pose: jax.Array) -> jax.Array:
-        placed = jax.vmap(jaxlie.SE3(pose).apply)(points_m)
-        front = look_up(rendered, placed)
-        visible = front.measured & (placed[:, 2] < front.surface_m[:, 2] + SELF_OCCLUSION_M)
-        return align(
-            view,
-            points_m,
-            normals,
-            visible[None],
-            pose[None],
-            POLISH_FIRST_M,
-            POLISH_LAST_M,
-            POLISH_ITERATIONS,
-        )[0]
-
-    return jax.vmap(one)(points_m, normals, poses)
+    What they show in a neighbouring pixel of the window explains a pixel too.
+    """
+    view, camera = data.view, data.window.camera
+    rows, columns = np.nonzero(data.foreground)
+    observed_m = np.asarray(view.depth_m)[rows, columns]
+    u = (columns - float(view.camera.cx)) / float(view.camera.fx) * float(camera.fx) + float(camera.cx)
+    v = (rows - float(view.camera.cy)) / float(view.camera.fy) * float(camera.fy) + float(camera.cy)
+    front_m = np.pad(others_m.min(axis=0, initial=np.inf), 1, constant_values=np.inf)
+    height, width = data.rest_m.shape
+    u, v = np.clip(np.rint(u).astype(int), 0, width - 1), np.clip(np.rint(v).astype(int), 0, height - 1)
+    gap_m = np.full(len(rows), np.inf)
+    for down, across in itertools.product(range(3), repeat=2):
+        gap_m = np.minimum(gap_m, np.abs(front_m[v + down, u + across] - observed_m))
+    mask = np.zeros_like(data.foreground)
+    mask[rows, columns] = gap_m >= UNEXPLAINED_M
+    return mask
 
 
 @jax.jit
 def _gains(layers: PoseLayers, chosen: jax.Array) -> jax.Array:
     conditionals = jax.vmap(lambda index: log_conditional(layers, chosen, index))(jnp.arange(len(chosen)))
     return conditionals - conditionals[jnp.arange(len(chosen)), chosen][:, None]
-
-
-def _log_gains(layers: PoseLayers, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.asarray(_gains(layers, jnp.asarray(chosen)), np.float64)

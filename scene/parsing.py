@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +19,15 @@ from scene.depth_images import DepthImages
 from scene.detection import SupportPlane
 from scene.foreground import frame_data, scene_data
 from scene.graph import Bodies, floating_scene
-from scene.initialisation import Initialisation, SceneData, initialise
+from scene.initialisation import Initialisation, initialise
 from scene.model import ChainState, SceneModel, start_chain
-from scene.pose_mixture import PoseMixture
 from scene.poses import composed, pose_of
 from scene.prior import PosePrior, UniformTrees
+from scene.proposals import pose_proposals
+from scene.refinement import refine
 from scene.rendering import ObjectRenderer
 from scene.result import SceneResult
+from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.structure_move import StructureMove
 from scene.summary import Samples, summarise
@@ -38,8 +41,6 @@ SPACE_MARGIN_M = 0.05
 """Of that cuboid round the places where chains start."""
 UNINFORMATIVE = 0.5
 """Probability of no return, with and without a surface: dark and grazing surfaces make it say little."""
-COMPONENTS = 8
-COMPONENT_SIGMA_M, COMPONENT_SIGMA_RAD = 0.002, 0.03
 WALK_M, WALK_RAD = 0.004, 0.05
 PRIOR_SHARE = 0.05
 BLOCK = 120
@@ -73,7 +74,7 @@ def parse_scene(
     Raises:
         ValueError: the first frame shows nothing to parse.
     """
-    seed_key, search_key, chain_key = jax.random.split(key, 3)
+    seed_key, search_key, refine_key, chain_key = jax.random.split(key, 4)
     data = scene_data(frames[0].depth_m, intrinsics, int(jax.random.randint(seed_key, (), 0, 2**31 - 1)))
     renderer = ObjectRenderer.of(objects)
     noise = replace(
@@ -92,6 +93,8 @@ def parse_scene(
         rounds=config.rounds,
         pool=config.pool,
     )
+    noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
+    refined = refine(refine_key, data, renderer, start, noise, config.pixel_weight)
     views = [data] + [
         frame_data(frame.depth_m, intrinsics, data, pose)
         for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)
@@ -104,8 +107,19 @@ def parse_scene(
         rotation, translation = world_from_camera[:3, :3], world_from_camera[:3, 3]
         starts = start.poses[start.found, 4:] @ rotation.T + translation
         model = _model(data, objects, likelihood, space_of(data.table, starts), config)
-        samples = _sample(chain_key, model, start, world_from_camera, config, progress)
-        return summarise(samples, model, start, world_from_camera, objects, np.asarray(frame_indices), config)
+        world = pose_of(jnp.asarray(world_from_camera))
+        bodies = len(model.bodies.movable)
+        mixture = pose_proposals(start, refined, config.pixel_weight, world, bodies)
+        kernel = scene_kernel(
+            mixture,
+            prior_share=PRIOR_SHARE,
+            translation_m=jnp.full(bodies, WALK_M),
+            rotation_rad=jnp.full(bodies, WALK_RAD),
+            structure=StructureMove() if config.graph == "infer" else None,
+        )
+        samples = _sample(chain_key, model, kernel, start, world, config, progress)
+        indices = np.asarray(frame_indices)
+        return summarise(samples, model, start, refined, world_from_camera, objects, indices, config)
 
 
 def _likelihood(
@@ -123,7 +137,7 @@ def _likelihood(
         rest_m=jnp.stack([jnp.asarray(view.rest_m) for view in views]),
         inside=jnp.stack([jnp.asarray(view.window.inside, jnp.float32) for view in views]),
         noise=noise,
-        surface_sigma_m=jnp.asarray(config.model_error_m, jnp.float32),
+        surface_sigma_m=jnp.zeros((), jnp.float32),
         pixel_weight=jnp.asarray(config.pixel_weight),
         objects=len(renderer.library),
     )
@@ -177,63 +191,43 @@ def _model(
 def _sample(
     key: jax.Array,
     model: SceneModel,
+    kernel: Kernel,
     start: Initialisation,
-    world_from_camera: NDArray[np.float64],
+    world: jax.Array,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> Samples:
     """Chains from the best scene found: first the graph alone finds its place, then all moves run."""
     start_key, graph_key, run_key = jax.random.split(key, 3)
-    world = pose_of(jnp.asarray(world_from_camera))
-    count, bodies = len(start.poses), len(model.bodies.movable)
-    poses = jax.vmap(lambda pose: composed(world, pose))(jnp.asarray(start.poses))
-    table = jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]])[: bodies - count]
-    scene = floating_scene(
-        jnp.concatenate([poses, table]),
-        jnp.concatenate([jnp.asarray(start.found), jnp.ones(bodies - count, bool)]),
-    )
-    kernel = _kernel(model, start, world, config)
-    states = jax.vmap(lambda key: start_chain(key, model, scene))(jax.random.split(start_key, config.chains))
-    if config.graph == "infer" and start.found.any():
+    spare = len(model.bodies.movable) - len(start.poses)
+    states = _start(jax.random.split(start_key, config.chains), model, start.poses, start.found, world, spare)
+    if not start.found.any():
+        return jax.tree.map(lambda leaf: leaf[None], jax.vmap(_recorded)(states))
+    if config.graph == "infer":
         graph_alone = Kernel(kernel.moves, jnp.zeros_like(kernel.schedule))
         states, _, _ = run_block(graph_key, states, model, graph_alone, BLOCK, _recorded)
     blocks = -(-config.moves // BLOCK)
     kept = []
-    for block in range(blocks if start.found.any() else 0):
+    for block in range(blocks):
         block_key = jax.random.fold_in(run_key, block)
         states, recorded, _ = run_block(block_key, states, model, kernel, BLOCK, _recorded)
         kept.append(recorded)
         if progress:
             progress(block + 1, blocks)
-    if not kept:
-        kept = [jax.tree.map(lambda leaf: leaf[None], jax.vmap(_recorded)(states))]
     return Samples.thinned(kept, burn_in=blocks * BLOCK // 3, thinning=config.thinning)
+
+
+@partial(jax.jit, static_argnames="spare")
+def _start(
+    keys: jax.Array, model: SceneModel, poses: jax.Array, found: jax.Array, world: jax.Array, spare: int
+) -> ChainState:
+    """The states of chains that all start at these poses (N, 7) camera_from_box, everything floating."""
+    poses = jax.vmap(lambda pose: composed(world, pose))(poses)
+    table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]]), (spare, 1))
+    scene = floating_scene(jnp.concatenate([poses, table]), jnp.concatenate([found, jnp.ones(spare, bool)]))
+    return jax.vmap(lambda key: start_chain(key, model, scene))(keys)
 
 
 def _recorded(state: ChainState) -> Samples:
     scene = state.scene
     return Samples(scene.poses, scene.parents, scene.parent_faces, scene.child_faces, state.log_posterior)
-
-
-def _kernel(model: SceneModel, start: Initialisation, world: jax.Array, config: ParseConfig) -> Kernel:
-    """The production kernel; its mixtures sit on the best hypotheses of the search."""
-    count, bodies = len(start.poses), len(model.bodies.movable)
-    gains = start.log_gains[:, : start.pools.shape[1]]
-    best = np.argsort(-gains, axis=1)[:, :COMPONENTS]
-    log_weights = config.pixel_weight * np.take_along_axis(gains, best, axis=1)
-    centres = np.take_along_axis(start.pools, best[..., None], axis=1)
-    centres = jax.vmap(jax.vmap(lambda pose: composed(world, pose)))(jnp.asarray(centres))
-    spare = bodies - count
-    covariance = jnp.diag(jnp.array([COMPONENT_SIGMA_M] * 3 + [COMPONENT_SIGMA_RAD] * 3) ** 2)
-    mixture = PoseMixture.build(
-        jnp.pad(jnp.asarray(log_weights), ((0, spare), (0, 0))),
-        jnp.concatenate([centres, jnp.tile(centres[:1], (spare, 1, 1))]),
-        jnp.broadcast_to(covariance, (bodies, COMPONENTS, 6, 6)),
-    )
-    return scene_kernel(
-        mixture,
-        prior_share=PRIOR_SHARE,
-        translation_m=jnp.full(bodies, WALK_M),
-        rotation_rad=jnp.full(bodies, WALK_RAD),
-        structure=StructureMove() if config.graph == "infer" else None,
-    )

@@ -1,4 +1,4 @@
-"""Depth layers of scene objects, in windows and in views, through one library."""
+"""Depth layers of scene objects in windows, through one library."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from numpy.typing import NDArray
 
-from scene.observation import DepthView
 from scene.scene_object import SceneObject
 from scene.window import WINDOW_HEIGHT, WINDOW_WIDTH, PixelWindow
 from shapes.camera import Camera
@@ -20,6 +20,7 @@ from shapes.ray_casting import PosedObjects
 
 OUT_OF_SIGHT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
 """A pose behind the camera, for what is not there."""
+LAYERS = 256
 
 
 @jax.tree_util.register_dataclass
@@ -41,20 +42,22 @@ class ObjectRenderer:
         centres = np.stack([one.centre_m for one in objects])
         return cls(joined([one.library for one in objects]), jnp.asarray(centres, jnp.float32))
 
-    def layers(self, indices: jax.Array, poses: jax.Array, window: PixelWindow) -> jax.Array:
-        """Depth (n, WINDOW_HEIGHT, WINDOW_WIDTH) of n objects alone, at poses (n, 7) camera_from_box."""
-        return self._render(indices, poses, window.camera, WINDOW_HEIGHT, WINDOW_WIDTH)
+    def layers(
+        self, indices: NDArray[np.integer], poses: NDArray[np.floating], window: PixelWindow
+    ) -> NDArray[np.float32]:
+        """Depth (n, WINDOW_HEIGHT, WINDOW_WIDTH) of n objects alone, at poses (n, 7) camera_from_box.
 
-    def view_layers(self, indices: jax.Array, poses: jax.Array, view: DepthView) -> jax.Array:
-        """The same in the pixels of a view."""
-        return self._render(indices, poses, view.camera, *view.depth_m.shape)
-
-    def _render(
-        self, indices: jax.Array, poses: jax.Array, camera: Camera, height: int, width: int
-    ) -> jax.Array:
-        posed = self.posed(indices, poses, jnp.zeros(len(indices), jnp.int32))
-        cameras = jax.tree.map(lambda leaf: leaf[None], camera)
-        return render_layers(self.library, posed, cameras, height, width)
+        Rendered `LAYERS` at a time, so that one kernel serves any number.
+        """
+        parts = -(-len(indices) // LAYERS)
+        every = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (parts * LAYERS, 1))
+        every[: len(poses)] = poses
+        which = np.resize(np.asarray(indices, np.int32), parts * LAYERS)
+        depth = [
+            np.asarray(_layers(self, some, here, window.camera))
+            for some, here in zip(np.split(which, parts), np.split(every, parts), strict=True)
+        ]
+        return np.concatenate(depth)[: len(indices)]
 
     def posed(self, indices: jax.Array, poses: jax.Array, camera_index: jax.Array) -> PosedObjects:
         """Objects at poses (n, 7) camera_from_box as the engine takes them."""
@@ -65,3 +68,10 @@ class ObjectRenderer:
 
         indices = indices.astype(jnp.int32)
         return PosedObjects(indices, jax.vmap(matrix)(indices, poses), camera_index.astype(jnp.int32))
+
+
+@jax.jit
+def _layers(renderer: ObjectRenderer, indices: jax.Array, poses: jax.Array, camera: Camera) -> jax.Array:
+    posed = renderer.posed(indices, poses, jnp.zeros(len(indices), jnp.int32))
+    cameras = jax.tree.map(lambda leaf: leaf[None], camera)
+    return render_layers(renderer.library, posed, cameras, WINDOW_HEIGHT, WINDOW_WIDTH)

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from scene.config import ParseConfig
-from scene.depth_images import DepthImages
 from scene.graph import floating_scene
 from scene.initialisation import Initialisation
 from scene.model import SceneModel
-from scene.poses import composed, matrix_of, pose_of
+from scene.poses import composed, matrices_of, pose_of
+from scene.refinement import Refinement
 from scene.result import SceneResult
 from scene.scene_object import SceneObject
+from scene.structure_move import StructureMove
 
 MODES = 4
 MODE_RADIUS_M, MODE_RADIUS_RAD = 0.02, 0.5
@@ -57,6 +58,7 @@ def summarise(
     samples: Samples,
     model: SceneModel,
     start: Initialisation,
+    refined: Refinement,
     world_from_camera: NDArray[np.float64],
     objects: Sequence[SceneObject],
     frames: NDArray[np.int64],
@@ -66,31 +68,24 @@ def summarise(
     count = len(objects)
     kept, chains = samples.log_posterior.shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(kept * chains, *leaf.shape[2:]), samples)
-    camera = pose_of(jnp.asarray(np.linalg.inv(world_from_camera)))
-    offsets = jnp.stack([jnp.asarray([1.0, 0, 0, 0, *(-one.centre_m)]) for one in objects])
-
-    def in_camera(pose: jax.Array, offset: jax.Array) -> jax.Array:
-        return composed(camera, composed(pose, offset))
-
-    poses = jax.vmap(jax.vmap(in_camera), in_axes=(0, None))(flat.poses[:, :count], offsets)
-    best = jax.vmap(composed)(jnp.asarray(start.poses), offsets)
-    means, covariances = jax.vmap(_moments, in_axes=(1, 0))(poses, best)
-    modes = [_modes(np.asarray(poses[:, one])) for one in range(count)]
+    offsets = np.stack([[1.0, 0, 0, 0, *(-one.centre_m)] for one in objects])
+    in_camera = _in_camera(flat.poses[:, :count], start.poses, offsets, np.linalg.inv(world_from_camera))
+    poses, best, means, covariances = (np.asarray(value) for value in in_camera)
+    modes = [_modes(poses[:, one]) for one in range(count)]
     edges, faces = _edges(flat, model, count)
-    presence, visible = _presence(model, start, world_from_camera, count, config)
     return SceneResult(
         names=np.array([one.name for one in objects]),
         frames=np.asarray(frames, np.int64),
-        camera_from_object=np.asarray(jax.vmap(matrix_of)(best)),
-        mean=np.asarray(jax.vmap(matrix_of)(means)),
-        covariance=np.asarray(covariances),
-        presence=presence,
-        visible_fraction=visible,
+        camera_from_object=matrices_of(best),
+        mean=matrices_of(means),
+        covariance=covariances,
+        presence=_presence(model, start, refined, world_from_camera, config),
+        visible_fraction=refined.visible_fraction,
         mode_poses=np.stack([poses for poses, _ in modes]),
         mode_probabilities=np.stack([shares for _, shares in modes]),
         edge_probabilities=edges,
         edge_faces=faces,
-        sample_poses=np.asarray(poses),
+        sample_poses=poses,
         sample_parents=np.asarray(flat.parents[:, :count], np.int32),
         sample_log_posteriors=np.asarray(flat.log_posterior),
         chain=np.tile(np.arange(chains, dtype=np.int32), kept),
@@ -98,6 +93,20 @@ def summarise(
 
 
 @jax.jit
+def _in_camera(
+    samples: jax.Array, start: jax.Array, offsets: jax.Array, camera_from_world: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Samples (S, N, 7), best poses (N, 7), means (N, 7) and covariances (N, 6, 6): camera_from_object."""
+    camera = pose_of(camera_from_world)
+
+    def moved(pose: jax.Array, offset: jax.Array) -> jax.Array:
+        return composed(camera, composed(pose, offset))
+
+    poses = jax.vmap(jax.vmap(moved), in_axes=(0, None))(samples, offsets)
+    best = jax.vmap(composed)(start, offsets)
+    return poses, best, *jax.vmap(_moments, in_axes=(1, 0))(poses, best)
+
+
 def _moments(poses: jax.Array, best: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Mean (7,) and covariance (6, 6) in the right tangent of the samples (S, 7) in the mode of `best`."""
     tangents = jax.vmap(lambda pose: (jaxlie.SE3(best).inverse() @ jaxlie.SE3(pose)).log())(poses)
@@ -116,7 +125,7 @@ def _moments(poses: jax.Array, best: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _modes(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Up to MODES poses (M, 4, 4) that the samples (S, 7) gather round, and their shares (M,)."""
     left = np.ones(len(poses), bool)
-    matrices = np.asarray(jax.vmap(matrix_of)(jnp.asarray(poses)))
+    matrices = matrices_of(poses)
     centres, shares = np.tile(np.eye(4), (MODES, 1, 1)), np.zeros(MODES)
     for mode in range(MODES):
         if not left.any():
@@ -153,30 +162,33 @@ def _edges(flat: Samples, model: SceneModel, count: int) -> tuple[NDArray[np.flo
 def _presence(
     model: SceneModel,
     start: Initialisation,
+    refined: Refinement,
     world_from_camera: NDArray[np.float64],
-    count: int,
     config: ParseConfig,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Probability of each object being there at its pose, and the share of it that is in sight.
+) -> NDArray[np.float64]:
+    """Probability (N,) of each object being there, given that the others are where they were found.
 
-    The likelihood ratio of the best scene with and without the object, times the prior odds; the object's
-    other poses are left out.
+    Prior odds times the evidence for the object over that for the scene without it, its pose integrated
+    out: a fit that only one of very many poses would give by chance does not count for much.
     """
-    likelihood = model.likelihood
-    assert isinstance(likelihood, DepthImages)
-    world = pose_of(jnp.asarray(world_from_camera))
-    poses = jax.vmap(lambda pose: composed(world, pose))(jnp.asarray(start.poses))
-    spare = len(model.bodies.movable) - count
-    present = jnp.concatenate([jnp.asarray(start.found), jnp.ones(spare, bool)])
-    scene = floating_scene(jnp.concatenate([poses, jnp.tile(poses[:1], (spare, 1))]), present)
-    layers = likelihood.start(jax.random.key(0), scene).draws
-    with_all = likelihood.log_density(layers, present)
-    without = jnp.stack([likelihood.log_density(layers, present.at[one].set(False)) for one in range(count)])
-    log_odds = logit(config.presence) + config.pixel_weight * np.asarray(with_all - without)
-    first = np.asarray(layers[:, 0])
-    rest = np.asarray(likelihood.rest_m[0])
-    front = np.minimum(first.min(axis=0), rest)
-    covers = np.isfinite(first)
-    shown = covers & (first <= front[None])
-    visible = shown.sum(axis=(1, 2)) / np.maximum(covers.sum(axis=(1, 2)), 1)
-    return np.where(start.found, expit(log_odds), 0.0), visible
+    count = len(start.poses)
+    log_prior = _log_pose_priors(model, refined.means, start.found, pose_of(jnp.asarray(world_from_camera)))
+    log_odds = logit(config.presence) + refined.log_volume + np.asarray(log_prior)[:count]
+    return np.where(start.found, expit(log_odds), 0.0)
+
+
+@jax.jit
+def _log_pose_priors(model: SceneModel, poses: jax.Array, found: jax.Array, world: jax.Array) -> jax.Array:
+    """Log prior density (C,) of each pose, anywhere and on any of the others, in the measure of poses."""
+    spare = len(model.bodies.movable) - len(poses)
+    poses = jax.vmap(lambda pose: composed(world, pose))(poses)
+    table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -model.bodies.half_extents_m[-1, 2]]]), (spare, 1))
+    scene = floating_scene(jnp.concatenate([poses, table]), jnp.concatenate([found, jnp.ones(spare, bool)]))
+
+    def log_density(chosen: jax.Array) -> jax.Array:
+        others = jnp.sum(scene.present & (jnp.arange(len(scene.present)) != chosen))
+        log_tree = model.structure.log_density(scene.parents, scene.present, model.bodies.movable)
+        log_places = StructureMove().context(model, scene, chosen)
+        return jax.scipy.special.logsumexp(log_places) - log_tree - jnp.log(1.0 + others)
+
+    return jax.vmap(log_density)(jnp.arange(len(scene.present)))

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 
-from scene.icp import align, look_up, seen
+from scene.icp import Vector, ViewTable, align, dot, faces_camera, look_up, rotated
 from scene.observation import DepthView
 
 TOLERANCE_M = 0.012
@@ -23,7 +23,9 @@ BEHIND = 2.5
 """Tolerances by which a surface may be seen behind the object before it speaks against it."""
 TAKEN = 0.5
 """Weight against the object of a point that agrees with a surface explained by something else."""
-FEW_POINTS = 24
+FEW_POINTS = 16
+FACING = -0.2
+"""Cosine between normal and line of sight below which a surface point is taken for seen at first sight."""
 PER_ANCHOR, PER_CENTRE = 14, 32
 """Hypotheses that every place may put forward: a large face elsewhere must not crowd the right ones out."""
 SAME_PLACE_M = 0.015
@@ -33,6 +35,7 @@ NEIGHBOURHOOD_M, CROWDING = 0.05, 0.04
 """Each chosen pose lowers the scores round it, for the pool to spread."""
 CANDIDATES = 128
 ICP_MIDDLE_M, ICP_LAST_M = 0.01, 0.003
+COARSE_POINTS = 128
 COARSE_ITERATIONS, FINE_ITERATIONS = 7, 10
 
 _CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
@@ -60,77 +63,100 @@ def search(
         centres_m: (C, 3) where the box's centre may be.
         count: of poses.
     """
-    offsets = jax.lax.map(lambda r: _offsets(points_m, normals, r, anchors_m, centres_m), rotations)
+    table = ViewTable.of(view)
     coarse_m = jnp.maximum(TOLERANCE_M, COARSE * jnp.linalg.norm(jnp.max(jnp.abs(points_m), axis=0)))
-    score_few = partial(_score, view, points_m[:FEW_POINTS], normals[:FEW_POINTS], coarse_m)
-    coarse = jax.lax.map(
-        lambda pair: jax.vmap(score_few, in_axes=(None, 0))(pair[0], pair[1]), (rotations, offsets)
+    offsets, coarse = jax.lax.map(
+        lambda r: _first_sight(table, points_m, normals, coarse_m, anchors_m, centres_m, r), rotations
     )
     places = _best_everywhere(coarse, len(anchors_m))
     turned, placed = rotations[places // offsets.shape[1]], offsets.reshape(-1, 3)[places]
-    scores = jax.vmap(partial(_score, view, points_m, normals, coarse_m))(turned, placed)
+    scores = jax.vmap(partial(_score, table, points_m, normals, coarse_m))(turned, placed)
     chosen = _distinct(turned, placed, scores, CANDIDATES)
     poses = jax.vmap(_pose)(turned[chosen], placed[chosen])
-    everything = jnp.ones((CANDIDATES, len(points_m)), bool)
-    poses = align(view, points_m, normals, everything, poses, coarse_m, ICP_MIDDLE_M, COARSE_ITERATIONS)
+    everything = jnp.ones((CANDIDATES, COARSE_POINTS), bool)
+    few = points_m[:COARSE_POINTS], normals[:COARSE_POINTS]
+    poses = align(table, *few, everything, poses, coarse_m, ICP_MIDDLE_M, COARSE_ITERATIONS)
     turned, placed = jaxlie.SO3(poses[:, :4]).as_matrix(), poses[:, 4:]
-    scores = jax.vmap(partial(_score, view, points_m, normals, TOLERANCE_M))(turned, placed)
+    scores = jax.vmap(partial(_score, table, points_m, normals, TOLERANCE_M))(turned, placed)
     chosen = _distinct(turned, placed, scores, count)
+    everything = jnp.ones((count, len(points_m)), bool)
     refined = align(
-        view,
-        points_m,
-        normals,
-        everything[:count],
-        poses[chosen],
-        ICP_MIDDLE_M,
-        ICP_LAST_M,
-        FINE_ITERATIONS,
+        table, points_m, normals, everything, poses[chosen], ICP_MIDDLE_M, ICP_LAST_M, FINE_ITERATIONS
     )
     return refined, scores[chosen]
 
 
-def _offsets(
-    points_m: jax.Array, normals: jax.Array, rotation: jax.Array, anchors_m: jax.Array, centres_m: jax.Array
-) -> jax.Array:
-    """Positions (A * 5 + C, 3) of the box's centre for one orientation."""
+def _first_sight(
+    view: ViewTable,
+    points_m: jax.Array,
+    normals: jax.Array,
+    tolerance_m: jax.Array,
+    anchors_m: jax.Array,
+    centres_m: jax.Array,
+    rotation: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Positions (A * 5 + C, 3) of the box's centre for one orientation, and their scores by a few points."""
     forward = jnp.mean(anchors_m, axis=0)
     forward = forward / jnp.linalg.norm(forward)
     turned, outward = points_m @ rotation.T, normals @ rotation.T
-    facing = jnp.sum(outward * forward[None], axis=-1) < -0.2
+    facing = outward @ forward < FACING
+    contacts = turned[_contacts(turned, facing, forward)]
+    touching = (anchors_m[:, None] - contacts[None]).reshape(-1, 3)
+    offsets = jnp.concatenate([touching, centres_m])
+    x, y, z = offsets.T
+    first = jnp.argsort(jnp.where(facing, 0, 1), stable=True)[:FEW_POINTS]
+    turned, outward = turned[first], outward[first]
+
+    def add(index: int, total: jax.Array) -> jax.Array:
+        point = [x + turned[index, 0], y + turned[index, 1], z + turned[index, 2]]
+        return total + _evidence(view, point, outward[index], tolerance_m)
+
+    return offsets, jax.lax.fori_loop(0, FEW_POINTS, add, jnp.zeros(len(offsets)))
+
+
+def _contacts(turned_m: jax.Array, facing: jax.Array, forward: jax.Array) -> jax.Array:
+    """The points (5,) among turned ones (P, 3) that are put on observed ones."""
     right = jnp.array([1.0, 0.0, 0.0]) - forward[0] * forward
     right = right / jnp.linalg.norm(right)
-    flat = jnp.stack([turned @ right, turned @ jnp.cross(forward, right)], axis=1)
+    flat = jnp.stack([turned_m @ right, turned_m @ jnp.cross(forward, right)], axis=1)
     low = jnp.min(jnp.where(facing[:, None], flat, jnp.inf), axis=0)
     high = jnp.max(jnp.where(facing[:, None], flat, -jnp.inf), axis=0)
     targets = low[None] + (high - low)[None] * jnp.asarray(_CONTACTS)
     distance = jnp.sum((flat[None] - targets[:, None]) ** 2, axis=-1)
-    contacts = turned[jnp.argmin(jnp.where(facing[None], distance, jnp.inf), axis=1)]
-    touching = (anchors_m[:, None] - contacts[None]).reshape(-1, 3)
-    return jnp.concatenate([touching, centres_m])
+    return jnp.argmin(jnp.where(facing[None], distance, jnp.inf), axis=1)
 
 
 def _score(
-    view: DepthView,
+    view: ViewTable,
     points_m: jax.Array,
     normals: jax.Array,
     tolerance_m: jax.Array | float,
     rotation: jax.Array,
     offset_m: jax.Array,
 ) -> jax.Array:
-    """Share of the points that should be seen and are, less those that are seen through.
+    """Mean evidence of the points that should be seen."""
+    outward = rotated(rotation, normals)
+    placed = [component + offset_m[axis] for axis, component in enumerate(rotated(rotation, points_m))]
+    should = faces_camera(placed, outward)
+    evidence = _evidence(view, placed, outward, tolerance_m)
+    return jnp.sum(jnp.where(should, evidence, 0.0)) / jnp.maximum(jnp.sum(should), 1)
+
+
+def _evidence(view: ViewTable, point: Vector, outward: Vector, tolerance_m: jax.Array | float) -> jax.Array:
+    """For each point 1 if it is seen where it should be, down to -1 if what is behind it is seen.
 
     Where the table or another object explains the pixel already, to agree with it speaks against the
     object: else every flat one would be found inside the table's top.
     """
-    placed, outward = points_m @ rotation.T + offset_m[None], normals @ rotation.T
-    should = seen(placed, outward)
-    observed = look_up(view, placed)
-    gap = (observed.surface_m[:, 2] - placed[:, 2]) / tolerance_m
-    known = jnp.any(observed.normal != 0, axis=-1)
-    cosine = jnp.sum(observed.normal * outward, axis=-1)
-    alike = jnp.where(known, jnp.clip(cosine, 0, 1) ** 2, 0.5) * jnp.exp(-0.5 * gap**2)
+    observed = look_up(view, point)
+    gap = (observed.depth_m - point[2]) / tolerance_m
+    normal = observed.normal
+    known = dot(normal, normal) > 0
+    cosine = jnp.clip(dot(normal, outward), 0, 1)
+    near = jnp.maximum(1 - (0.5 * gap) ** 2, 0) ** 2
+    alike = jnp.where(known, cosine**2, 0.5) * near
     evidence = jnp.where(observed.unexplained, alike, -TAKEN * alike) - (gap > BEHIND)
-    return jnp.sum(jnp.where(should & observed.measured, evidence, 0.0)) / jnp.maximum(jnp.sum(should), 1)
+    return jnp.where(observed.measured, evidence, 0.0)
 
 
 def _best_everywhere(coarse: jax.Array, anchors: int) -> jax.Array:

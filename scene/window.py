@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from recordings.types import NO_RETURN, CameraIntrinsics
 from shapes.camera import Camera
 
-WINDOW_HEIGHT, WINDOW_WIDTH = 120, 160
-MARGIN_PX = 4
+WINDOW_HEIGHT, WINDOW_WIDTH = 72, 96
+MARGIN_PX = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,0 +1,33 @@
+"""What one frame gives to the search for a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.detection import SupportPlane
+from scene.observation import DepthView
+from scene.window import PixelWindow
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneData:
+    """One frame, prepared.
+
+    Attributes:
+        view: pooled image.
+        foreground: (H, W) bool, the view's pixels that may show an object.
+        window: the pixels on which scenes are compared.
+        window_foreground: its pixels that may show an object.
+        rest_m: the window's background depth: the table's plane, elsewhere what was seen; +inf if nothing.
+        table: None where nothing supports the objects.
+    """
+
+    view: DepthView
+    foreground: NDArray[np.bool_]
+    window: PixelWindow
+    window_foreground: NDArray[np.bool_]
+    rest_m: NDArray[np.float32]
+    table: SupportPlane | None
