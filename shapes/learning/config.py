@@ -42,7 +42,7 @@ class LearnConfig:
     walled: float = 0.1
     unresolved: float = 0.02
     registration_sigma_m: float = 0.0004
-    tracking_sigma_m: float = 0.0015
+    tracking_sigma_m: float = 0.0007
     sweeps: int = 25
     damping: float = 0.3
     noise: DepthNoise = field(default_factory=DepthNoise)

@@ -32,6 +32,11 @@ def distilled(phi: ArrayLike, log_weights: ArrayLike) -> NDArray[np.float64]:
     return np.tensordot(np.exp(np.asarray(log_weights)), np.asarray(phi), axes=1)
 
 
+def used_views(total: int, config: LearnConfig) -> NDArray[np.intp]:
+    """Numbers of the frames that are learned from, spread evenly over all `total`."""
+    return np.unique(np.round(np.linspace(0, total - 1, min(config.views, total))).astype(np.intp))
+
+
 def learn_shape(
     key: jax.Array,
     frames: Iterable[Frame],
@@ -56,7 +61,7 @@ def learn_shape(
         ValueError: there is no object to learn; the message says why.
     """
     total = trajectories.shape[1]
-    chosen = np.unique(np.round(np.linspace(0, total - 1, min(config.views, total))).astype(int))
+    chosen = used_views(total, config)
     wanted = set(chosen.tolist())
     kept = [frame for number, frame in enumerate(frames) if number in wanted]
     if len(kept) != len(chosen):

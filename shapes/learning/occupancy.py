@@ -156,6 +156,10 @@ def _read(
         config.registration_sigma_m,
     )
     arrays = {name: np.asarray(value)[: len(grid)] for name, value in vars(readings).items()}
+    near = (np.abs(arrays["behind_m"]) <= grid.pitch_m).any(axis=1)
+    normal = np.zeros((len(grid), 3), np.float32)
+    in_camera = _normals(view, camera, arrays["column"][near], arrays["row"][near])
+    normal[near] = in_camera @ camera_from_grid[:3, :3]
     direction = (grid.centres_m - np.linalg.inv(camera_from_grid)[:3, 3]).astype(np.float32)
     plane = np.full(len(grid), np.inf, np.float32)
     if grid.on_plane:
@@ -164,7 +168,25 @@ def _read(
         above = eye > height
         plane[above] = arrays["depth_m"][above] * (eye / (eye - height[above]))
     footprint = grid.pitch_m * float(camera.fx) / _distance(grid, reference_from_camera)
-    return ViewReadings(**arrays, direction=direction, plane_depth_m=plane, footprint=footprint)
+    return ViewReadings(
+        **arrays, normal=normal, direction=direction, plane_depth_m=plane, footprint=footprint
+    )
+
+
+def _normals(
+    view: Window, camera: Camera, column: NDArray[np.floating], row: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Unit normals (N, 3) in the camera's axes, towards it, of the surface at the nearest pixels."""
+    height, width = view.planes.valid.shape
+    u = np.clip(np.rint(column).astype(int) - view.corner[0], 0, width - 1)
+    v = np.clip(np.rint(row).astype(int) - view.corner[1], 0, height - 1)
+    inverse = np.asarray(view.planes.inverse_depth)[v, u].astype(np.float64)
+    slope_u, slope_v = np.asarray(view.planes.slope)[:, v, u].astype(np.float64)
+    # 1/z = (A x + B y + C z) / z is a plane A x + B y + C z = 1
+    at_centre = inverse - slope_u * (u + view.corner[0] - float(camera.cx))
+    at_centre -= slope_v * (v + view.corner[1] - float(camera.cy))
+    normal = -np.stack([slope_u * float(camera.fx), slope_v * float(camera.fy), at_centre], axis=-1)
+    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
 
 
 def _distance(grid: VoxelGrid, reference_from_camera: NDArray[np.float64]) -> float:

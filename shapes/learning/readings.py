@@ -30,7 +30,6 @@ class Readings:
         behind_m: (N, 2) depth of the voxel's centre minus that of the surface; positive where hidden.
         sigma_m: (N, 2) standard deviation of `behind_m`.
         association: (N, 2) probability that the ray is on that surface; 0 where there is no reading.
-        normal: (N, 2, 3) of that surface in the grid frame, towards the camera; shorter where it bends.
         column: (N,) image coordinates of the centre.
         row: (N,).
         depth_m: (N,) of the centre.
@@ -39,7 +38,6 @@ class Readings:
     behind_m: jax.Array
     sigma_m: jax.Array
     association: jax.Array
-    normal: jax.Array
     column: jax.Array
     row: jax.Array
     depth_m: jax.Array
@@ -71,11 +69,9 @@ def voxel_readings(
     column = camera.fx * point[:, 0] / z + camera.cx
     row = camera.fy * point[:, 1] / z + camera.cy
     neighbours = [
-        _neighbour(planes, camera, corner, (column, row), (dv, du)) for dv in (0, 1) for du in (0, 1)
+        _neighbour(planes, column - corner[0], row - corner[1], dv, du) for dv in (0, 1) for du in (0, 1)
     ]
-    surface, variance, share, valid, normals = (
-        jnp.stack(part, axis=1) for part in zip(*neighbours, strict=True)
-    )
+    surface, variance, share, valid = (jnp.stack(part, axis=-1) for part in zip(*neighbours, strict=True))
     valid &= before[:, None]
     behind = jnp.where(valid, depth[:, None] - surface, -jnp.inf)
     sigma = jnp.sqrt(variance + registration_sigma_m**2)
@@ -85,31 +81,18 @@ def voxel_readings(
     limit = SPLIT_SIGMAS * jnp.hypot(sigma, jnp.take_along_axis(sigma, nearest, axis=1))
     near = valid & (apart < jnp.maximum(limit, SPLIT_M))
     spare = 1 + UNMEASURED * (1 - measured) / jnp.maximum(measured, 1e-6)
-    layers = [
-        _mean_reading(behind, sigma, normals, jnp.where(kept, share, 0.0)) for kept in (near, valid & ~near)
-    ]
-    mean, deviation, weight, normal = (jnp.stack(part, axis=1) for part in zip(*layers, strict=True))
-    normal = normal @ camera_from_grid[:3, :3]
+    layers = [_mean_reading(behind, sigma, jnp.where(kept, share, 0.0)) for kept in (near, valid & ~near)]
+    mean, deviation, weight = (jnp.stack(part, axis=-1) for part in zip(*layers, strict=True))
     association = jnp.where(weight > 0, weight * spare[:, None], 0.0)
-    return Readings(mean, deviation, association, normal, column, row, depth)
+    return Readings(mean, deviation, association, column, row, depth)
 
 
 def _neighbour(
-    planes: LocalPlanes,
-    camera: Camera,
-    corner: jax.Array,
-    place: tuple[jax.Array, jax.Array],
-    step: tuple[int, int],
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
-    """One of the four pixels round each place (column and row, each (N,)), down and right by `step`.
-
-    Returns:
-        Depth of its plane on the rays, variance of that, bilinear weight and validity, each (N,); unit
-        normal (N, 3) in the camera's axes, towards the camera.
-    """
+    planes: LocalPlanes, column: jax.Array, row: jax.Array, dv: int, du: int
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Depth of one neighbour's plane on the rays, its variance, bilinear weight and validity; each (N,)."""
     height, width = planes.valid.shape
-    column, row = place[0] - corner[0], place[1] - corner[1]
-    u, v = jnp.floor(column) + step[1], jnp.floor(row) + step[0]
+    u, v = jnp.floor(column) + du, jnp.floor(row) + dv
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     index = jnp.clip(v, 0, height - 1).astype(jnp.int32), jnp.clip(u, 0, width - 1).astype(jnp.int32)
     right, down = column - u, row - v
@@ -120,21 +103,16 @@ def _neighbour(
     a, b, c, d, e, f = planes.covariance[(slice(None), *index)]
     variance = a + 2 * (b * right + c * down + e * right * down) + d * right**2 + f * down**2
     magnified = (depth * planes.inverse_depth[index]) ** 4
-    # 1/z = (A x + B y + C z) / z is a plane A x + B y + C z = 1
-    at_centre = inverse - slope[0] * (place[0] - camera.cx) - slope[1] * (place[1] - camera.cy)
-    normal = -jnp.stack([slope[0] * camera.fx, slope[1] * camera.fy, at_centre], axis=-1)
-    normal /= jnp.maximum(jnp.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    return depth, variance * magnified, share, inside & planes.valid[index], normal
+    return depth, variance * magnified, share, inside & planes.valid[index]
 
 
 def _mean_reading(
-    behind: jax.Array, sigma: jax.Array, normals: jax.Array, share: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Mean, standard deviation, weight (N,) and normal (N, 3) of neighbours (N, 4) that see one surface."""
+    behind: jax.Array, sigma: jax.Array, share: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Mean, standard deviation and weight (N,) of neighbours (N, 4) that see one surface."""
     weight = share.sum(axis=1)
     part = share / jnp.maximum(weight, 1e-9)[:, None]
     value = jnp.where(share > 0, behind, 0.0)
     mean = (part * value).sum(axis=1)
     spread = (part * (sigma**2 + (value - mean[:, None]) ** 2)).sum(axis=1)
-    normal = (part[..., None] * normals).sum(axis=1)
-    return mean, jnp.sqrt(jnp.maximum(spread, 1e-12)), weight, normal
+    return mean, jnp.sqrt(jnp.maximum(spread, 1e-12)), weight

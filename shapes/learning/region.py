@@ -221,17 +221,21 @@ def _cloud(
 ) -> NDArray[np.float64]:
     """Points (N, 3) of a thinned depth image in the reference frame."""
     stride = max(1, int(np.sqrt(depth_m.size / POINTS_PER_VIEW)))
-    rows, columns = np.mgrid[0 : intrinsics.height : stride, 0 : intrinsics.width : stride]
-    z = depth_m[::stride, ::stride].astype(np.float64)
-    x, y = (columns - intrinsics.cx) / intrinsics.fx * z, (rows - intrinsics.cy) / intrinsics.fy * z
-    return np.stack([x, y, z], axis=-1)[z != NO_RETURN] @ pose[:3, :3].T + pose[:3, 3]
+    thinned = depth_m[::stride, ::stride]
+    rows, columns = np.nonzero(thinned != NO_RETURN)
+    z = thinned[rows, columns].astype(np.float64)
+    x = (stride * columns - intrinsics.cx) / intrinsics.fx * z
+    y = (stride * rows - intrinsics.cy) / intrinsics.fy * z
+    return np.stack([x, y, z], axis=-1) @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _averaged(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean of the points in every cell that holds two at least, which leaves out lone outliers."""
     if len(points_m) == 0:
         return points_m
-    cell = np.unique(np.floor(points_m / CELL_M).astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
+    cells = np.floor((points_m - points_m.min(axis=0)) / CELL_M).astype(np.int64)
+    number = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    cell = np.unique(number, return_inverse=True)[1].reshape(-1)
     count = np.bincount(cell)
     means = np.stack([np.bincount(cell, points_m[:, axis]) / count for axis in range(3)], axis=1)
     return means[count >= 2]

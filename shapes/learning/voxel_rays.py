@@ -42,7 +42,7 @@ class ViewReadings:
         behind_m: (N, 2).
         sigma_m: (N, 2).
         association: (N, 2).
-        normal: (N, 2, 3).
+        normal: (N, 3) unit, of the surface seen near each centre, in the grid frame; zero where none is near.
         column: (N,).
         row: (N,).
         depth_m: (N,) of the voxels' centres.
@@ -110,7 +110,8 @@ def evidence(
         through = np.where(before, view.association, 0.0).max(axis=1)
         crossed = np.maximum(crossed, through)
         side = ((view.direction * walls).sum(axis=1) > 0).astype(np.int32)
-        log_crossings += np.log1p(-through[:, None] * opacity[side] * (1 - slip))
+        gone = np.flatnonzero(through)
+        log_crossings[gone] += np.log1p(-through[gone, None] * opacity[side[gone]] * (1 - slip))
         hidden |= np.where(measured & (view.behind_m > 0), view.association, 0.0).sum(axis=1) > 0.5
         for layer in range(view.behind_m.shape[1]):
             voxel = np.flatnonzero(measured[:, layer] & (np.abs(view.behind_m[:, layer]) <= band[:, layer]))
@@ -130,13 +131,10 @@ def _wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.
     """Line (N, 3) along which the surfaces near each voxel face, from all views; of either sign."""
     spread = np.zeros((len(grid), 3, 3))
     for view in views:
-        near = (view.association > LEAST_ASSOCIATION) & (np.abs(view.behind_m) <= grid.pitch_m)
-        for layer in range(near.shape[1]):
-            voxel = np.flatnonzero(near[:, layer])
-            weighted = view.normal[voxel, layer] * view.association[voxel, layer, None]
-            spread[voxel] += weighted[:, :, None] * view.normal[voxel, layer, None, :]
+        near = np.flatnonzero(view.normal.any(axis=1))
+        spread[near] += view.normal[near, :, None] * view.normal[near, None, :]
     walls = np.zeros((len(grid), 3))
-    facing = np.flatnonzero(spread[:, 0, 0] + spread[:, 1, 1] + spread[:, 2, 2])
+    facing = np.flatnonzero(np.trace(spread, axis1=1, axis2=2))
     walls[facing] = np.linalg.eigh(spread[facing])[1][:, :, 2]
     return walls
 
