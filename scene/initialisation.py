@@ -31,8 +31,8 @@ from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.template_search import search
 
-ORIENTATIONS, FREE_ORIENTATIONS = 320, 576
-YAWS = 16
+ORIENTATIONS, FREE_ORIENTATIONS = 416, 576
+YAWS = 24
 ANCHORS, CENTRES = 192, 8
 ANCHOR_SPACING_M = 0.012
 CLUSTER_SCALES_M = (0.01, 0.02, 0.04)

@@ -33,6 +33,8 @@ BLOCK = 1024
 """Tiles cast together: their pixels stay in the second-level cache."""
 CANDIDATES = 4096
 """Tiles examined together."""
+FEW_VIEWS, FEWER = 64, 8
+"""So few views touch few tiles: these blocks are then smaller by a factor."""
 
 Carry = TypeVar("Carry")
 Visit = Callable[[Carry, jax.Array, jax.Array, jax.Array, jax.Array], Carry]
@@ -74,31 +76,33 @@ def for_each_block(
     candidates = _candidates(library, posed, cameras, height, width)
     total = candidates.end[-1]
     across = tile_counts(height, width)[1]
+    fewer = FEWER if len(posed) <= FEW_VIEWS else 1
+    block, together = BLOCK // fewer, CANDIDATES // fewer
 
     def examine(state: tuple[jax.Array, Carry]) -> tuple[jax.Array, Carry]:
         following, carry = state
-        view, row, column, known = _numbered(candidates, following)
+        view, row, column, known = _numbered(candidates, following, together)
         rays = tile_rays(library, posed, cameras, view, row, column)
         free = free_depth(library.table, rays)
         order, count = chosen_first(known & jnp.isfinite(free))
 
         def cast(turn: jax.Array, carry: Carry) -> Carry:
-            chosen = jax.lax.dynamic_slice_in_dim(order, turn * BLOCK, BLOCK)
-            valid = turn * BLOCK + jnp.arange(BLOCK, dtype=jnp.int32) < count
+            chosen = jax.lax.dynamic_slice_in_dim(order, turn * block, block)
+            valid = turn * block + jnp.arange(block, dtype=jnp.int32) < count
             clear = jnp.where(valid, free[chosen], jnp.inf)
             depth = first_hits(library.table, jax.tree.map(itemgetter(chosen), rays), clear)
             return visit(carry, view[chosen], (row * across + column)[chosen], depth, valid)
 
-        return following + CANDIDATES, jax.lax.fori_loop(0, -(-count // BLOCK), cast, carry)
+        return following + together, jax.lax.fori_loop(0, -(-count // block), cast, carry)
 
     return jax.lax.while_loop(lambda state: state[0] < total, examine, (jnp.int32(0), carry))[1]
 
 
 def _numbered(
-    candidates: _Candidates, following: jax.Array
+    candidates: _Candidates, following: jax.Array, together: int
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """View, row and column of the `CANDIDATES` tiles from number `following` on, and whether they exist."""
-    number = following + jnp.arange(CANDIDATES, dtype=jnp.int32)
+    """View, row and column of `together` tiles from number `following` on, and whether they exist."""
+    number = following + jnp.arange(together, dtype=jnp.int32)
     views = len(candidates.end)
     view = jnp.searchsorted(candidates.end, number, side="right").astype(jnp.int32)
     known = view < views

@@ -35,7 +35,7 @@ STACKED_SHARE = 1 / 3
 VISIBLE = 0.25
 """Objects of which less is seen are not judged."""
 THRESHOLDS_M = (0.005, 0.01, 0.02)
-TUNING_TABLES, FIRST_TUNING_TABLE = 2, 900_000
+TUNING_TABLES, FIRST_TUNING_TABLE = 1, 900_000
 WARM_UP_TABLE = 950_000
 ON_TABLE_M = 0.006
 MASK_M = 0.012
@@ -82,16 +82,24 @@ class PoseBench:
         self._objects: dict[str, SceneObject] = {}
         self._models = {name: Model.of(mesh) for name, mesh in meshes.items()}
 
-    def measure(self, tables: int, report: Report) -> dict[str, Any]:
-        """The figures of `tables` tables; `report` is told how many of how many are done."""
+    def measure(self, tables: int, report: Report, show: Callable[[str], None]) -> dict[str, Any]:
+        """The figures of `tables` tables.
+
+        Args:
+            tables: how many.
+            report: told how many of how many are done.
+            show: given one line a table, as soon as it is known.
+        """
         tuned = self._tuned()
         warm_up = self.table(WARM_UP_TABLE)
         for config in OURS.values():
             self._parse(warm_up, config)
+        show(f"table  objects; under 1 cm by {', '.join([*OURS, *tuned])}; seconds of voxscene")
         judged: dict[str, list[Judged]] = {}
         seconds: dict[str, list[float]] = {}
         for number in range(tables):
             table = self.table(number)
+            before = {name: len(errors) for name, errors in judged.items()}
             for name, config in OURS.items():
                 started = time.perf_counter()
                 scene = self._parse(table, config)
@@ -101,9 +109,16 @@ class PoseBench:
                 started = time.perf_counter()
                 judged.setdefault(name, []).extend(self._peer(table, register, masked))
                 seconds.setdefault(name, []).append(time.perf_counter() - started)
+            right = [
+                sum(one.error_m < 0.01 for one in errors[before.get(name, 0) :])
+                for name, errors in judged.items()
+            ]
+            counted = len(next(iter(judged.values()))) - next(iter(before.values()), 0)
+            show(f"{number:>5}  {counted:>7}; {' '.join(map(str, right))}; {seconds['voxscene'][-1]:.2f}")
             report(number + 1, tables)
         return {
             "tables": tables,
+            "tuning_tables": TUNING_TABLES,
             "methods": {name: _figures(judged[name], seconds[name]) for name in judged},
         }
 

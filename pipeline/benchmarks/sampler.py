@@ -8,7 +8,8 @@ from the exact distribution set the floor.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,8 @@ from scene.graph_table import GraphTable
 from scene.model import ChainState, SceneModel
 
 OBJECTS = (2, 3, 4)
-CHAINS = 256
+CHAINS, GROUPS = 256, 2
+"""Chains that are compiled together, and groups of them that run side by side."""
 BLOCK = 612
 """Moves of each chain compiled together, whole cycles of the schedule; the first block is dropped."""
 VERIFIED_CHAINS, VERIFIED_MOVES = 64, 240
@@ -73,25 +75,34 @@ def _measure(rng: np.random.Generator, count: int, moves: int) -> SamplerFigures
     models = [
         cube_model(count, likelihood=GraphTable.build(trees, log_values)) for log_values in (no_data, data)
     ]
-    states = [start_chains(key, model, CHAINS) for key, model in zip(start_keys, models, strict=True)]
+    states = [
+        [start_chains(one, model, CHAINS) for one in jax.random.split(key, GROUPS)]
+        for key, model in zip(start_keys, models, strict=True)
+    ]
 
     started = time.perf_counter()
-    block = run_block.lower(run_key, states[0], models[0], kernel, BLOCK, code_of).compile()
+    block = run_block.lower(run_key, states[0][0], models[0], kernel, BLOCK, code_of).compile()
     compiled = time.perf_counter()
 
     def visits(key: jax.Array, model: SceneModel, state: ChainState) -> NDArray[np.int64]:
         counts = np.zeros(len(trees), np.int64)
-        for index in range(1 + -(-moves // (CHAINS * BLOCK))):
+        for index in range(1 + -(-moves // (GROUPS * CHAINS * BLOCK))):
             state, codes, _ = block(jax.random.fold_in(key, index), state, model, kernel)
             if index:
-                counts += (np.asarray(codes).ravel()[:, None] == tree_codes).sum(axis=0)
+                codes, numbers = np.unique(np.asarray(codes), return_counts=True)
+                counts += np.where(codes[:, None] == tree_codes, numbers[:, None], 0).sum(axis=0)
         return counts
 
+    def all_visits(key: jax.Array, model: SceneModel, starts: Sequence[ChainState]) -> NDArray[np.int64]:
+        with ThreadPoolExecutor(GROUPS) as cores:
+            return sum(cores.map(visits, jax.random.split(key, GROUPS), [model] * GROUPS, starts), counts)
+
+    counts = np.zeros(len(trees), np.int64)
     tree_codes = np.asarray(jax.vmap(tree_code)(jnp.asarray(trees)))
-    seen = visits(run_key, models[0], states[0])
+    seen = all_visits(run_key, models[0], states[0])
     seconds = time.perf_counter() - compiled
-    seen_with_data = visits(data_key, models[1], states[1])
-    few = jax.tree.map(lambda leaf: leaf[:VERIFIED_CHAINS], states[1])
+    seen_with_data = all_visits(data_key, models[1], states[1])
+    few = jax.tree.map(lambda leaf: leaf[:VERIFIED_CHAINS], states[1][0])
     _, _, info = run_block(verify_key, few, models[1], kernel, VERIFIED_MOVES, code_of, verify=True)
     prior = np.full(len(trees), 1 / len(trees))
     return SamplerFigures(

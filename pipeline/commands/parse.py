@@ -77,6 +77,12 @@ def command(
     document = stage_document(session.run, "parse")
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]
     lines.append(f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s")
+    if document["r_hat"] is not None:
+        rate = document["effective_samples"] / max(document["seconds"], 1e-3)
+        lines.append(
+            f"R-hat {document['r_hat']:.2f}, {document['effective_samples']:.0f} effective samples"
+            f" of {document['samples']} ({rate:.1f}/s)"
+        )
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
+from scene.convergence import convergence
 from scene.result import FACES, TABLE, SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
@@ -67,8 +68,14 @@ def _scene(scene: SceneResult) -> dict[str, Any]:
     """Objects that were found, and the edges between them, in the camera of the first frame used."""
     found = np.flatnonzero(scene.found)
     names = [*scene.names.tolist(), TABLE]
+    agreement = convergence(scene)
     return {
         "frames": scene.frames.tolist(),
+        "samples": len(scene.sample_poses),
+        "r_hat": agreement.r_hat if np.isfinite(agreement.r_hat) else None,
+        "effective_samples": agreement.effective_samples
+        if np.isfinite(agreement.effective_samples)
+        else None,
         "objects": [
             {
                 "name": names[one],

@@ -36,7 +36,9 @@ def command(common: Common, tables: int, objects: int, meshes: Path | None, unit
     else:
         known = load_meshes(meshes, units)
     with common.progress("poses", "tables") as progress, stdout_to_stderr():
-        document = PoseBench(known, objects, common.seed).measure(tables, progress)
+        document = PoseBench(known, objects, common.seed).measure(
+            tables, progress, lambda line: click.echo(line, err=True)
+        )
     common.report(document, _lines(document))
 
 
