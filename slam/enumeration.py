@@ -7,11 +7,13 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import norm, qmc
 
 LOCAL_ANGLES_RAD = (-0.07, 0.0, 0.07)
 LOCAL_SHIFTS_M = (-0.06, 0.06)
 ORBIT_STEP_DEG = 6
 ORBIT_ELEVATIONS_DEG = (0, 15, 30, 45, 60)
+ORBIT_CLIMBS_DEG = (-30, 0, 30)
 ORBIT_DISTANCES = (0.9, 1.1, 1.35)
 """Distances to the pivot of an orbit, in depths at the image centre."""
 TURNS_DEG = tuple(range(-180, 180, 15))
@@ -26,19 +28,23 @@ def local_grid() -> NDArray[np.float32]:
 
 
 def orbit_steps(distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses last_from_camera (C, 4, 4) on whole circles round points ahead of the last camera.
+    """Poses last_from_camera (C, 4, 4) on circles, level and higher and lower, round points ahead.
 
-    The circle's axis is vertical for a camera that looks down by each of `ORBIT_ELEVATIONS_DEG`.
+    The circle's axis is vertical for a camera that looks down by each of `ORBIT_ELEVATIONS_DEG`; a climb
+    turns the camera about its own horizontal axis through the point.
     """
-    steps = []
     azimuths = np.radians(np.arange(0, 360, ORBIT_STEP_DEG))
+    climbs = Rotation.from_euler("x", np.reshape(ORBIT_CLIMBS_DEG, (-1, 1)), degrees=True).as_matrix()
+    steps = []
     for elevation, distance in itertools.product(np.radians(ORBIT_ELEVATIONS_DEG), distances_m):
         axis = np.asarray([0.0, -np.cos(elevation), -np.sin(elevation)])
         pivot = np.asarray([0.0, 0.0, distance])
-        turn = np.tile(np.eye(4), (len(azimuths), 1, 1))
-        turn[:, :3, :3] = Rotation.from_rotvec(azimuths[:, None] * axis).as_matrix()
-        turn[:, :3, 3] = pivot - turn[:, :3, :3] @ pivot
-        steps.append(turn)
+        round_axis = Rotation.from_rotvec(azimuths[:, None] * axis).as_matrix()
+        turned = (round_axis[:, None] @ climbs[None]).reshape(-1, 3, 3)
+        step = np.tile(np.eye(4), (len(turned), 1, 1))
+        step[:, :3, :3] = turned
+        step[:, :3, 3] = pivot - turned @ pivot
+        steps.append(step)
     return np.concatenate(steps)
 
 
@@ -67,6 +73,22 @@ def anywhere(
     looks[:, :3, :3] = tilted
     returns = (keyframes[:, None] @ looks[None]).reshape(-1, 4, 4)
     return np.concatenate([last @ orbit_steps(distances_m), last @ turns(), returns])
+
+
+def spread(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float) -> NDArray[np.float64]:
+    """Each of poses (C, 4, 4) and `count` around it (C (count + 1), 4, 4), Gaussian in the camera's frame.
+
+    Args:
+        poses: reference_from_camera.
+        count: of a low-discrepancy sequence, which covers six dimensions better than draws.
+        shift_m: standard deviation along each axis.
+        angle_rad: of the rotation vector, along each axis.
+    """
+    normal = norm.ppf(qmc.Halton(d=6, scramble=False).random(count + 1)[1:])
+    offsets = np.tile(np.eye(4), (count + 1, 1, 1))
+    offsets[1:, :3, 3] = shift_m * normal[:, :3]
+    offsets[1:, :3, :3] = Rotation.from_rotvec(angle_rad * normal[:, 3:]).as_matrix()
+    return (poses[:, None] @ offsets[None]).reshape(-1, 4, 4)
 
 
 def distinct(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float) -> NDArray[np.int_]:

@@ -35,7 +35,7 @@ from slam.particles import (
 )
 from slam.proposal import Component, Proposed, component_at, propose_all
 from slam.rigid import matrices_of, poses_of
-from slam.search import GroupMap, Located, Searcher, worth_keeping
+from slam.search import GroupMap, Located, Searcher, distinct_places, worth_keeping
 
 CAPACITY_STEP = 32
 COMPONENT_BUCKETS = (1, 2, 4, 8)
@@ -46,6 +46,7 @@ KEYFRAME_COVERAGE = 0.75
 PREDICTION_HOLD = 0.01
 """`PixelTerms.held_step`'s hold at a trusted prediction."""
 LONGEST_RATIO = 3.0
+WIDE_STEP_RAD = 0.4
 LOOSE_RADIUS = 0.15
 """Relative standard deviation of an orbit's radius that nobody gave."""
 
@@ -93,6 +94,7 @@ class FrameInfo:
         explained: share of returns on the map's surface.
         covered: share of returns that meet the map.
         keyframes: number of keyframes after this frame.
+        keyframe: index of the one that this frame became, if it did.
         components: number of components of the proposal.
     """
 
@@ -110,6 +112,7 @@ class FrameInfo:
     explained: float
     covered: float
     keyframes: int
+    keyframe: int | None
     components: int
 
 
@@ -153,6 +156,7 @@ def _first_frame_info(count: int) -> FrameInfo:
         explained=1.0,
         covered=1.0,
         keyframes=1,
+        keyframe=0,
         components=0,
     )
 
@@ -199,10 +203,11 @@ def step(
         config.ess_threshold,
     )
     lost = found[0].group < 0
+    known = len(state.keyframe_map)
     moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
     if not lost:
         moved = _with_frame_in_map(moved, view, found)
-    return moved, _frame_info(moved, info, proposed, components, found, lost)
+    return moved, _frame_info(moved, known, info, proposed, components, found, lost)
 
 
 def _velocity_ratio(times_ns: tuple[int, int], time_ns: int) -> float:
@@ -255,15 +260,24 @@ def _found(
             starts = [_mean(predicted, group_map.weights)[0], last, *starts]
         found.append(searcher.near(group_map, starts, hold if len(starts) > 1 else 0.0))
     convincing = [located for located in found if located.is_convincing]
-    if not convincing:
+    if not convincing or _step_was_wide(particles, int(np.argmax(weights))):
         everyone = _group_map(state, weights, 0)
         distances = np.asarray(enumeration.ORBIT_DISTANCES) * _central_depth(view)
         found.append(searcher.near(everyone, [state.last_found]))
         found += searcher.anywhere(everyone, state.last_found, distances)
-        convincing = [replace(located, group=0) for located in found]
+        convincing = [replace(located, group=0) for located in distinct_places(found)]
     kept = worth_keeping(convincing, state.calibration.exponent)
     kept.sort(key=lambda located: -float(located.optimum.log_density))
     return kept[: COMPONENT_BUCKETS[-1]] or [replace(found[0], group=-1)]
+
+
+def _step_was_wide(particles: CameraParticles, heaviest: int) -> bool:
+    """Whether a particle's last step turned so far that the next may lead to a place that only looks like it.
+
+    Round an object on a pedestal the last view explains most of the next one, a fifth of a circle on.
+    """
+    first, second = (matrices_of(poses[heaviest]) for poses in (particles.previous_pose, particles.pose))
+    return bool(0.5 * (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) < np.cos(WIDE_STEP_RAD))
 
 
 def _group_map(state: FilterState, weights: NDArray[np.float64], group: int) -> GroupMap:
@@ -332,6 +346,7 @@ def _advance(
 
 def _frame_info(
     state: FilterState,
+    known_keyframes: int,
     info: smc.StepInfo,
     proposed: Proposed,
     components: Component,
@@ -362,6 +377,7 @@ def _frame_info(
         explained=found[0].explained,
         covered=found[0].covered,
         keyframes=len(state.keyframe_map),
+        keyframe=known_keyframes if len(state.keyframe_map) > known_keyframes else None,
         components=0 if lost else len(found),
     )
 

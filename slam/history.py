@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from slam.filter import FilterState, FrameInfo
-from slam.particles import CameraParticles, mean_and_covariance
+from slam.particles import IDENTITY, CameraParticles, mean_and_covariance
 from slam.result import SlamResult
 from slam.rigid import matrices_of
 
@@ -29,7 +29,7 @@ class History:
         self.frames.append(info)
 
     def result(self, state: FilterState) -> SlamResult:
-        """Every frame carried by its anchor keyframe, where the last particles have it.
+        """Every frame carried by the keyframe it is anchored to, or became, where the last particles have it.
 
         A particle's trajectory follows its own ancestors. The marginal of a frame mixes the particles'
         conditional Gaussians, so that it keeps its spread where few ancestors survive.
@@ -38,15 +38,17 @@ class History:
         count = len(state.population.log_weights)
         log_weights = np.asarray(state.population.log_weights, np.float64)
         lineage = np.arange(count)
-        draws = np.empty((count, len(self.frames), 7), np.float32)
-        means = np.empty_like(draws)
-        conditional = np.empty((count, len(self.frames), 6, 6), np.float32)
+        anchor_of = [info.anchor if info.keyframe is None else info.keyframe for info in self.frames]
+        draws = np.tile(np.asarray(IDENTITY, np.float32), (count, len(self.frames), 1))
+        means = draws.copy()
+        conditional = np.zeros((count, len(self.frames), 6, 6), np.float32)
         for index in range(len(self.frames) - 1, -1, -1):
             info = self.frames[index]
-            draws[:, index], means[:, index] = info.relative_poses[lineage], info.relative_means[lineage]
-            conditional[:, index] = info.component_covariances[info.component[lineage]]
+            if info.keyframe is None:
+                draws[:, index], means[:, index] = info.relative_poses[lineage], info.relative_means[lineage]
+                conditional[:, index] = info.component_covariances[info.component[lineage]]
             lineage = info.ancestors[lineage]
-        anchors = particles.keyframe_poses[:, np.asarray([info.anchor for info in self.frames])]
+        anchors = particles.keyframe_poses[:, np.asarray(anchor_of)]
         mean, covariance = _marginals(
             anchors, jnp.asarray(means), state.population.log_weights, jnp.asarray(conditional)
         )

@@ -9,7 +9,8 @@ import jax
 from recordings.types import DepthNoise
 from shapes import depth_noise
 from shapes.camera import Camera
-from slam.depth_view import DepthView, tangent_planes
+from slam.depth_view import DepthView
+from slam.plane_fitting import region_planes, tangent_planes
 
 
 @jax.tree_util.register_dataclass
@@ -40,7 +41,7 @@ class Surface:
 
 def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     """The surface that a single view shows."""
-    planes = tangent_planes(view.depth_m, view.rays, view.camera)
+    planes, _ = region_planes(view, noise)
     variance = depth_noise.standard_deviation(noise, view.depth_m) ** 2
     return Surface(view.depth_m, planes, variance, view.measured, view.rays, view.camera)
 

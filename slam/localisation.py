@@ -40,7 +40,6 @@ from slam.rendering import MapImage, fused_planes, pixels_of, render
 STARTS = 4
 COARSE_STRIDE_PX = 8
 COARSE_SURFACE_SIGMA_M = 0.03
-WIDE_SURFACE_SIGMA_M = 0.06
 COARSE_SCHEDULE = (Passes(4, (8.0, 4.0, 2.0, 2.0)),)
 FINE_SCHEDULE = (Passes(2, (2.0, 1.0, 1.0)), Passes(1, (1.0, 1.0)))
 LEAST_GAIN = 0.2
@@ -248,13 +247,17 @@ def block_variance(scores: jax.Array) -> jax.Array:
 
 @jax.jit
 def log_map_scores(
-    local_map: LocalMap, view: DepthView, noise: DepthNoise, candidates: jax.Array
+    local_map: LocalMap,
+    view: DepthView,
+    noise: DepthNoise,
+    candidates: jax.Array,
+    surface_sigma_m: jax.Array | float,
 ) -> jax.Array:
     """Approximate log densities (C,) of a frame at candidates (C, 7) that may be far apart.
 
     The reverse projection: a point of the frame lies on the surface of some keyframe, or in space that
     a keyframe saw through, or where no keyframe looked. Nothing is rendered for a candidate; the
-    proposal may use this, the weights never do. Surfaces are blurred by `WIDE_SURFACE_SIGMA_M` so that
+    proposal may use this, the weights never do. Surfaces are blurred by `surface_sigma_m` so that
     a coarse grid of candidates cannot step over a mode.
     """
     every = slice(COARSE_STRIDE_PX // 2, None, COARSE_STRIDE_PX)
@@ -262,7 +265,7 @@ def log_map_scores(
     log_unknown = log_unknown_factors(observed, expected_from_the_left(observed), noise).ravel()
     rays, depth = view.rays[:, every, every].reshape(3, -1), observed.ravel()
     returned = depth > NO_RETURN
-    sigma = jnp.hypot(depth_noise.standard_deviation(noise, depth), WIDE_SURFACE_SIGMA_M)
+    sigma = jnp.hypot(depth_noise.standard_deviation(noise, depth), surface_sigma_m)
     log_contradicted = jnp.log(noise.outlier_probability / noise.max_range_m)
 
     def score(candidate: jax.Array) -> jax.Array:

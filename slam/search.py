@@ -13,7 +13,7 @@ from recordings.types import DepthNoise
 from slam import enumeration
 from slam.depth_view import DepthView, framing
 from slam.keyframe_map import KeyframeMap, selected_keyframes
-from slam.localisation import LocalMap, Optimum, local_optimum, log_map_scores
+from slam.localisation import LocalMap, Optimum, local_optimum, log_map_scores, optimum_at
 from slam.particles import mean_keyframes
 from slam.rigid import matrices_of, poses_of
 
@@ -27,6 +27,11 @@ PLAUSIBLE_COVERED = 0.1
 WIDE_REFINED = 6
 WIDE_KEYFRAMES = 8
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
+WIDE_SURFACE_SIGMA_M = 0.06
+NARROWING = ((96, 31, 0.05, 0.07, 0.04), (48, 31, 0.025, 0.035, 0.03), (32, 31, 0.012, 0.015, 0.02))
+"""Rounds of the search anywhere: how many of the best places are kept, how many poses are tried around each,
+their spread in metres and radians, and the surfaces' blur in metres. The grid is coarser than the modes: the
+right place may be the three hundredth on it (measured)."""
 FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
 REFINEMENTS = 3
 """Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
@@ -127,19 +132,28 @@ class Searcher:
         indices, local_map = self._local_map(group, starts[0])
         grid = jnp.asarray(enumeration.local_grid())
         optimum = local_optimum(local_map, self.view, self.noise, starts, grid, hold)
-        return Located(optimum, indices, local_map, group.group)
+        found = Located(optimum, indices, local_map, group.group)
+        return found if hold > 0 else max(found, self._at(group, starts[0]), key=_log_density)
+
+    def _at(self, group: GroupMap, pose: jax.Array) -> Located:
+        """The optimum next to a pose, which alignment on associated points may leave."""
+        indices, local_map = self._local_map(group, pose)
+        return Located(optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group)
 
     def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
         """Distinct optima anywhere in the map, best first."""
         candidates = enumeration.anywhere(matrices_of(last), group.representative, distances_m)
-        scores = self._map_scores(group, candidates)
-        order = np.argsort(-scores, kind="stable")[: 40 * WIDE_REFINED]
-        chosen = enumeration.distinct(candidates[order], WIDE_REFINED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)
-        found = [self.near(group, [poses_of(candidates[order[index]])]) for index in chosen]
-        found.sort(key=lambda located: -float(located.optimum.log_density))
-        poses = np.stack([matrices_of(located.optimum.pose) for located in found])
-        kept = enumeration.distinct(poses, WIDE_REFINED, SAME_SHIFT_M, SAME_ANGLE_RAD)
-        return [found[index] for index in kept]
+        scores = self._map_scores(group, candidates, WIDE_SURFACE_SIGMA_M)
+        ranked = candidates[np.argsort(-scores, kind="stable")]
+        places = ranked[enumeration.distinct(ranked, NARROWING[0][0], WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
+        for kept, times, shift_m, angle_rad, sigma_m in NARROWING:
+            tried = enumeration.spread(places[:kept], times, shift_m, angle_rad)
+            scores = self._map_scores(group, tried, sigma_m).reshape(-1, times + 1)
+            best = np.argsort(-scores.max(axis=1), kind="stable")
+            places = tried.reshape(-1, times + 1, 4, 4)[best, scores.argmax(axis=1)[best]]
+        climbed = distinct_places([self._at(group, poses_of(pose)) for pose in places])
+        found = [self.near(group, [located.optimum.pose]) for located in climbed[:WIDE_REFINED]]
+        return distinct_places(found)
 
     def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
         chosen = selected_keyframes(
@@ -155,7 +169,9 @@ class Searcher:
         poses = mean_keyframes(group.keyframe_poses[:, indices], group.weights)
         return indices, LocalMap(self.keyframe_map.stacked(indices), jnp.asarray(present), poses)
 
-    def _map_scores(self, group: GroupMap, candidates: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _map_scores(
+        self, group: GroupMap, candidates: NDArray[np.float64], surface_sigma_m: float
+    ) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
         room = -(-len(candidates) // 256) * 256
         padded = poses_of(
@@ -165,7 +181,7 @@ class Searcher:
         for first in range(0, len(self.keyframe_map), WIDE_KEYFRAMES):
             chosen = np.arange(first, min(first + WIDE_KEYFRAMES, len(self.keyframe_map)))
             _, local_map = self._stacked(group, chosen, WIDE_KEYFRAMES)
-            scores.append(log_map_scores(local_map, self.view, self.noise, padded))
+            scores.append(log_map_scores(local_map, self.view, self.noise, padded, surface_sigma_m))
         return np.max([np.asarray(score) for score in scores], axis=0)[: len(candidates)]
 
 
@@ -174,6 +190,20 @@ def _is_near(pose: jax.Array, start: jax.Array) -> bool:
     relative = np.linalg.inv(matrices_of(start)) @ matrices_of(pose)
     shift = np.linalg.norm(relative[:3, 3])
     return bool(shift < FAR_SHIFT_M and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(FAR_ANGLE_RAD))
+
+
+def _log_density(located: Located) -> float:
+    return float(located.optimum.log_density)
+
+
+def distinct_places(found: list[Located]) -> list[Located]:
+    """Optima that differ from each other, the best first; those that left the numbers are dropped."""
+    finite = [located for located in found if np.isfinite(np.asarray(located.optimum.pose)).all()]
+    ranked = sorted(finite, key=_log_density, reverse=True)
+    if not ranked:
+        return []
+    poses = np.stack([matrices_of(located.optimum.pose) for located in ranked])
+    return [ranked[i] for i in enumeration.distinct(poses, len(ranked), SAME_SHIFT_M, SAME_ANGLE_RAD)]
 
 
 def worth_keeping(found: list[Located], exponent: float) -> list[Located]:

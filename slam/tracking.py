@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 import jax
 import numpy as np
 
-from recordings.types import NO_RETURN, CameraIntrinsics, Frame
+from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam import filter as camera_filter
 from slam.config import SlamConfig
-from slam.depth_view import view_of_frame
+from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
 from slam.filter import FilterState, FrameInfo
 from slam.history import History
-from slam.loop_repair import repaired
+from slam.joint_refinement import refined
 from slam.odometry import KissOdometry
 from slam.result import SlamResult
 
@@ -42,6 +42,7 @@ def track(
     state: FilterState | None = None
     has_return = False
     history = History()
+    keyframe_views: list[DepthView] = []
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, frame in enumerate(frames):
         has_return = has_return or bool(np.any(frame.depth_m != NO_RETURN))
@@ -53,11 +54,14 @@ def track(
             frame_key = jax.random.fold_in(key, index)
             state, info = camera_filter.step(frame_key, state, view, frame.time_ns, config, motion)
         history.append(frame.time_ns, info)
+        if info.keyframe is not None:
+            keyframe_views.append(view_of_frame(frame, intrinsics, FINE_CANVAS))
         if on_frame is not None:
             on_frame(info)
     if state is None:
         raise ValueError("the recording has no depth frame")
     if not has_return:
         raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
-    repair_key = jax.random.fold_in(key, len(history.frames))
-    return history.result(repaired(repair_key, state, config.keyframes_compared))
+    refinement_key = jax.random.fold_in(key, len(history.frames))
+    state = refined(refinement_key, state, keyframe_views, config.noise or DepthNoise())
+    return history.result(state)

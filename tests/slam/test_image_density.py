@@ -9,7 +9,7 @@ from scipy.integrate import trapezoid
 from recordings.types import DepthNoise
 from slam import pose_gaussian
 from slam.alignment import depth_and_jacobian, pixel_terms
-from slam.depth_view import block_reduce, tangent_planes, view_of_frame
+from slam.depth_view import block_reduce, view_of_frame
 from slam.image_density import (
     expected_from_the_left,
     log_hit_factors,
@@ -20,6 +20,7 @@ from slam.image_density import (
 )
 from slam.keyframes import surface_of
 from slam.localisation import LocalMap, optimum_at
+from slam.plane_fitting import tangent_planes
 from slam.rendering import depth_on_rays, fused_planes, planes_in_frame, render
 from slam.rigid import poses_of
 from tests.slam import box_room

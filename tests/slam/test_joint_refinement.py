@@ -1,4 +1,4 @@
-"""Loop repair on a filter state whose drift is known."""
+"""Joint refinement of keyframes on a filter state whose drift is known."""
 
 from dataclasses import replace
 
@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from recordings.types import DepthNoise
 from slam import filter as camera_filter
 from slam.config import SlamConfig
-from slam.depth_view import view_of_frame
+from slam.depth_view import FINE_CANVAS, view_of_frame
 from slam.filter import FilterState
-from slam.loop_repair import repaired
+from slam.joint_refinement import refined
 from slam.rigid import matrices_of, poses_of
 from tests.slam import box_room
 
@@ -20,13 +21,18 @@ DRIFT_M = 0.004
 """A keyframe after another."""
 
 
+NOISE = DepthNoise()
 POSES = np.stack([box_room.pose(0.12 * i, 0.05 * i, -0.5, 0.21 * i) for i in range(4)])
+
+
+FRAMES = box_room.frames(POSES, seed=3)
+VIEWS = [view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS) for frame in FRAMES]
 
 
 @pytest.fixture(scope="module")
 def tracked() -> FilterState:
     """Four keyframes that overlap."""
-    frames = box_room.frames(POSES, seed=3)
+    frames = FRAMES
     views = [view_of_frame(frame, box_room.INTRINSICS) for frame in frames]
     state, _ = camera_filter.init(views[0], frames[0].time_ns, CONFIG)
     for index, (view, frame) in enumerate(zip(views[1:], frames[1:], strict=True)):
@@ -59,7 +65,7 @@ def test_drift_is_undone(key, tracked):
     assert len(tracked.keyframe_map) == len(POSES)
     drifted = _drifted(tracked)
 
-    after = repaired(key, drifted, CONFIG.keyframes_compared)
+    after = refined(key, drifted, VIEWS, NOISE)
 
     assert _errors_m(after)[0] == 0.0
     assert _errors_m(after).max() < 0.65 * _errors_m(drifted).max()
@@ -68,7 +74,7 @@ def test_drift_is_undone(key, tracked):
 
 def test_equal_keys_give_equal_poses(key, tracked):
     """Repair draws from its key alone."""
-    first, second = (repaired(jax.random.clone(key), tracked, CONFIG.keyframes_compared) for _ in range(2))
+    first, second = (refined(jax.random.clone(key), tracked, VIEWS, NOISE) for _ in range(2))
     np.testing.assert_array_equal(
         np.asarray(first.population.particles.keyframe_poses),
         np.asarray(second.population.particles.keyframe_poses),
@@ -79,7 +85,7 @@ def test_a_lone_keyframe_stays(key):
     """Without overlaps there is nothing to repair."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     state, _ = camera_filter.init(view, 0, CONFIG)
-    after = repaired(key, state, CONFIG.keyframes_compared)
+    after = refined(key, state, VIEWS[:1], NOISE)
     assert jnp.array_equal(
         after.population.particles.keyframe_poses, state.population.particles.keyframe_poses
     )

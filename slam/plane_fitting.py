@@ -1,0 +1,176 @@
+"""Planes through the pixels of a depth image.
+
+A surface element is a plane vector N (3,) in some camera frame: the points P with N . P = 1. It renders
+along a ray d (scaled to z = 1) as the depth 1 / (N . d), moves between frames by a matrix product
+(`slam.rendering`), and a vector of zeros is the plane at infinity: the pixel that meets nothing. In a
+pinhole image of a plane, inverse depth is affine in the pixel, 1/z = N . d, so that N is a linear
+least-squares fit over the window's pixels that lie on the same surface.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+
+from recordings.types import NO_RETURN, DepthNoise
+from shapes import depth_noise
+from shapes.camera import Camera
+from slam.components import dot
+from slam.depth_view import DepthView
+
+WINDOW_RADIUS_PX = 3
+DEPTH_BANDS = (0.04, 0.01)
+"""Relative distances from a pixel's tangent plane within which neighbours belong to it, pass by pass."""
+WIDE_STEPS, WIDE_STEP_PX = 2, 4
+WIDE_TURN = 0.06
+"""Difference in orientation, radians, within which two windows lie on one plane."""
+
+REGION_STEPS_PX = (4, 8, 16)
+REGION_TURNS = (0.08, 0.05, 0.04)
+"""Rounds of averaging over ever wider surroundings, and how far orientations may differ in each."""
+ON_PLANE_SIGMAS = 3.5
+LEAST_WINDOW_PIXELS = 12
+LEAST_REGION = 300.0
+"""Product of the rounds' counts of alike neighbours, at most 25 each, from which on a region is a plane."""
+
+
+def tangent_planes(depth_m: jax.Array, rays: jax.Array, camera: Camera) -> jax.Array:
+    """Plane vectors (3, H, W) through each measured point, oriented by its window; zeros elsewhere.
+
+    A second pass drops the pixels that the first plane does not explain, which keeps creases sharp. Only
+    the orientation is smoothed: planes that do not pass through their points round the creases (measured:
+    millimetres).
+    """
+    inverse_depth = _inverse(depth_m)
+    fit = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
+    for band in DEPTH_BANDS:
+        fit, _ = _window_fit(inverse_depth, fit, camera, band * inverse_depth, WINDOW_RADIUS_PX)
+    slope_x, slope_y = _widened(fit[:2], inverse_depth, camera)
+    return jnp.where(depth_m > NO_RETURN, _through_points(slope_x, slope_y, inverse_depth, rays), 0.0)
+
+
+@jax.jit
+def region_planes(view: DepthView, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:
+    """Plane vectors (3, H, W) averaged over flat regions, zeros at edges, and the regions' sizes (H, W).
+
+    A plane has the same N everywhere, so that windows which explain each other's pixels within the noise
+    may share one, offset included. It matters for views far apart that have little but a table top in
+    common: noise of N passes for information on motion along it, and biases the rest. Where a region is
+    small the surface may be curved: planes then pass through their own points, and the size is 1.
+    """
+    inverse_depth, rays, camera = _inverse(view.depth_m), view.rays, view.camera
+    sigma = depth_noise.standard_deviation(noise, view.depth_m)
+    tolerance = ON_PLANE_SIGMAS * sigma * inverse_depth**2
+    fit = jnp.zeros((3, *inverse_depth.shape), inverse_depth.dtype)
+    fit, _ = _window_fit(inverse_depth, fit, camera, DEPTH_BANDS[0] * inverse_depth, WINDOW_RADIUS_PX - 1)
+    fit, count = _window_fit(inverse_depth, fit, camera, tolerance, WINDOW_RADIUS_PX)
+    offset = inverse_depth + fit[2] - fit[0] * rays[0] - fit[1] * rays[1]
+    planes = jnp.stack([fit[0], fit[1], offset])
+    on_plane = (inverse_depth > 0) & (count >= LEAST_WINDOW_PIXELS) & (jnp.abs(fit[2]) < tolerance)
+    size = jnp.ones_like(inverse_depth)
+    for step_px, turn in zip(REGION_STEPS_PX, REGION_TURNS, strict=True):
+        planes, alike = _averaged(planes, on_plane, inverse_depth, view, tolerance, step_px, turn)
+        size *= jnp.maximum(alike, 1.0)
+    on_plane &= jnp.abs(dot(planes, rays) - inverse_depth) < tolerance
+    flat = on_plane & (size >= LEAST_REGION)
+    own = _through_points(planes[0], planes[1], inverse_depth, rays)
+    planes = jnp.where(flat[None], planes, own)
+    return jnp.where((inverse_depth > 0)[None], planes, 0.0), jnp.where(
+        flat, size, jnp.where(on_plane, 1.0, 0.0)
+    )
+
+
+def _inverse(depth_m: jax.Array) -> jax.Array:
+    known = depth_m > NO_RETURN
+    return jnp.where(known, 1.0 / jnp.where(known, depth_m, 1.0), 0.0)
+
+
+def _through_points(
+    slope_x: jax.Array, slope_y: jax.Array, inverse_depth: jax.Array, rays: jax.Array
+) -> jax.Array:
+    return jnp.stack([slope_x, slope_y, inverse_depth - slope_x * rays[0] - slope_y * rays[1]])
+
+
+def _widened(slopes: jax.Array, inverse_depth: jax.Array, camera: Camera) -> jax.Array:
+    """Slopes (2, H, W) averaged with those of alike, coplanar pixels a few windows around.
+
+    Along a bare wall noise of N passes for information on motion that leaves no trace.
+    """
+    reach, shape = WIDE_STEPS * WIDE_STEP_PX, inverse_depth.shape
+    padded = jnp.pad(jnp.concatenate([slopes, inverse_depth[None]]), ((0, 0), (reach, reach), (reach, reach)))
+    steps = range(0, 2 * reach + 1, WIDE_STEP_PX)
+    total, weight = jnp.zeros_like(slopes), jnp.zeros_like(inverse_depth)
+    for row, column in itertools.product(steps, steps):
+        x, y = (column - reach) / camera.fx, (row - reach) / camera.fy
+        around = padded[:, row : row + shape[0], column : column + shape[1]]
+        off_plane = jnp.abs(around[2] - inverse_depth - slopes[0] * x - slopes[1] * y)
+        turn = jnp.maximum(jnp.abs(around[0] - slopes[0]), jnp.abs(around[1] - slopes[1]))
+        alike = (around[2] > 0) & (turn < WIDE_TURN * inverse_depth)
+        alike &= off_plane <= DEPTH_BANDS[-1] * inverse_depth
+        total += jnp.where(alike[None], around[:2], 0.0)
+        weight += alike
+    return total / jnp.maximum(weight, 1.0)[None]
+
+
+def _averaged(
+    planes: jax.Array,
+    on_plane: jax.Array,
+    inverse_depth: jax.Array,
+    view: DepthView,
+    tolerance: jax.Array,
+    step_px: int,
+    most_turn: float,
+) -> tuple[jax.Array, jax.Array]:
+    """Planes (3, H, W) averaged with those of a 5 x 5 lattice around that are alike, and how many (H, W)."""
+    reach, shape = 2 * step_px, inverse_depth.shape
+    channels = jnp.concatenate([planes, inverse_depth[None], on_plane[None].astype(planes.dtype)])
+    padded = jnp.pad(channels, ((0, 0), (reach, reach), (reach, reach)))
+    steps = range(0, 2 * reach + 1, step_px)
+    total, count = jnp.zeros_like(planes), jnp.zeros_like(inverse_depth)
+    for row, column in itertools.product(steps, steps):
+        x, y = (column - reach) / view.camera.fx, (row - reach) / view.camera.fy
+        around = padded[:, row : row + shape[0], column : column + shape[1]]
+        neighbour = around[:3]
+        explained_by_it = jnp.abs(dot(neighbour, view.rays) - inverse_depth) < tolerance
+        there = dot(planes, view.rays) + planes[0] * x + planes[1] * y
+        explains_it = jnp.abs(there - around[3]) < tolerance
+        turn = jnp.maximum(jnp.abs(neighbour[0] - planes[0]), jnp.abs(neighbour[1] - planes[1]))
+        alike = (around[4] > 0) & explained_by_it & explains_it & (turn < most_turn * inverse_depth)
+        total += jnp.where(alike[None], neighbour, 0.0)
+        count += alike
+    return jnp.where((count > 0)[None], total / jnp.maximum(count, 1.0)[None], planes), count
+
+
+def _window_fit(
+    inverse_depth: jax.Array, fit: jax.Array, camera: Camera, tolerance: jax.Array, radius_px: int
+) -> tuple[jax.Array, jax.Array]:
+    """Slopes of inverse depth over the ray's x and y, and its rise over the pixel itself (3, H, W).
+
+    Neighbours count that lie within `tolerance` (H, W) of the given `fit`; their number (H, W) is returned.
+    """
+    shape, side = inverse_depth.shape, 2 * radius_px + 1
+    padded = jnp.pad(inverse_depth, radius_px)
+    spacing_x, spacing_y = 1.0 / camera.fx, 1.0 / camera.fy
+
+    def accumulate(moments: jax.Array, row: jax.Array) -> tuple[jax.Array, None]:
+        y = (row - radius_px).astype(inverse_depth.dtype) * spacing_y
+        for column in range(side):
+            x = (column - radius_px) * spacing_x
+            neighbour = jax.lax.dynamic_slice(padded, (row, column), shape)
+            rise = neighbour - inverse_depth
+            off_plane = jnp.abs(rise - fit[2] - fit[0] * x - fit[1] * y)
+            weight = jnp.where((neighbour > 0) & (off_plane <= tolerance), 1.0, 0.0)
+            weighted_rise = weight * rise
+            terms = [weight, weight * x, weight * y, weight * (x * x), weight * (x * y), weight * (y * y)]
+            moments += jnp.stack([*terms, weighted_rise, x * weighted_rise, y * weighted_rise])
+        return moments, None
+
+    moments, _ = jax.lax.scan(accumulate, jnp.zeros((9, *shape), inverse_depth.dtype), jnp.arange(side))
+    x, y, xx, xy, yy, w, xw, yw = moments[1:] / jnp.maximum(moments[:1], 1.0)
+    xx, xy, yy = xx - x * x + 1e-3 * spacing_x**2, xy - x * y, yy - y * y + 1e-3 * spacing_y**2
+    xw, yw = xw - x * w, yw - y * w
+    determinant = xx * yy - xy * xy
+    slope_x, slope_y = (yy * xw - xy * yw) / determinant, (xx * yw - xy * xw) / determinant
+    return jnp.stack([slope_x, slope_y, w - slope_x * x - slope_y * y]), moments[0]
