@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import TypeVar
 
 import jax
@@ -24,17 +23,17 @@ from shapes.ray_casting import (
     chosen_first,
     first_hits,
     free_depth,
+    gathered,
+    image_rays,
     in_single_precision,
     tile_rays,
 )
 from shapes.tiles import TILE, tile_counts
 
-BLOCK = 1024
-"""Tiles cast together: their pixels stay in the second-level cache."""
-CANDIDATES = 4096
-"""Tiles examined together."""
-FEW_VIEWS, FEWER = 64, 8
-"""So few views touch few tiles: these blocks are then smaller by a factor."""
+LEAST_BLOCK, LARGEST_BLOCK = 128, 4096
+"""Tiles cast together: starting a kernel costs little beside them, and their pixels stay in the cache."""
+TILES_OF_A_VIEW = 8
+"""Where there are few views, blocks are smaller."""
 
 Carry = TypeVar("Carry")
 Visit = Callable[[Carry, jax.Array, jax.Array, jax.Array, jax.Array], Carry]
@@ -73,16 +72,18 @@ def for_each_block(
         carry: its first value.
     """
     posed, cameras = in_single_precision(posed, cameras)
+    images = image_rays(library, posed, cameras)
     candidates = _candidates(library, posed, cameras, height, width)
     total = candidates.end[-1]
+    block = 1 << (len(posed) * TILES_OF_A_VIEW - 1).bit_length()
+    block = min(max(block, LEAST_BLOCK), LARGEST_BLOCK)
+    examined = 2 * block
     across = tile_counts(height, width)[1]
-    fewer = FEWER if len(posed) <= FEW_VIEWS else 1
-    block, together = BLOCK // fewer, CANDIDATES // fewer
 
     def examine(state: tuple[jax.Array, Carry]) -> tuple[jax.Array, Carry]:
         following, carry = state
-        view, row, column, known = _numbered(candidates, following, together)
-        rays = tile_rays(library, posed, cameras, view, row, column)
+        view, row, column, known = _numbered(candidates, following + jnp.arange(examined, dtype=jnp.int32))
+        rays = tile_rays(images, view, row, column)
         free = free_depth(library.table, rays)
         order, count = chosen_first(known & jnp.isfinite(free))
 
@@ -90,19 +91,18 @@ def for_each_block(
             chosen = jax.lax.dynamic_slice_in_dim(order, turn * block, block)
             valid = turn * block + jnp.arange(block, dtype=jnp.int32) < count
             clear = jnp.where(valid, free[chosen], jnp.inf)
-            depth = first_hits(library.table, jax.tree.map(itemgetter(chosen), rays), clear)
+            depth = first_hits(library.table, gathered(rays, chosen), clear)
             return visit(carry, view[chosen], (row * across + column)[chosen], depth, valid)
 
-        return following + together, jax.lax.fori_loop(0, -(-count // block), cast, carry)
+        return following + examined, jax.lax.fori_loop(0, -(-count // block), cast, carry)
 
     return jax.lax.while_loop(lambda state: state[0] < total, examine, (jnp.int32(0), carry))[1]
 
 
 def _numbered(
-    candidates: _Candidates, following: jax.Array, together: int
+    candidates: _Candidates, number: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """View, row and column of `together` tiles from number `following` on, and whether they exist."""
-    number = following + jnp.arange(together, dtype=jnp.int32)
+    """View, row and column of tiles by number, and whether they exist."""
     views = len(candidates.end)
     view = jnp.searchsorted(candidates.end, number, side="right").astype(jnp.int32)
     known = view < views
