@@ -1,8 +1,8 @@
 """Hypotheses rendered and scored a second, beside Embree with NumPy on the same poses.
 
 Every call gets poses that were never seen before, results reach the host, and compile time is apart. What is
-called is `scene.likelihood` on whole scenes; the chains of `parse` use the same rays and sensor density, but
-keep the layers of objects that did not move (`scene.depth_images`).
+called is `scene.likelihood` on whole scenes. The chains and searches of `parse` keep the layers of objects
+that did not move, so they call `render_layers`, the same rays without the fused density: it has a figure too.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ import numpy as np
 
 from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
 from pipeline.benchmarks.lathe import mug
+from pipeline.benchmarks.roofline import measure_roofline
 from scene.distance_score import distance_score
 from scene.likelihood import log_likelihood, log_likelihood_of_scenes
+from shapes.depth_rendering import render_layers
 from shapes.object_library import joined, library_of_mesh
 
 SIDES = (50, 100, 200)
@@ -46,7 +48,7 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
     library = library_of_mesh(vertices, faces)
     problems = {side: problem(library, side, rng) for side in SIDES}
     steps = iter(range(1, 100))
-    total = len(SIDES) + 1 + 2 * len(OBJECTS) + len(VOXELS) + len(SIDES) + 1
+    total = 3 * len(SIDES) + 1 + 2 * len(OBJECTS) + len(VOXELS) + len(SIDES) + 1
 
     def told(figure: Any) -> Any:
         report(next(steps), total)
@@ -54,6 +56,8 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
 
     compile_s = told(compile_seconds(problems[SIDES[-1]], rng))
     by_side = {str(side): told(likelihood_rate(problems[side], rng)) for side in SIDES}
+    layers = {str(side): told(layer_rate(problems[side], rng)) for side in SIDES}
+    roofline = {str(side): told(measure_roofline(problems[side], rng)) for side in SIDES}
     field = told(distance_field_rate(problems[SIDES[1]], rng))
     crowds = {count: problem(joined([library] * count), SIDES[1], rng) for count in OBJECTS}
     one_moved = {str(count): told(likelihood_rate(crowd, rng)) for count, crowd in crowds.items()}
@@ -71,7 +75,12 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
         "embree_per_second": {side: one.get("whole_image", {}).get("median") for side, one in peer.items()},
         "compile_s": compile_s["fresh"],
         "compile_cached_s": compile_s["cached"],
-        "spread": {"hypotheses_per_second": by_side, "distance_field_per_second": field},
+        "spread": {
+            "hypotheses_per_second": by_side,
+            "layers_per_second": layers,
+            "distance_field_per_second": field,
+        },
+        "roofline": roofline,
         "growth": {
             "objects_one_moved_per_second": one_moved,
             "objects_all_moved_per_second": all_moved,
@@ -89,6 +98,18 @@ def likelihood_rate(task: Problem, rng: np.random.Generator) -> Rate:
         return log_likelihood(task.library, NOISE, task.evidence, hypotheses)
 
     return _rate(score, lambda: task.hypotheses(rng, count), count)
+
+
+def layer_rate(task: Problem, rng: np.random.Generator) -> Rate:
+    """Depth layers a second, as the chains and searches of `parse` ask for them."""
+    count = HYPOTHESES[task.intrinsics.width] // 8
+    height, width = task.evidence.height, task.evidence.width
+
+    def covered(hypotheses: Any) -> jax.Array:
+        layers = render_layers(task.library, hypotheses, task.evidence.cameras, height, width)
+        return jnp.isfinite(layers).sum(axis=(1, 2))
+
+    return _rate(covered, lambda: task.hypotheses(rng, count), count)
 
 
 def scene_rate(task: Problem, objects: int, rng: np.random.Generator) -> Rate:

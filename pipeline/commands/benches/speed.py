@@ -37,6 +37,16 @@ def _lines(document: dict[str, Any]) -> list[str]:
         peer = document["embree"][side]
         cells = [_cell(rate), _cell(peer.get("whole_image")), _cell(peer.get("under_sphere"))]
         lines.append(f"{side + ' px':<28}" + "".join(f"{cell:>30}" for cell in cells))
+    for side, rate in document["spread"]["layers_per_second"].items():
+        lines.append(f"{side + ' px, layers alone':<28}{_cell(rate):>30}")
+    for side, roof in document["roofline"].items():
+        lines.append(
+            f"{side + ' px, no more than':<28}{roof['bound_per_second']:>30,.0f}  "
+            f"{roof['covered_pixels']:.0f} pixels covered, {roof['bytes'] / 1e3:.1f} kB, "
+            f"{roof['operations'] / 1e3:.0f} thousand operations; "
+            f"{roof['lookups_per_second'] / 1e6:.0f} M look-ups, {roof['densities_per_second'] / 1e6:.0f} M "
+            f"densities, {roof['scatters_per_second'] / 1e6:.0f} M scatters a second"
+        )
     skipped = [peer["skipped"] for peer in document["embree"].values() if "skipped" in peer]
     lines += [f"Embree: {skipped[0]}"] if skipped else []
     field = document["spread"]["distance_field_per_second"]

@@ -6,11 +6,14 @@ import sys
 import numpy as np
 import pytest
 
+import scene.depth_images
 import scene.distance_score
 import scene.likelihood
+import scene.rendering
 from pipeline.benchmarks import speed
 from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
 from pipeline.benchmarks.lathe import mug
+from pipeline.benchmarks.roofline import measure_roofline
 from pipeline.peers.embree_scoring import EmbreeScorer
 from shapes.object_library import library_of_mesh
 
@@ -28,6 +31,21 @@ def test_it_calls_the_likelihoods_of_the_scene_package() -> None:
     assert speed.log_likelihood is scene.likelihood.log_likelihood
     assert speed.log_likelihood_of_scenes is scene.likelihood.log_likelihood_of_scenes
     assert speed.distance_score is scene.distance_score.distance_score
+
+
+def test_it_calls_the_rendering_that_parse_calls() -> None:
+    """Chains and searches render layers by the function that has a figure of its own."""
+    assert speed.render_layers is scene.depth_images.render_layers
+    assert speed.render_layers is scene.rendering.render_layers
+
+
+def test_the_roofline_is_the_time_of_one_look_up_and_one_density_a_pixel(task: Problem) -> None:
+    """The bound follows from the rates and the covered pixels, which lie in the object's circle."""
+    roof = measure_roofline(task, np.random.default_rng(15))
+    pixel = 1 / roof["lookups_per_second"] + 1 / roof["densities_per_second"]
+
+    assert 50 < roof["covered_pixels"] < np.pi * (50 / 6) ** 2
+    np.testing.assert_allclose(roof["bound_per_second"] * roof["covered_pixels"] * pixel, 1.0)
 
 
 def test_it_imports_jax_numpy_and_click_alone() -> None:
