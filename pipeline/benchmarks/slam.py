@@ -6,7 +6,7 @@ real rows with the one that does best on the recording itself, which favours the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -31,10 +31,10 @@ Report = Callable[[int, int | None], None]
 Errors = dict[str, float]
 
 
-def measure_slam(
+def slam_rows(
     rows: Sequence[Row], peers: Sequence[str], rooms: int, seed: int, report: Report
-) -> dict[str, Any]:
-    """The table: for each row its runs, or why it was skipped.
+) -> Iterator[dict[str, Any]]:
+    """The table, a row as soon as it is measured: its runs, or why it was skipped.
 
     Args:
         rows: real ones first.
@@ -44,7 +44,7 @@ def measure_slam(
         report: is told how many of how many cases are done.
     """
     total = sum(1 if row.real else rooms for row in rows)
-    done, document = 0, []
+    done = 0
     for row in rows:
         numbers = [0] if row.real else [seed * 10_000 + room for room in range(rooms)]
         try:
@@ -59,11 +59,10 @@ def measure_slam(
                     runs.setdefault(name, []).append(_best(row, case, settings))
                 done += 1
                 report(done, total)
-            document.append({"row": row.name, "unit": _unit(row), **_figures(runs)})
+            yield {"row": row.name, "unit": _unit(row), **_figures(runs)}
         except RecordingError as error:
             done += len(numbers)
-            document.append({"row": row.name, "skipped": str(error)})
-    return {"rows": document}
+            yield {"row": row.name, "skipped": str(error)}
 
 
 def _ours(row: Row, case: Case, config: SlamConfig, number: int) -> Errors:

@@ -44,7 +44,7 @@ def command(common: Common, rooms: int, only: str, against: str, data: Path, csv
     from pipeline.jax_setup import keep_compiled_kernels
 
     keep_compiled_kernels()
-    from pipeline.benchmarks.slam import measure_slam
+    from pipeline.benchmarks.slam import slam_rows
     from pipeline.benchmarks.slam_cases import real_rows, synthetic_rows
     from pipeline.quiet_stdout import stdout_to_stderr
 
@@ -55,50 +55,50 @@ def command(common: Common, rooms: int, only: str, against: str, data: Path, csv
     rows = [row for row in [*real_rows(data), *synthetic_rows()] if only in row.name]
     if not rows:
         raise PipelineError(f"--only {only}: no row has that in its name")
-    with common.progress("slam", "recordings") as progress, stdout_to_stderr():
-        document = measure_slam(rows, peers, rooms, common.seed, progress)
+    talking = not (common.as_json or common.quiet)
+    if talking:
+        click.echo(_line(HEADINGS))
+    measured: list[dict[str, Any]] = []
+    with common.progress("slam", "recordings") as progress:
+        remaining = slam_rows(rows, peers, rooms, common.seed, progress)
+        while len(measured) < len(rows):
+            with stdout_to_stderr():
+                measured.append(next(remaining))
+            if talking:
+                for cells in _cells(measured[-1]):
+                    click.echo(_line(cells))
+    document = {"rows": measured}
     if csv_path is not None:
         _write_csv(csv_path, document)
-    common.report(document, _lines(document))
-
-
-def _cells(document: dict[str, Any]) -> list[list[str]]:
-    """One line for each row and tracker."""
-    cells = []
-    for row in document["rows"]:
-        if "skipped" in row:
-            cells.append([row["row"], "skipped", row["skipped"], "", "", "", "", ""])
-            continue
-        scale = 1000 if row["unit"].startswith("mm") else 100
-        for name, figures in row["trackers"].items():
-            cells.append(
-                [
-                    row["row"],
-                    name,
-                    _spread(figures.get("error"), scale),
-                    row["unit"],
-                    _spread(figures.get("rotation_deg"), 1),
-                    f"{figures['lost_runs']}/{row['runs']}",
-                    _median(figures.get("frames_per_second"), "{:.1f}"),
-                    _median(figures.get("coverage_95"), "{:.0%}"),
-                ]
-            )
-    return cells
+    common.report(document, ["errors: median (least to most) over the runs that were not lost"])
 
 
 HEADINGS = ["row", "tracker", "error", "unit", "rotation deg", "lost", "frames/s", "in 95%"]
+WIDTHS = (34, 22, 24, 22, 22, 5, 8, 6)
 
 
-def _lines(document: dict[str, Any]) -> list[str]:
-    table = [HEADINGS, *_cells(document)]
-    widths = [
-        max(len(line[column]) for line in table if "skipped" not in line) for column in range(len(HEADINGS))
+def _cells(row: dict[str, Any]) -> list[list[str]]:
+    """One line for each tracker."""
+    if "skipped" in row:
+        return [[row["row"], "skipped", row["skipped"], "", "", "", "", ""]]
+    scale = 1000 if row["unit"].startswith("mm") else 100
+    return [
+        [
+            row["row"],
+            name,
+            _spread(figures.get("error"), scale),
+            row["unit"],
+            _spread(figures.get("rotation_deg"), 1),
+            f"{figures['lost_runs']}/{row['runs']}",
+            _median(figures.get("frames_per_second"), "{:.1f}"),
+            _median(figures.get("coverage_95"), "{:.0%}"),
+        ]
+        for name, figures in row["trackers"].items()
     ]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in table
-    ]
-    return [*lines, "errors: median (least to most) over the runs that were not lost"]
+
+
+def _line(cells: list[str]) -> str:
+    return "  ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS, strict=True)).rstrip()
 
 
 def _spread(figure: dict[str, float] | None, scale: float) -> str:
@@ -119,6 +119,8 @@ def _write_csv(path: Path, document: dict[str, Any]) -> None:
 
     try:
         with path.open("w", newline="") as file:
-            csv.writer(file).writerows([HEADINGS, *_cells(document)])
+            csv.writer(file).writerows(
+                [HEADINGS, *(cells for row in document["rows"] for cells in _cells(row))]
+            )
     except OSError as error:
         raise PipelineError(f"cannot write {path}: {error.strerror}") from error

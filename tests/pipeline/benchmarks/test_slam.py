@@ -33,9 +33,8 @@ def test_a_row_reports_ours_and_counts_lost_peers(monkeypatch: pytest.MonkeyPatc
     row = Row(name="orbit", case=first, real=True, configs={"voxscene": SlamConfig(particles=16)})
     told = Mock()
 
-    document = bench.measure_slam([row], ["exact", "broken"], 3, 0, told)
+    (line,) = bench.slam_rows([row], ["exact", "broken"], 3, 0, told)
 
-    (line,) = document["rows"]
     assert line["runs"] == 1
     told.assert_called_once_with(1, 1)
     assert line["trackers"]["voxscene"]["error"]["most"] < 0.02
@@ -48,10 +47,10 @@ def test_missing_data_is_skipped_with_its_reason(tmp_path):
     """Rows whose folder is missing name it, and the others go on."""
     rows = real_rows(tmp_path / "nowhere")
 
-    document = bench.measure_slam(rows, [], 1, 0, Mock())
+    measured = list(bench.slam_rows(rows, [], 1, 0, Mock()))
 
-    assert len(document["rows"]) == 4
-    assert all("nowhere" in row["skipped"] for row in document["rows"])
+    assert len(measured) == 4
+    assert all("nowhere" in row["skipped"] for row in measured)
 
 
 @pytest.mark.parametrize("name", ["bare room, 12 degrees a frame", "5 views round an object"])
