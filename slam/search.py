@@ -67,6 +67,11 @@ class Located:
         return float(self.optimum.agreement.covered)
 
     @property
+    def is_finite(self) -> bool:
+        """Whether alignment stayed within the numbers: a start that sees next to nothing may leave them."""
+        return bool(np.isfinite(np.asarray(self.optimum.pose)).all())
+
+    @property
     def is_convincing(self) -> bool:
         """No need to look elsewhere."""
         return self.covered >= CONVINCING_COVERED and self.explained >= CONVINCING_EXPLAINED * self.covered
@@ -118,12 +123,14 @@ class Searcher:
         padded = jnp.stack([*starts, *[starts[0]] * (3 - len(starts))])
         located = self._near(group, padded, hold)
         for _ in range(REFINEMENTS):
+            if not located.is_finite:
+                break
             is_near = _is_near(located.optimum.pose, padded[0])
             if is_near and hold > 0:
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
             again = self._near(group, padded, hold)
-            if is_near and float(again.optimum.log_density) <= float(located.optimum.log_density):
+            if not again.is_finite or (is_near and _log_density(again) <= _log_density(located)):
                 break
             located = again
         return located
@@ -193,12 +200,12 @@ def _is_near(pose: jax.Array, start: jax.Array) -> bool:
 
 
 def _log_density(located: Located) -> float:
-    return float(located.optimum.log_density)
+    return float(located.optimum.log_density) if located.is_finite else -np.inf
 
 
 def distinct_places(found: list[Located]) -> list[Located]:
     """Optima that differ from each other, the best first; those that left the numbers are dropped."""
-    finite = [located for located in found if np.isfinite(np.asarray(located.optimum.pose)).all()]
+    finite = [located for located in found if located.is_finite]
     ranked = sorted(finite, key=_log_density, reverse=True)
     if not ranked:
         return []
