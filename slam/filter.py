@@ -246,7 +246,8 @@ def _found(
     Where depth tells nothing of a direction, as along a bare wall, a `trusted` prediction is kept.
 
     Each group of particles looks near its own prediction. Where none finds a convincing place, or the
-    camera was lost and predictions mean little, all look where it was last found, and everywhere.
+    camera was lost and predictions mean little, all look where it was last found, and everywhere; after
+    a wide step already where none finds an unmistakable one.
     """
     particles: CameraParticles = state.population.particles
     searcher = Searcher(state.keyframe_map, view, state.calibration.noise, config.keyframes_compared)
@@ -260,7 +261,8 @@ def _found(
             starts = [_mean(predicted, group_map.weights)[0], last, *starts]
         found.append(searcher.near(group_map, starts, hold if len(starts) > 1 else 0.0))
     convincing = [located for located in found if located.is_convincing]
-    if not convincing or _step_was_wide(particles, int(np.argmax(weights))):
+    doubtful = not any(located.is_unmistakable for located in found)
+    if not convincing or (doubtful and _step_was_wide(particles, int(np.argmax(weights)))):
         everyone = _group_map(state, weights, 0)
         distances = np.asarray(enumeration.ORBIT_DISTANCES) * _central_depth(view)
         found.append(searcher.near(everyone, [state.last_found]))
