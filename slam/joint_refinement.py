@@ -12,7 +12,9 @@ the Laplace approximation of the same density (MATH.md J).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import jax
@@ -109,8 +111,11 @@ def refined(key: jax.Array, state: FilterState, views: Sequence[DepthView], nois
     current = particles.keyframe_poses[:, :used]
     carried = _carried(filtered, centres, current)
     landmarks = jnp.stack([filtered, centres])
-    log_ratio = _log_densities(keyframes, carried, landmarks, exponents)
-    log_ratio -= _log_densities(keyframes, current, landmarks, exponents)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        ahead, behind = pool.map(
+            lambda poses: _log_densities(keyframes, poses, landmarks, exponents), (carried, current)
+        )
+    log_ratio = ahead - behind
     accepted = jnp.log(jax.random.uniform(choice_key, (len(current),))) < log_ratio
     displacements = pose_graph.draws(draw_key, graph, len(current))
     drawn = _drawn(centres, jnp.asarray(displacements, jnp.float32))
@@ -124,8 +129,9 @@ def _at_full_detail(
     keyframe_map: KeyframeMap, views: Sequence[DepthView], poses: NDArray[np.float64], noise: DepthNoise
 ) -> Keyframes:
     surfaces, samples = [], []
-    for view in views:
-        planes, sizes = region_planes(view, noise)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        regions = list(pool.map(lambda view: jax.block_until_ready(region_planes(view, noise)), views))
+    for view, (planes, sizes) in zip(views, regions, strict=True):
         surfaces.append(
             PlaneImage(view.depth_m, jnp.where((sizes > 0)[None], planes, 0.0), view.rays, view.camera)
         )
