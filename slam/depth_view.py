@@ -52,6 +52,17 @@ def framing(view: DepthView) -> NDArray[np.float64]:
     return np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, columns, rows], float)
 
 
+def central_depth(view: DepthView) -> float:
+    """Median depth of the image's middle ninth, or of all of it, or 1 m where nothing was measured."""
+    depth_m = np.asarray(view.depth_m)
+    rows, columns = depth_m.shape
+    middle = depth_m[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3]
+    for region in (middle, depth_m):
+        if (region > 0).any():
+            return float(np.median(region[region > 0]))
+    return 1.0
+
+
 def reduction_factor(intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> int:
     """Side in pixels of the square blocks that bring an image onto the canvas."""
     rows, columns = canvas

@@ -7,7 +7,7 @@ frame refine the map or become a keyframe of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -20,10 +20,11 @@ from recordings.types import DepthNoise
 from slam import enumeration, pose_gaussian, smc
 from slam.calibration import Calibration
 from slam.config import SlamConfig
-from slam.depth_view import DepthView
-from slam.fusion import fused
+from slam.depth_view import DepthView, central_depth
+from slam.filter_state import FilterState, FrameInfo
 from slam.keyframe_map import KeyframeMap
-from slam.keyframes import surface_of, with_noise, with_planes_refitted
+from slam.keyframes import surface_of
+from slam.map_update import CAPACITY_STEP, with_calibration, with_frame, with_room
 from slam.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
 from slam.particles import (
     IDENTITY,
@@ -31,18 +32,12 @@ from slam.particles import (
     grouped,
     initial_particles,
     mean_and_covariance,
-    with_capacity,
 )
 from slam.proposal import Component, Proposed, component_at, propose_all
 from slam.rigid import matrices_of, poses_of
 from slam.search import GroupMap, Located, Searcher, distinct_places, worth_keeping
 
-CAPACITY_STEP = 32
 COMPONENT_BUCKETS = (1, 2, 4, 8)
-KEYFRAME_SHIFT = 0.1
-"""A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
-KEYFRAME_ANGLE_RAD = 0.2
-KEYFRAME_COVERAGE = 0.75
 PREDICTION_HOLD = 0.01
 """`PixelTerms.held_step`'s hold at a trusted prediction."""
 LONGEST_RATIO = 3.0
@@ -51,74 +46,9 @@ LOOSE_RADIUS = 0.15
 """Relative standard deviation of an orbit's radius that nobody gave."""
 
 
-@dataclass(frozen=True)
-class FilterState:
-    """What is carried from frame to frame.
-
-    Attributes:
-        population: weighted `CameraParticles`.
-        keyframe_map: shared surfaces.
-        calibration: of the sensor.
-        motion: prior over motion.
-        times_ns: stamps of the last two frames.
-        last_found: (7,) mean pose of the last frame that was found.
-        was_lost: whether the last frame was not.
-    """
-
-    population: smc.Population
-    keyframe_map: KeyframeMap
-    calibration: Calibration
-    motion: MotionPrior
-    times_ns: tuple[int, int]
-    last_found: jax.Array
-    was_lost: bool
-
-
-@dataclass(frozen=True)
-class FrameInfo:
-    """What one frame gave. Poses are relative to the particle's keyframe `anchor`.
-
-    Attributes:
-        anchor: index of a keyframe.
-        relative_poses: (K, 7) anchor_from_camera, each particle's draw.
-        relative_means: (K, 7) the same, centres of the components that the draws came from; the pose last
-            found where the frame is lost, so that its spread outlives the particles.
-        component: (K,) which component that was.
-        component_covariances: (J, 6, 6) of the draws around their centres, camera chart.
-        log_weights: (K,) normalised, after this frame.
-        ancestors: (K,) particle before this frame that each one continues.
-        log_evidence: increment.
-        ess: after weighting.
-        resampled: whether particles were drawn anew.
-        lost: whether no pose agreed with the map.
-        explained: share of returns on the map's surface.
-        covered: share of returns that meet the map.
-        keyframes: number of keyframes after this frame.
-        keyframe: index of the one that this frame became, if it did.
-        components: number of components of the proposal.
-    """
-
-    anchor: int
-    relative_poses: NDArray[np.float32]
-    relative_means: NDArray[np.float32]
-    component: NDArray[np.int32]
-    component_covariances: NDArray[np.float32]
-    log_weights: NDArray[np.float32]
-    ancestors: NDArray[np.int32]
-    log_evidence: float
-    ess: float
-    resampled: bool
-    lost: bool
-    explained: float
-    covered: float
-    keyframes: int
-    keyframe: int | None
-    components: int
-
-
 def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState, FrameInfo]:
     """The state after the first frame, which is the reference and the first keyframe."""
-    radius = config.orbit_radius_m or _central_depth(view)
+    radius = config.orbit_radius_m or central_depth(view)
     motion: MotionPrior = FreeMotion.default()
     if config.motion == "orbit":
         known = config.orbit_radius_m is not None
@@ -128,7 +58,7 @@ def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState
     particles = initial_particles(config.particles, CAPACITY_STEP, pivot)
     state = FilterState(
         population=smc.uniform_population(particles),
-        keyframe_map=KeyframeMap().with_keyframe(_surface_of(view, calibration.noise)),
+        keyframe_map=KeyframeMap().with_keyframe(surface_of(view, calibration.noise)),
         calibration=calibration,
         motion=motion,
         times_ns=(time_ns, time_ns),
@@ -179,7 +109,7 @@ def step(
         config: settings.
         odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used and not degenerate.
     """
-    state = _with_room(state)
+    state = with_room(state)
     particles: CameraParticles = state.population.particles
     ratio = _velocity_ratio(state.times_ns, time_ns)
     trusted = 0.0 < ratio < LONGEST_RATIO and not state.was_lost
@@ -188,7 +118,7 @@ def step(
     groups = grouped(matrices_of(particles.pose), weights)
     found = _found(state, view, predicted, groups, weights, config, odometry, trusted)
     if state.calibration.frames == 0 and found[0].group >= 0:
-        state = _with_calibration(state, found[0])
+        state = with_calibration(state, found[0])
         found = _found(state, view, predicted, groups, weights, config, odometry, trusted)
     components = _components(found, state, predicted)
     population, info, proposed = _advance(
@@ -206,7 +136,7 @@ def step(
     known = len(state.keyframe_map)
     moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
     if not lost:
-        moved = _with_frame_in_map(moved, view, found)
+        moved = with_frame(moved, view, found)
     return moved, _frame_info(moved, known, info, proposed, components, found, lost)
 
 
@@ -225,10 +155,6 @@ def _predicted(particles: CameraParticles, ratio: float) -> jax.Array:
 
 
 _mean = jax.jit(mean_and_covariance)
-_surface_of = jax.jit(surface_of)
-_fused = jax.jit(fused)
-_refitted = jax.jit(with_planes_refitted)
-_with_noise = jax.jit(with_noise)
 
 
 def _found(
@@ -264,7 +190,7 @@ def _found(
     doubtful = not any(located.is_unmistakable for located in found)
     if not convincing or (doubtful and _step_was_wide(particles, int(np.argmax(weights)))):
         everyone = _group_map(state, weights, 0)
-        distances = np.asarray(enumeration.ORBIT_DISTANCES) * _central_depth(view)
+        distances = np.asarray(enumeration.ORBIT_DISTANCES) * central_depth(view)
         found.append(searcher.near(everyone, [state.last_found]))
         found += searcher.anywhere(everyone, state.last_found, distances)
         convincing = [replace(located, group=0) for located in distinct_places(found)]
@@ -399,71 +325,3 @@ def _spread_around(centre: jax.Array, poses: jax.Array, log_weights: jax.Array) 
     """Second moment (6, 6) of weighted poses (K, 7) in the chart at `centre` (7,)."""
     tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(centre, poses)
     return jnp.einsum("k,ki,kj->ij", jnp.exp(log_weights), tangents, tangents)
-
-
-def _with_room(state: FilterState) -> FilterState:
-    """The state with room for one keyframe more in every particle."""
-    particles: CameraParticles = state.population.particles
-    capacity = particles.keyframe_poses.shape[1]
-    if len(state.keyframe_map) < capacity:
-        return state
-    population = replace(state.population, particles=with_capacity(particles, capacity + CAPACITY_STEP))
-    return replace(state, population=population)
-
-
-def _with_frame_in_map(state: FilterState, view: DepthView, found: list[Located]) -> FilterState:
-    """The frame teaches the sensor, and refines its anchor or, seen from elsewhere, becomes a keyframe.
-
-    A new keyframe stands where each particle has the camera. While several places compete, no depth is
-    fused: the surfaces are shared by particles that disagree.
-    """
-    best = found[0]
-    anchor = int(best.indices[0])
-    state = replace(_with_calibration(state, best), last_found=best.optimum.pose)
-    relative = jaxlie.SE3(best.local_map.poses[0]).inverse() @ jaxlie.SE3(best.optimum.pose)
-    shift = float(jnp.linalg.norm(relative.translation()))
-    angle = float(jnp.linalg.norm(relative.rotation().log()))
-    far = shift > KEYFRAME_SHIFT * _central_depth(view) or angle > KEYFRAME_ANGLE_RAD
-    keyframe_map, noise = state.keyframe_map, state.calibration.noise
-    if not far and best.covered >= KEYFRAME_COVERAGE:
-        if len(found) > 1:
-            return state
-        refined = _fused(keyframe_map.surfaces[anchor], view, relative.wxyz_xyz, noise)
-        return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
-    keyframe_map = keyframe_map.with_refined(anchor, _refitted(keyframe_map.surfaces[anchor]))
-    particles: CameraParticles = state.population.particles
-    keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
-    population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
-    return replace(
-        state, population=population, keyframe_map=keyframe_map.with_keyframe(_surface_of(view, noise))
-    )
-
-
-def _with_calibration(state: FilterState, located: Located) -> FilterState:
-    """The sensor after one frame more; surfaces keep the variances of the sensor that is now believed."""
-    calibration = state.calibration
-    if not calibration.is_learning:
-        return state
-    optimum = located.optimum
-    learnt = calibration.after(
-        np.asarray(optimum.squared_ratio, np.float64),
-        np.asarray(optimum.inlier_count, np.float64),
-        np.asarray(optimum.layer_precisions, np.float64).sum(0),
-        np.asarray(optimum.score_variance, np.float64),
-    )
-    surfaces = state.keyframe_map.surfaces
-    if not calibration.fixed_sigma:
-        surfaces = tuple(_with_noise(surface, calibration.noise, learnt.noise) for surface in surfaces)
-    keyframe_map = KeyframeMap(surfaces=surfaces, samples=state.keyframe_map.samples)
-    return replace(state, calibration=learnt, keyframe_map=keyframe_map)
-
-
-def _central_depth(view: DepthView) -> float:
-    """Median depth of the image's middle ninth, or of all of it, or 1 m where nothing was measured."""
-    depth_m = np.asarray(view.depth_m)
-    rows, columns = depth_m.shape
-    middle = depth_m[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3]
-    for region in (middle, depth_m):
-        if (region > 0).any():
-            return float(np.median(region[region > 0]))
-    return 1.0

@@ -22,6 +22,7 @@ LEAST_VARIANCE_SHARE = 0.1
 """Errors that views share (calibration, distortion) do not average out: the variance stops at this share."""
 
 
+@jax.jit
 def fused(surface: Surface, frame: DepthView, keyframe_from_camera: jax.Array, noise: DepthNoise) -> Surface:
     """The surface after a frame seen from `keyframe_from_camera` (7,); planes keep their orientation.
 

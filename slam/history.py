@@ -10,7 +10,7 @@ import jaxlie
 import numpy as np
 from scipy.special import logsumexp
 
-from slam.filter import FilterState, FrameInfo
+from slam.filter_state import FilterState, FrameInfo
 from slam.particles import IDENTITY, CameraParticles, mean_and_covariance
 from slam.result import SlamResult
 from slam.rigid import matrices_of

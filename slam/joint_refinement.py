@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from slam import pose_gaussian, pose_graph
 from slam.depth_view import DepthView, framing
-from slam.filter import FilterState
+from slam.filter_state import FilterState
 from slam.keyframe_map import KeyframeMap, selected_keyframes
 from slam.overlap import (
     PlaneImage,

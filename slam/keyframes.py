@@ -39,6 +39,7 @@ class Surface:
         return self.rays * self.depth_m[None]
 
 
+@jax.jit
 def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     """The surface that a single view shows."""
     planes, _ = region_planes(view, noise)
@@ -46,11 +47,13 @@ def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     return Surface(view.depth_m, planes, variance, view.measured, view.rays, view.camera)
 
 
+@jax.jit
 def with_planes_refitted(surface: Surface) -> Surface:
     """The surface with tangent planes of its refined depth."""
     return replace(surface, planes=tangent_planes(surface.depth_m, surface.rays, surface.camera))
 
 
+@jax.jit
 def with_noise(surface: Surface, believed: DepthNoise, learnt: DepthNoise) -> Surface:
     """The surface with variances as if it had been measured by the sensor that is now known."""
     ratio = depth_noise.standard_deviation(learnt, surface.depth_m) / depth_noise.standard_deviation(

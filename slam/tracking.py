@@ -11,7 +11,7 @@ from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam import filter as camera_filter
 from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
-from slam.filter import FilterState, FrameInfo
+from slam.filter_state import FilterState, FrameInfo
 from slam.history import History
 from slam.joint_refinement import refined
 from slam.odometry import KissOdometry

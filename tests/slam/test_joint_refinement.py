@@ -11,7 +11,7 @@ from recordings.types import DepthNoise
 from slam import filter as camera_filter
 from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, view_of_frame
-from slam.filter import FilterState
+from slam.filter_state import FilterState
 from slam.joint_refinement import refined
 from slam.rigid import matrices_of, poses_of
 from tests.slam import box_room

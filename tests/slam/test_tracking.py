@@ -8,7 +8,7 @@ import pytest
 
 from recordings.types import Frame
 from slam.config import SlamConfig
-from slam.filter import FrameInfo
+from slam.filter_state import FrameInfo
 from slam.result import SlamResult
 from slam.tracking import track
 from slam.trajectory_errors import trajectory_errors
