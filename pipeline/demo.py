@@ -160,7 +160,7 @@ def _parsed(
         truth.scene.objects,
         {one.shape: true_mesh(one) for one in truth.scene.objects},
         truth.camera_from_world(int(truth.trajectory.times_ns[scene.frames[0]])),
-        [(str(scene.names[one]), scene.camera_from_object[one]) for one in np.flatnonzero(scene.found)],
+        scene.found_poses,
         shape_from_object,
     )
 

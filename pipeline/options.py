@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, PipelineError
 
 if TYPE_CHECKING:
     from pipeline.config import Settings
@@ -226,6 +226,19 @@ def numbers(option: str, text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
         raise ConfigError(f"{option} {text}: write numbers separated by commas") from error
+
+
+def words(option: str, text: str, known: Sequence[str]) -> list[str]:
+    """Words separated by commas, each one of the known ones.
+
+    Raises:
+        PipelineError: a word is unknown.
+    """
+    given = [word.strip() for word in text.split(",") if word.strip()]
+    unknown = [word for word in given if word not in known]
+    if unknown:
+        raise PipelineError(f"{option}: no {unknown[0]!r}; there are {', '.join(known)}")
+    return given
 
 
 def _decorated(command: Any, options: Sequence[Callable[[Any], Any]]) -> Any:

@@ -65,6 +65,11 @@ class SceneResult:
         return self.presence >= 0.5
 
     @property
+    def found_poses(self) -> list[tuple[str, NDArray[np.float64]]]:
+        """Name and camera_from_object (4, 4) of each of them."""
+        return [(str(self.names[one]), self.camera_from_object[one]) for one in np.flatnonzero(self.found)]
+
+    @property
     def position_std_m(self) -> NDArray[np.float64]:
         """(N,) root mean square distance from the mean position."""
         return np.sqrt(np.trace(self.covariance[:, :3, :3], axis1=1, axis2=2))

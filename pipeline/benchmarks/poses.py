@@ -17,7 +17,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from pipeline.evaluation.object_poses import accuracy, add_s_m, area_under_accuracy, model_points
-from pipeline.evaluation.scenes import ObjectError, object_errors, parents_right
+from pipeline.evaluation.scenes import object_errors, parents_right
 from pipeline.peers.registration import Model, Register, settings
 from pipeline.synthesis.filming import film_table
 from pipeline.synthesis.recording import SyntheticRecording
@@ -147,10 +147,7 @@ class PoseBench:
 
     def _judged(self, table: Table, scene: SceneResult) -> list[Judged]:
         truth = table.recording.truth.objects
-        estimates = [
-            (str(scene.names[one]), scene.camera_from_object[one]) for one in np.flatnonzero(scene.found)
-        ]
-        errors: list[ObjectError] = object_errors(truth, self._meshes, table.camera_from_world, estimates)
+        errors = object_errors(truth, self._meshes, table.camera_from_world, scene.found_poses)
         parents = parents_right(scene, truth)
         return [
             Judged(

@@ -72,7 +72,7 @@ def _parsed(values: RunValues) -> dict[str, trimesh.Trimesh]:
     if scene is None or values.surfaces is None:
         return {}
     objects: dict[str, trimesh.Trimesh] = {}
-    for name, pose in zip(scene.names[scene.found], scene.camera_from_object[scene.found], strict=True):
+    for name, pose in scene.found_poses:
         surface = values.surfaces.by_name[str(name)]
         mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
         objects[str(name)] = moved(mesh, values.reference_from_parsed @ pose)

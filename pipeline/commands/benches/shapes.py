@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options
+from pipeline.options import Common, common_options, words
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
 POSES = ("true", "slam")
@@ -78,7 +78,8 @@ def command(
     from shapes.learning.config import LearnConfig
 
     keep_compiled_kernels()
-    peers, kinds = _chosen("--against", against, PEERS), _chosen("--poses", poses, POSES)
+    peers = words("--against", against, PEERS)
+    kinds: Any = words("--poses", poses, POSES)
     counts = [int(count) for count in numbers("--views", views)]
     if min(counts) < 1:
         raise ConfigError(f"--views {views}: every number must be at least 1")
@@ -109,17 +110,6 @@ def command(
     if csv_path is not None:
         _write_csv(csv_path, document["rows"])
     common.report(document, _summary_lines(document))
-
-
-def _chosen(option: str, text: str, known: Sequence[str]) -> Any:
-    """The words of a comma-separated list, each one of the known ones."""
-    from pipeline.errors import PipelineError
-
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    unknown = [word for word in words if word not in known]
-    if unknown:
-        raise PipelineError(f"{option}: no {unknown[0]!r}; there are {', '.join(known)}")
-    return words
 
 
 def _row_line(row: dict[str, Any]) -> str:

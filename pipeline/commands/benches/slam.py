@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options
+from pipeline.options import Common, common_options, words
 
 PEERS = ("kiss-icp", "small-gicp", "open3d")
 
@@ -48,10 +48,7 @@ def command(common: Common, rooms: int, only: str, against: str, data: Path, csv
     from pipeline.benchmarks.slam_cases import real_rows, synthetic_rows
     from pipeline.quiet_stdout import stdout_to_stderr
 
-    peers = [name.strip() for name in against.split(",") if name.strip()]
-    unknown = [name for name in peers if name not in PEERS]
-    if unknown:
-        raise PipelineError(f"--against: no peer {unknown[0]!r}; there are {', '.join(PEERS)}")
+    peers = words("--against", against, PEERS)
     rows = [row for row in [*real_rows(data), *synthetic_rows()] if only in row.name]
     if not rows:
         raise PipelineError(f"--only {only}: no row has that in its name")
@@ -115,12 +112,7 @@ def _median(figure: dict[str, float] | None, form: str) -> str:
 def _write_csv(path: Path, document: dict[str, Any]) -> None:
     import csv
 
-    from pipeline.errors import PipelineError
+    from pipeline.atomic import atomic_path
 
-    try:
-        with path.open("w", newline="") as file:
-            csv.writer(file).writerows(
-                [HEADINGS, *(cells for row in document["rows"] for cells in _cells(row))]
-            )
-    except OSError as error:
-        raise PipelineError(f"cannot write {path}: {error.strerror}") from error
+    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([HEADINGS, *(cells for row in document["rows"] for cells in _cells(row))])

@@ -31,8 +31,6 @@ def command(common: Common, run: Path, truth: Path) -> None:
 
     ADD-S is the mean distance from points of the object at its true pose to its surface at the pose found.
     """
-    import numpy as np
-
     from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
     from pipeline.evaluation.truth import RecordedTruth
     from pipeline.publishing.values import RunValues
@@ -51,7 +49,7 @@ def command(common: Common, run: Path, truth: Path) -> None:
         objects,
         {one.shape: _mesh(one, values.surfaces) for one in objects},
         known.camera_from_world(int(times[first])),
-        [(str(scene.names[one]), scene.camera_from_object[one]) for one in np.flatnonzero(scene.found)],
+        scene.found_poses,
     )
     document = summary_of_errors(errors, parents_right(scene, objects))
     common.report(document, _lines(document))

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import Common, common_options, words
 
 PEERS = ("kiss-icp", "small-gicp", "open3d")
 
@@ -61,7 +61,7 @@ def command(
     truth = reference_trajectory(reference, options)
     document: dict[str, Any] = slam_errors(result, truth)
     if against:
-        names = _peers(against)
+        names = words("--against", against, PEERS)
         source = recording or reference
         if source.suffix == ".tum" or source.suffix == ".txt":
             raise PipelineError(f"peers need the frames: name the recording of {run_path} with --recording")
@@ -72,14 +72,6 @@ def command(
         with common.progress("peers", "peers") as progress, stdout_to_stderr():
             document["peers"] = peer_errors(names, frames, intrinsics, poses, progress)
     common.report(document, _lines(document))
-
-
-def _peers(text: str) -> list[str]:
-    names = [name.strip() for name in text.split(",")]
-    unknown = [name for name in names if name not in PEERS]
-    if unknown:
-        raise PipelineError(f"--against {text}: no peer {unknown[0]!r}; there are {', '.join(PEERS)}")
-    return names
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
