@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -11,6 +12,7 @@ from scipy.spatial import KDTree
 
 MISSING_M = 1.0
 """Error of an object that was not found."""
+THRESHOLDS_M = (0.005, 0.01, 0.02)
 MODEL_POINTS = 20_000
 """So many that turning a symmetric object of everyday size about its axis adds under a millimetre."""
 
@@ -52,6 +54,16 @@ def area_under_accuracy(errors_m: ArrayLike, largest_m: float = 0.1) -> float:
     Exact: each error e adds the thresholds above it, 1 - e / largest.
     """
     return float(np.clip(1 - np.asarray(errors_m) / largest_m, 0, 1).mean())
+
+
+def error_figures(errors_m: Sequence[float]) -> dict[str, Any]:
+    """The figures by which a set of errors is judged."""
+    return {
+        "median_m": float(np.median(errors_m)),
+        "largest_m": float(np.max(errors_m)),
+        "accuracy": {f"{threshold:g}": accuracy(errors_m, threshold) for threshold in THRESHOLDS_M},
+        "auc_0_10cm": area_under_accuracy(errors_m),
+    }
 
 
 def best_matches(error_m: NDArray[np.float64]) -> Sequence[tuple[int, int]]:

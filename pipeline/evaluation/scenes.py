@@ -10,17 +10,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pipeline.evaluation.object_poses import (
-    accuracy,
-    add_s_m,
-    area_under_accuracy,
-    best_matches,
-    model_points,
-)
+from pipeline.evaluation.object_poses import add_s_m, best_matches, error_figures, model_points
 from recordings.truth import TrueObject
 from scene.result import TABLE, SceneResult
-
-THRESHOLDS_M = (0.005, 0.01, 0.02)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +94,8 @@ def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str
 
 def summary_of_errors(errors: Sequence[ObjectError], parents: Mapping[str, bool]) -> dict[str, Any]:
     """The figures that are printed."""
-    distances = [one.add_s_m for one in errors]
     return {
         "objects": [{**asdict(one), "parent_right": parents.get(one.name)} for one in errors],
-        "median_m": float(np.median(distances)),
-        "largest_m": float(np.max(distances)),
-        "accuracy": {f"{threshold:g}": accuracy(distances, threshold) for threshold in THRESHOLDS_M},
-        "auc_0_10cm": area_under_accuracy(distances),
+        **error_figures([one.add_s_m for one in errors]),
         "parents_right": float(np.mean(list(parents.values()))) if parents else None,
     }

@@ -1,11 +1,17 @@
 """The table of `bench poses`: who is judged on what, and that peers find an object alone."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
-from pipeline.benchmarks.poses import Judged, PoseBench, _figures
+from pipeline.benchmarks.learned_objects import true_object
+from pipeline.benchmarks.pose_figures import Judged, append_rows, pose_figures, read_rows
+from pipeline.benchmarks.pose_tables import VISIBLE, Table, make_table, observed_points
+from pipeline.benchmarks.poses import PoseBench
+from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.peers.registration import Model, settings
 from pipeline.synthesis.objects import built_in_object
@@ -15,22 +21,30 @@ SHAPES = ("bracket", "mug", "bottle")
 
 
 @pytest.fixture(scope="module")
-def bench() -> PoseBench:
-    """Three objects, one of them stacked."""
-    return PoseBench({name: built_in_object(name) for name in SHAPES}, 3, 0)
+def meshes() -> dict[str, trimesh.Trimesh]:
+    """Three objects."""
+    return {name: built_in_object(name) for name in SHAPES}
 
 
-def test_tables_repeat_and_differ(bench: PoseBench) -> None:
+@pytest.fixture(scope="module")
+def table(meshes: dict[str, trimesh.Trimesh]) -> Table:
+    """They, one of them stacked."""
+    return make_table(meshes, 3, 1)
+
+
+def test_tables_repeat_and_differ(meshes: dict[str, trimesh.Trimesh], table: Table) -> None:
     """The same number gives the same depth, and a third of the objects are stacked."""
-    first, again, other = bench.table(1), bench.table(1), bench.table(2)
-    np.testing.assert_array_equal(first.frame.depth_m, again.frame.depth_m)
-    assert (first.frame.depth_m != other.frame.depth_m).any()
-    assert sum(one.parent != "table" for one in first.recording.truth.objects) >= 1
+    again, other = make_table(meshes, 3, 1), make_table(meshes, 3, 2)
+    np.testing.assert_array_equal(table.frame.depth_m, again.frame.depth_m)
+    assert (table.frame.depth_m != other.frame.depth_m).any()
+    assert sum(one.parent != "table" for one in table.recording.truth.objects) >= 1
 
 
-def test_the_truth_is_judged_perfect_and_hidden_objects_are_not(bench: PoseBench) -> None:
+def test_the_truth_is_judged_perfect_and_hidden_objects_are_not(
+    meshes: dict[str, trimesh.Trimesh], table: Table
+) -> None:
     """Poses and parents from the truth itself."""
-    table = bench.table(1)
+    bench = PoseBench(meshes, 3, 0, true_object)
     truth = table.recording.truth.objects
     names = [*(one.name for one in truth), "table"]
     scene = scene_result(
@@ -38,22 +52,22 @@ def test_the_truth_is_judged_perfect_and_hidden_objects_are_not(bench: PoseBench
         [table.camera_from_world @ one.world_from_object for one in truth],
         [names.index(str(one.parent)) for one in truth],
     )
-    judged = bench._judged(table, scene)
-    seen = [one for one in truth if (one.visible_fraction or 0) >= 0.25]
+    judged = bench._judged(1, table, "ours", scene, 1.0)
+    seen = [one for one in truth if (one.visible_fraction or 0) >= VISIBLE]
     assert [one.error_m for one in judged] == pytest.approx([0] * len(seen), abs=1e-9)
     assert all(one.parent_right in (True, None) for one in judged)
-    nothing = bench._judged(table, replace(scene, presence=np.zeros(3)))
+    nothing = bench._judged(1, table, "ours", replace(scene, presence=np.zeros(3)), 1.0)
     assert {one.error_m for one in nothing} == {1.0}
 
 
-def test_true_masks_hold_the_object_alone(bench: PoseBench) -> None:
+def test_true_masks_hold_the_object_alone(meshes: dict[str, trimesh.Trimesh], table: Table) -> None:
     """Masked points lie on the object; unmasked ones hold them all."""
-    table = bench.table(1)
-    everything = bench._observed(table, masked=False)[0]
-    for one, points in zip(table.recording.truth.objects, bench._observed(table, masked=True), strict=True):
+    everything = observed_points(table, meshes, masked=False)[0]
+    masked = observed_points(table, meshes, masked=True)
+    for one, points in zip(table.recording.truth.objects, masked, strict=True):
         inside = np.linalg.inv(table.camera_from_world @ one.world_from_object)
         own = points @ inside[:3, :3].T + inside[:3, 3]
-        low, high = built_in_object(one.shape).bounds
+        low, high = meshes[one.shape].bounds
         assert ((own > low - 0.013) & (own < high + 0.013)).all()
         assert len(points) <= len(everything)
 
@@ -70,15 +84,45 @@ def test_a_peer_finds_a_whole_object(peer: str) -> None:
     assert min(errors) < 0.005
 
 
-def test_rows() -> None:
-    """Stacked and not, parents of flush rests alone."""
-    judged = [
-        Judged(error_m=0.002, stacked=False, parent_right=True),
-        Judged(error_m=0.015, stacked=True, parent_right=False),
-        Judged(error_m=1.0, stacked=True),
-    ]
-    figures = _figures(judged, [1.0, 3.0, 2.0])
+@pytest.fixture
+def judged() -> list[Judged]:
+    """Two tables of one method."""
+    right = Judged(
+        method="ours",
+        setting="",
+        table=0,
+        shape="mug",
+        error_m=0.002,
+        visible_fraction=1.0,
+        stacked=False,
+        flush=True,
+        parent_right=True,
+        seconds=1.0,
+    )
+    wrong = replace(right, error_m=0.015, stacked=True, parent_right=False)
+    missing = replace(right, error_m=1.0, stacked=True, flush=False, parent_right=None, table=1, seconds=3.0)
+    return [right, wrong, missing]
+
+
+def test_rows(judged: list[Judged]) -> None:
+    """Stacked and not, parents by the kind of rest, seconds a table and not an object."""
+    document = pose_figures(judged)
+    assert document["tables"] == 2
+    figures = document["methods"]["ours"]
     assert figures["rows"]["all"]["accuracy"]["0.01"] == pytest.approx(1 / 3)
     assert figures["rows"]["stacked"]["objects"] == 2
-    assert figures["parents_right_flush"] == 0.5
-    assert figures["seconds_median"] == 2.0
+    assert figures["edges"]["flush"] == {"rests": 2, "right": 0.5}
+    assert figures["edges"]["other"] == {"rests": 0, "right": None}
+    assert (figures["seconds_median"], figures["seconds_most"]) == (2.0, 3.0)
+
+
+def test_rows_are_kept_between_runs(judged: list[Judged], tmp_path: Path) -> None:
+    """A file that grows table by table gives back every row; another file is refused by name."""
+    path = tmp_path / "poses.csv"
+    assert read_rows(path) == []
+    append_rows(path, judged[:2])
+    append_rows(path, judged[2:])
+    assert read_rows(path) == judged
+    path.write_text("error_m\nfar\n")
+    with pytest.raises(PipelineError, match=r"poses\.csv"):
+        read_rows(path)
