@@ -20,7 +20,7 @@ from shapes.camera import Camera
 from shapes.object_library import ObjectLibrary
 from shapes.ray_casting import PosedObjects
 from shapes.tile_queue import for_each_block
-from shapes.tiles import TILE_PIXELS, tiled
+from shapes.tiles import TILE_PIXELS, tile_counts, tiled
 
 LANES = 2
 """Loops side by side, so that two cores have work."""
@@ -42,7 +42,6 @@ class DepthEvidence:
         observed_m: (I * tiles, TILE_PIXELS), measured depth or `NO_RETURN`.
         rest_m: the same, rendered depth of the rest, +inf where there is nothing.
         log_density_of_rest: the same, log density of each pixel if the object covers it not.
-        log_likelihood_of_rest: (I,) its sum.
         height: of the images.
         width: of the images.
     """
@@ -51,9 +50,14 @@ class DepthEvidence:
     observed_m: jax.Array
     rest_m: jax.Array
     log_density_of_rest: jax.Array
-    log_likelihood_of_rest: jax.Array
     height: int = field(metadata={"static": True})
     width: int = field(metadata={"static": True})
+
+    @property
+    def tiles(self) -> int:
+        """Tiles of an image."""
+        down, across = tile_counts(self.height, self.width)
+        return down * across
 
 
 @jax.jit
@@ -76,23 +80,8 @@ def depth_evidence(
         observed_m=tiled(observed_m, NO_RETURN),
         rest_m=tiled(rest_m, 0.0),
         log_density_of_rest=tiled(density, 0.0),
-        log_likelihood_of_rest=density.sum(axis=(1, 2)),
         height=observed_m.shape[1],
         width=observed_m.shape[2],
-    )
-
-
-@jax.jit
-def log_likelihood(
-    library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
-) -> jax.Array:
-    """Log likelihood (N,) of the image that each hypothesis is about: its object joins the rest.
-
-    The product over the image's pixels of the density of MATH.md section 0; base measure: Lebesgue in
-    metres plus the atom of no return. For several frames or cameras, sum over a hypothesis's images.
-    """
-    return evidence.log_likelihood_of_rest[posed.camera_index] + log_likelihood_ratio(
-        library, noise, evidence, posed
     )
 
 
@@ -100,7 +89,11 @@ def log_likelihood(
 def log_likelihood_ratio(
     library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
 ) -> jax.Array:
-    """Log likelihood (N,) of each hypothesis's image with its object, less that of the image without."""
+    """Log likelihood (N,) of each hypothesis's image when its object joins the rest, less that of the rest.
+
+    The product over the image's pixels of the density of MATH.md section 0; base measure: Lebesgue in
+    metres plus the atom of no return. For several frames or cameras, sum over a hypothesis's images.
+    """
     count = len(posed)
     ends = [count * lane // LANES for lane in range(LANES + 1)] if count >= LANES else [0, count]
     lanes = [
@@ -113,12 +106,10 @@ def log_likelihood_ratio(
 def _gain_over_rest(
     library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
 ) -> jax.Array:
-    tiles = len(evidence.observed_m) // len(evidence.log_likelihood_of_rest)
-
     def add(
         total: jax.Array, view: jax.Array, tile: jax.Array, depth: jax.Array, valid: jax.Array
     ) -> jax.Array:
-        row = posed.camera_index[view] * tiles + tile
+        row = posed.camera_index[view] * evidence.tiles + tile
         covers = depth < evidence.rest_m[row]
         density = _log_density(noise, evidence.observed_m[row], depth)
         gain = jnp.where(covers, density - evidence.log_density_of_rest[row], 0.0).sum(axis=1)
@@ -129,10 +120,10 @@ def _gain_over_rest(
 
 
 @partial(jax.jit, static_argnames="objects")
-def log_likelihood_of_scenes(
+def log_likelihood_ratio_of_scenes(
     library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects, objects: int
 ) -> jax.Array:
-    """Log likelihood (S,) of the image of each scene when all of its objects join the rest.
+    """The same (S,) for the images of scenes of which all objects join the rest.
 
     Args:
         library: the objects.
@@ -141,7 +132,7 @@ def log_likelihood_of_scenes(
         posed: S * `objects` posed objects, those of a scene in a row and before one camera.
         objects: in a scene.
     """
-    tiles = len(evidence.observed_m) // len(evidence.log_likelihood_of_rest)
+    tiles = evidence.tiles
     scenes = len(posed) // objects
     together = min(max(SCENE_TILES // tiles, 1), scenes)
     parts = -(-scenes // together)
@@ -164,7 +155,7 @@ def log_likelihood_of_scenes(
         shown = for_each_block(library, posed, evidence.cameras, evidence.height, evidence.width, put, shown)
         density = _log_density(noise, evidence.observed_m[own], shown)
         gain = jnp.where(shown < evidence.rest_m[own], density - evidence.log_density_of_rest[own], 0.0)
-        return evidence.log_likelihood_of_rest[image] + gain.reshape(together, -1).sum(axis=1)
+        return gain.reshape(together, -1).sum(axis=1)
 
     return jax.lax.map(part, posed).reshape(-1)[:scenes]
 

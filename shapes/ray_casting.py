@@ -178,7 +178,7 @@ def first_hits(table: jax.Array, tiles: Rays, free: jax.Array) -> jax.Array:
     number = jnp.arange(TILE_PIXELS, dtype=jnp.int32)[None]
     rays = jax.tree.map(lambda leaf: leaf[:, None], tiles)
     start = jnp.broadcast_to(free[:, None], (len(free), TILE_PIXELS))
-    reached = _advanced(table, rays, number, start, STEPS[0]).reshape(-1)
+    reached = advanced(table, rays, number, start, STEPS[0]).reshape(-1)
     pixel = jnp.arange(len(reached), dtype=jnp.int32)
     hits = jnp.where(reached < 0, -reached, jnp.inf)
     return _continued(table, tiles, pixel, reached, hits, STEPS[1:]).reshape(-1, TILE_PIXELS)
@@ -192,7 +192,7 @@ def _continued(
     hits: jax.Array,
     steps: tuple[int, ...],
 ) -> jax.Array:
-    """The hits (B * TILE_PIXELS,) with those of rays (P,) that are not done where `_advanced` left them."""
+    """The hits (B * TILE_PIXELS,) with those of rays (P,) that are not done where `advanced` left them."""
     if not steps:
         return hits
     order, count = chosen_first((reached >= 0) & jnp.isfinite(reached))
@@ -204,7 +204,7 @@ def _continued(
         where = pixel[mine]
         rays = gathered(tiles, where // TILE_PIXELS)
         depth = jnp.where(there, reached[mine], jnp.inf)
-        further = _advanced(table, rays, where % TILE_PIXELS, depth, steps[0])
+        further = advanced(table, rays, where % TILE_PIXELS, depth, steps[0])
         place = jnp.where(further < 0, where, len(hits))
         hits = hits.at[place].set(-further, mode="drop", unique_indices=True)
         return _continued(table, tiles, where, further, hits, steps[1:])
@@ -224,7 +224,7 @@ def chosen_first(chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
     return order, place[-1] + 1
 
 
-def _advanced(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, steps: int) -> jax.Array:
+def advanced(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, steps: int) -> jax.Array:
     """Depths of pixels `number` of tiles after so many steps; negated where the surface is met, +inf beyond.
 
     Sphere tracing with longer steps (Keinert et al. 2014, Enhanced Sphere Tracing): towards a plane at

@@ -1,8 +1,8 @@
 """Hypotheses rendered and scored a second, beside Embree with NumPy on the same poses.
 
 Every call gets poses that were never seen before, results reach the host, and compile time is apart. What is
-called is `scene.likelihood` on whole scenes. The chains and searches of `parse` keep the layers of objects
-that did not move, so they call `render_layers`, the same rays without the fused density: it has a figure too.
+called is what `parse` calls: refinement and presence score poses by `log_likelihood_ratio`; search and the
+chains, which keep the layers of objects that did not move, render them by `render_layers`, the same rays.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Prob
 from pipeline.benchmarks.lathe import mug
 from pipeline.benchmarks.roofline import measure_roofline
 from scene.distance_score import distance_score
-from scene.likelihood import log_likelihood, log_likelihood_of_scenes
+from scene.likelihood import log_likelihood_ratio, log_likelihood_ratio_of_scenes
 from shapes.depth_rendering import render_layers
 from shapes.object_library import joined, library_of_mesh
 
@@ -96,7 +96,7 @@ def likelihood_rate(task: Problem, rng: np.random.Generator) -> Rate:
     count = HYPOTHESES[task.intrinsics.width]
 
     def score(hypotheses: Any) -> jax.Array:
-        return log_likelihood(task.library, NOISE, task.evidence, hypotheses)
+        return log_likelihood_ratio(task.library, NOISE, task.evidence, hypotheses)
 
     return _rate(score, lambda: task.hypotheses(rng, count), count)
 
@@ -117,7 +117,7 @@ def scene_rate(task: Problem, objects: int, rng: np.random.Generator) -> Rate:
     """Scenes a second, all of whose objects were placed anew."""
 
     def score(hypotheses: Any) -> jax.Array:
-        return log_likelihood_of_scenes(task.library, NOISE, task.evidence, hypotheses, objects)
+        return log_likelihood_ratio_of_scenes(task.library, NOISE, task.evidence, hypotheses, objects)
 
     return _rate(score, lambda: task.hypotheses(rng, SCENES * objects), SCENES)
 
@@ -146,7 +146,8 @@ def embree_rates(task: Problem, rng: np.random.Generator) -> dict[str, Any]:
     scorer = EmbreeScorer(vertices, faces, task.intrinsics, NOISE, task.observed_m, BACKGROUND_M)
     poses = task.poses(rng, 32)
     ours = np.asarray(
-        log_likelihood(task.library, NOISE, task.evidence, posed(poses, np.zeros(len(poses)))), np.float64
+        log_likelihood_ratio(task.library, NOISE, task.evidence, posed(poses, np.zeros(len(poses)))),
+        np.float64,
     )
     gap = float(np.median(np.abs(ours - scorer.whole_image(poses))))
     count = PEER_HYPOTHESES * 50 // task.intrinsics.width
@@ -175,7 +176,7 @@ def compile_seconds(task: Problem, rng: np.random.Generator) -> dict[str, float]
         for run in ("first", "cached"):
             jax.clear_caches()
             begun = time.perf_counter()
-            lowered = log_likelihood.lower(*arguments)
+            lowered = log_likelihood_ratio.lower(*arguments)
             seconds["traced"] = time.perf_counter() - begun
             lowered.compile()
             seconds[run] = time.perf_counter() - begun

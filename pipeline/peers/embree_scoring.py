@@ -86,7 +86,7 @@ class EmbreeScorer:
         observed = self._observed_m[rows, columns]
         density = self._log_density(observed, np.where(covers, depth, np.float32(1)))
         gain = np.where(covers, density - self._density_of_rest[rows, columns], 0)
-        return self._density_of_rest.sum(dtype=np.float64) + gain.sum(axis=(1, 2), dtype=np.float64)
+        return gain.sum(axis=(1, 2), dtype=np.float64)
 
     def _log_density(
         self, observed_m: NDArray[np.float32], rendered_m: NDArray[np.float32]

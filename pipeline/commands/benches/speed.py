@@ -47,6 +47,11 @@ def _lines(document: dict[str, Any]) -> list[str]:
             f"{roof['lookups_per_second'] / 1e6:.0f} M look-ups, {roof['densities_per_second'] / 1e6:.0f} M "
             f"densities, {roof['scatters_per_second'] / 1e6:.0f} M scatters a second"
         )
+        lines.append(
+            f"{side + ' px, by sphere tracing':<28}{roof['tracing_bound_per_second']:>30,.0f}  "
+            f"{roof['looks']:.0f} looks for {roof['cast_pixels']:.0f} pixels cast; "
+            f"{roof['looks_per_second'] / 1e6:.0f} M looks a second"
+        )
     skipped = [peer["skipped"] for peer in document["embree"].values() if "skipped" in peer]
     lines += [f"Embree: {skipped[0]}"] if skipped else []
     field = document["spread"]["distance_field_per_second"]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import scene.depth_images
-import scene.distance_score
-import scene.likelihood
+import scene.parsing
+import scene.refinement
 import scene.rendering
 from pipeline.benchmarks import speed
 from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
@@ -16,6 +16,7 @@ from pipeline.benchmarks.lathe import mug
 from pipeline.benchmarks.roofline import measure_roofline
 from pipeline.peers.embree_scoring import EmbreeScorer
 from shapes.object_library import library_of_mesh
+from shapes.ray_casting import STEPS
 
 NOT_NEEDED = ("open3d", "trimesh", "jaxlie", "pydantic", "mcap", "rerun", "PIL", "skimage", "platformdirs")
 
@@ -26,26 +27,25 @@ def task() -> Problem:
     return problem(library_of_mesh(*mug()), 50, np.random.default_rng(11))
 
 
-def test_it_calls_the_likelihoods_of_the_scene_package() -> None:
-    """The very objects, not copies."""
-    assert speed.log_likelihood is scene.likelihood.log_likelihood
-    assert speed.log_likelihood_of_scenes is scene.likelihood.log_likelihood_of_scenes
-    assert speed.distance_score is scene.distance_score.distance_score
-
-
-def test_it_calls_the_rendering_that_parse_calls() -> None:
-    """Chains and searches render layers by the function that has a figure of its own."""
+def test_it_calls_what_parse_calls() -> None:
+    """The very functions: refinement scores with one; chains and searches render with the other."""
+    assert speed.log_likelihood_ratio is scene.refinement.log_likelihood_ratio
     assert speed.render_layers is scene.depth_images.render_layers
     assert speed.render_layers is scene.rendering.render_layers
+    assert scene.parsing.refine is scene.refinement.refine
 
 
-def test_the_roofline_is_the_time_of_one_look_up_and_one_density_a_pixel(task: Problem) -> None:
-    """The bound follows from the rates and the covered pixels, which lie in the object's circle."""
+def test_the_rooflines_follow_from_the_rates(task: Problem) -> None:
+    """One look-up and one density a covered pixel; by sphere tracing, several looks a pixel cast."""
     roof = measure_roofline(task, np.random.default_rng(15))
     pixel = 1 / roof["lookups_per_second"] + 1 / roof["densities_per_second"]
+    traced = roof["looks"] / roof["looks_per_second"] + roof["cast_pixels"] / roof["densities_per_second"]
 
     assert 50 < roof["covered_pixels"] < np.pi * (50 / 6) ** 2
+    assert roof["covered_pixels"] < roof["cast_pixels"] < 50 * 50
+    assert roof["cast_pixels"] < roof["looks"] < sum(STEPS) * roof["cast_pixels"]
     np.testing.assert_allclose(roof["bound_per_second"] * roof["covered_pixels"] * pixel, 1.0)
+    np.testing.assert_allclose(roof["tracing_bound_per_second"] * traced, 1.0)
 
 
 def test_it_imports_jax_numpy_and_click_alone() -> None:
@@ -76,7 +76,7 @@ def test_hypotheses_are_distinct_and_span_a_third_of_the_image(task: Problem) ->
 def test_the_peer_does_the_same_work(task: Problem) -> None:
     """Embree's likelihoods tell hypotheses apart as ours do; both its settings agree to rounding."""
     poses = task.poses(np.random.default_rng(13), 64)
-    ours = speed.log_likelihood(task.library, NOISE, task.evidence, posed(poses, np.zeros(64)))
+    ours = speed.log_likelihood_ratio(task.library, NOISE, task.evidence, posed(poses, np.zeros(64)))
     scorer = EmbreeScorer(*mug(), task.intrinsics, NOISE, task.observed_m, BACKGROUND_M)
 
     whole, cropped = scorer.whole_image(poses), scorer.under_sphere(poses)
@@ -89,8 +89,8 @@ def test_scenes_of_one_object_score_as_that_object(task: Problem) -> None:
     """Rendering whole scenes is the same likelihood by another order of sums."""
     hypotheses = task.hypotheses(np.random.default_rng(14), 40)
 
-    alone = speed.log_likelihood(task.library, NOISE, task.evidence, hypotheses)
-    scenes = speed.log_likelihood_of_scenes(task.library, NOISE, task.evidence, hypotheses, 1)
+    alone = speed.log_likelihood_ratio(task.library, NOISE, task.evidence, hypotheses)
+    scenes = speed.log_likelihood_ratio_of_scenes(task.library, NOISE, task.evidence, hypotheses, 1)
 
     np.testing.assert_allclose(np.asarray(alone), np.asarray(scenes), atol=0.1)
 
