@@ -15,11 +15,6 @@ def pose_of(matrix: jax.Array) -> jax.Array:
     return jaxlie.SE3.from_matrix(matrix).wxyz_xyz
 
 
-def matrix_of(pose: jax.Array) -> jax.Array:
-    """The rigid transform (4, 4) of a pose (7,)."""
-    return jaxlie.SE3(pose).as_matrix()
-
-
 def composed(first: jax.Array, second: jax.Array) -> jax.Array:
     """The pose a_from_c of a_from_b and b_from_c."""
     product = (jaxlie.SE3(first) @ jaxlie.SE3(second)).wxyz_xyz

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from shapes.camera import Camera
 from shapes.object_library import ObjectLibrary
 from shapes.ray_casting import PosedObjects
-from shapes.tile_queue import for_each_block, pixel_bounds
+from shapes.tile_queue import for_each_block
 from shapes.tiles import TILE_PIXELS, tile_counts, untiled
 
 
@@ -41,34 +41,3 @@ def render_layers(
 
     rows = for_each_block(library, posed, cameras, height, width, write, rows)
     return untiled(rows, height, width)
-
-
-def framing_cameras(
-    library: ObjectLibrary, posed: PosedObjects, cameras: Camera, height: int, width: int, side: int
-) -> Camera:
-    """Cameras (N,) whose images of `side` x `side` pixels just hold the seen part of each object.
-
-    They look from the same place through the same window: a crop at the level of detail that `side` allows.
-    An object that is not seen gets the whole image.
-
-    Args:
-        library: the objects.
-        posed: N posed objects.
-        cameras: leaves (I,).
-        height: of the cameras' images.
-        width: of the cameras' images.
-        side: pixels along each edge of the crops.
-    """
-    low, high, seen = pixel_bounds(library, posed, cameras)
-    border = jnp.array([[width - 0.5, height - 0.5]])
-    low, high = jnp.clip(low, -0.5, border), jnp.clip(high, -0.5, border)
-    seen = (seen & (high > low).all(axis=1))[:, None]
-    low, high = jnp.where(seen, low, -0.5), jnp.where(seen, high, border)
-    scale = side / (high - low)
-    camera = jax.tree.map(lambda leaf: leaf[posed.camera_index], cameras)
-    return Camera(
-        fx=camera.fx * scale[:, 0],
-        fy=camera.fy * scale[:, 1],
-        cx=(camera.cx - low[:, 0]) * scale[:, 0] - 0.5,
-        cy=(camera.cy - low[:, 1]) * scale[:, 1] - 0.5,
-    )

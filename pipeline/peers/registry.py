@@ -14,8 +14,6 @@ from recordings.types import CameraIntrinsics, Frame
 Track = Callable[[Sequence[Frame], CameraIntrinsics], NDArray[np.float64]]
 """(frames, intrinsics) -> poses (T, 4, 4), the first frame's camera as reference."""
 
-NAMES = ("kiss-icp", "small-gicp", "open3d")
-
 
 @dataclass(frozen=True)
 class PeerRun:

@@ -8,8 +8,7 @@ from typing import Any
 import click
 
 from pipeline.options import Common, common_options, words
-
-PEERS = ("kiss-icp", "small-gicp", "open3d")
+from pipeline.peers import PEERS
 
 
 @click.command(name="slam")

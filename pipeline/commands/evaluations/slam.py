@@ -9,8 +9,7 @@ import click
 
 from pipeline.errors import PipelineError
 from pipeline.options import Common, common_options, words
-
-PEERS = ("kiss-icp", "small-gicp", "open3d")
+from pipeline.peers import PEERS
 
 
 @click.command(name="slam")
