@@ -2,12 +2,12 @@
 
 The noisy forward model of one ray (MATH.md I): it ends at the first voxel that stops it,
 
-    p(z | O) = sum_i [prod_(j<i) (1 - o_j)] o_i s(z | z_i) + [prod_j (1 - o_j)] s_miss(z),
+    p(z | O) = s_before(z) + sum_i [prod_(j<i) (1 - o_j)] o_i s(z | z_i) + [prod_j (1 - o_j)] s_miss(z),
 
-where o is the opacity of a voxel's state for rays that come from its one side or the other: 1 if it is
-occupied, 0 if it is empty; further states hold some surface although their centre is free. One ray is exact
-by a forward and a backward recursion; crossing rays are not, and sites are refined in damped parallel sweeps
-(Minka 2001).
+where s_before is 0 unless the ray is a part of one, and o is the opacity of a voxel's state for rays that
+come from its one side or the other: 1 if it is occupied, 0 if it is empty; further states hold some surface
+although their centre is free. One ray is exact by a forward and a backward recursion; crossing rays are not,
+and sites are refined in damped parallel sweeps (Minka 2001).
 """
 
 from __future__ import annotations
@@ -31,13 +31,16 @@ class SensorRays:
         voxel: (R, L) int32 index of each voxel; the number of voxels V fills what is left.
         association: (R, L) probability that the ray passes the voxel at all; 1 for an exact ray.
         density: (R, L) s(z | z_i) of the measured depth if the ray ends there.
-        miss: (R,) s_miss(z) if it ends nowhere. Density and miss share any factor per ray.
+        before: (R,) density of the measured depth times the probability that the ray ended before its first
+            voxel; 0 for a whole ray.
+        miss: (R,) s_miss(z) if it ends at none of them. Densities, before and miss share any factor per ray.
         side: (R, L) int32, from which side the ray comes to each voxel: a row of the opacities.
     """
 
     voxel: jax.Array
     association: jax.Array
     density: jax.Array
+    before: jax.Array
     miss: jax.Array
     side: jax.Array
 
@@ -112,7 +115,7 @@ def _ray_messages(rays: SensorRays, ends: jax.Array) -> tuple[jax.Array, jax.Arr
         end, density = at
         return end * density + (1 - end) * beyond, beyond
 
-    start = jnp.ones_like(rays.miss), jnp.zeros_like(rays.miss)
+    start = jnp.ones_like(rays.miss), rays.before
     places = ends.T, rays.density.T
     _, (open_, ended) = jax.lax.scan(forward, start, places)
     _, beyond = jax.lax.scan(backward, rays.miss, places, reverse=True)

@@ -17,6 +17,8 @@ from shapes.learning.local_planes import LocalPlanes
 SPLIT_SIGMAS = 3.0
 SPLIT_M = 0.002
 """Readings of neighbouring pixels that differ by more than both are of two surfaces."""
+OVERLAP = 0.6
+"""Share of the pixels that two neighbours' planes have in common: correlation of their errors."""
 UNMEASURED = 0.5
 """Share of the neighbours without a return that counts as seeing what the others see."""
 
@@ -114,5 +116,6 @@ def _mean_reading(
     part = share / jnp.maximum(weight, 1e-9)[:, None]
     value = jnp.where(share > 0, behind, 0.0)
     mean = (part * value).sum(axis=1)
-    spread = (part * (sigma**2 + (value - mean[:, None]) ** 2)).sum(axis=1)
+    shared = OVERLAP + (1 - OVERLAP) * (part**2).sum(axis=1)
+    spread = shared * (part * (sigma**2 + (value - mean[:, None]) ** 2)).sum(axis=1)
     return mean, jnp.sqrt(jnp.maximum(spread, 1e-12)), weight

@@ -1,8 +1,9 @@
 """Rays for expectation propagation, from the readings of every view.
 
-One ray for each voxel footprint, view and surface: the voxels whose centres project into the footprint,
-nearest first. It is truncated to the voxels near its surface; voxels well before it are crossed for sure
-but for unexplained readings, and get a site of their own.
+Rays for each voxel footprint, view and surface: the voxels whose centres project into the footprint,
+nearest first, of which those side by side have rays of their own. A ray is truncated to the voxels near its
+surface, and may end before the first or go on beyond the last of them; voxels well before the surface are
+crossed for sure but for unexplained readings, and get a site of their own.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ BAND_SIGMAS = 4.0
 LEAST_ASSOCIATION = 0.02
 ON_PLANE_SIGMAS = 2.5
 SURFACES_APART_PITCHES = 2.0
-THINNEST_PITCHES = 0.2
-"""Two centres along a ray are taken to be at least so far apart."""
+IN_SUCCESSION_PITCHES = 0.5
+"""Of two voxels that stand less apart along a ray neither hides the other: they have rays of their own."""
 OBJECT_SIZE_M = 0.3
 PEAK_DENSITY = 200.0
 """Of a reading where its surface is, per metre: what an unexplained reading competes with."""
@@ -161,38 +162,41 @@ def _places(
 def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> SensorRays:
     voxel, behind, sigma, association, surface, from_plane, label, side = fields
     ray = _surfaces(label, surface, SURFACES_APART_PITCHES * grid.pitch_m)
+    ray = _successions(ray, behind, IN_SUCCESSION_PITCHES * grid.pitch_m)
     order = np.lexsort((behind, ray))
     voxel, behind, sigma, association, from_plane, ray, side = (
         field[order] for field in (voxel, behind, sigma, association, from_plane, ray, side)
     )
     first = np.diff(ray, prepend=-1) > 0
-    ray = np.cumsum(first) - 1
-    starts = np.flatnonzero(first)
-    rays = len(starts)
+    starts, rays = np.flatnonzero(first), int(first.sum())
+    last = np.append(starts, len(ray))[1:] - 1
     place = np.arange(len(ray)) - starts[ray]
     floor = unexplained_density(config)
-    # the surface lies between the centre before, which is free, and this one
+    # the surface lies between the centre before, which is free, and this one; where in between is not
+    # averaged over, since all views of the voxel share it
     step = np.where(first, grid.pitch_m, np.diff(behind, prepend=0.0))
-    step = np.maximum(step, THINNEST_PITCHES * grid.pitch_m)
-    density = (ndtr(behind / sigma) - ndtr((behind - step) / sigma)) / step + floor
+    density = (ndtr(behind / sigma) - ndtr((behind - step) / sigma)) / grid.pitch_m + floor
+    before = ndtr((behind[starts] - grid.pitch_m) / sigma[starts]) / grid.pitch_m
     on_plane = np.exp(-0.5 * np.minimum((from_plane / sigma) ** 2, 80.0)) / (sigma * np.sqrt(2 * np.pi))
     miss = np.bincount(ray, on_plane + floor, minlength=rays) / np.maximum(np.bincount(ray), 1)
-    largest = np.maximum(np.maximum.reduceat(density, starts), miss) if rays else miss
+    miss += ndtr(-behind[last] / sigma[last]) / grid.pitch_m
+    largest = np.maximum(before, miss)
+    np.maximum.at(largest, ray, density)
     shape = _bucket(rays, RAY_BUCKET), _bucket(int(place.max(initial=0)) + 1, LENGTH_BUCKET)
-    table = {
-        "voxel": np.full(shape, len(grid), np.int32),
-        "association": np.zeros(shape, np.float32),
-        "density": np.zeros(shape, np.float32),
-        "side": np.zeros(shape, np.int32),
+    places = {
+        "voxel": (voxel, len(grid), np.int32),
+        "association": (association, 0.0, np.float32),
+        "density": (density / largest[ray], 0.0, np.float32),
+        "side": (side, 0, np.int32),
     }
-    known = {"voxel": voxel, "association": association, "density": density / largest[ray], "side": side}
-    for name, values in known.items():
+    ends = {"before": (before / largest, 0.0), "miss": (miss / largest, 1.0)}
+    table = {name: np.full(shape, fill, kind) for name, (_, fill, kind) in places.items()}
+    table |= {name: np.full(shape[0], fill, np.float32) for name, (_, fill) in ends.items()}
+    for name, (values, *_) in places.items():
         table[name][ray, place] = values
-    missed = np.ones(shape[0], np.float32)
-    missed[:rays] = miss / largest
-    return SensorRays(
-        **{name: jnp.asarray(values) for name, values in table.items()}, miss=jnp.asarray(missed)
-    )
+    for name, (values, _) in ends.items():
+        table[name][:rays] = values
+    return SensorRays(**{name: jnp.asarray(values) for name, values in table.items()})
 
 
 def _surfaces(label: NDArray[np.int64], surface_m: NDArray[np.floating], apart_m: float) -> NDArray[np.int64]:
@@ -203,6 +207,29 @@ def _surfaces(label: NDArray[np.int64], surface_m: NDArray[np.floating], apart_m
     ray = np.empty(len(order), np.int64)
     ray[order] = np.cumsum(jump) - 1
     return ray
+
+
+def _successions(ray: NDArray[np.int64], behind_m: NDArray[np.floating], apart_m: float) -> NDArray[np.int64]:
+    """Number of the ray of each place (P,), split where voxels stand side by side on a surface.
+
+    One voxel comes after another on a ray only if it lies so much farther behind the surface: each place
+    takes the first ray of its bundle whose last place is that far before it.
+    """
+    order = np.lexsort((behind_m, ray))
+    bundle, sizes = np.unique(ray, return_inverse=True, return_counts=True)[1:]
+    bundle, behind = bundle.reshape(-1)[order], behind_m[order]
+    starts = np.cumsum(sizes) - sizes
+    most = int(sizes.max(initial=0))
+    ends = np.full((len(sizes), most), -np.inf)
+    lane = np.empty(len(order), np.int64)
+    for number in range(most):
+        open_ = np.flatnonzero(sizes > number)
+        at = starts[open_] + number
+        lane[at] = (ends[open_] <= behind[at, None] - apart_m).argmax(axis=1)
+        ends[open_, lane[at]] = behind[at]
+    split = np.empty(len(order), np.int64)
+    split[order] = np.unique(bundle * most + lane, return_inverse=True)[1].reshape(-1)
+    return split
 
 
 def _bucket(count: int, step: int) -> int:

@@ -16,23 +16,27 @@ from shapes.learning.expectation_propagation import SensorRays, VoxelStates, vox
 SENSOR = DepthNoise(sigma_base_m=1.0, sigma_growth_per_m=0.0, none_hit_probability=0.02, max_range_m=20.0)
 
 
-def rays_of(voxel: Any, association: Any, density: Any, miss: Any, side: Any = None) -> SensorRays:
-    """Rays for which all voxels look alike from both sides, unless the sides are given."""
-    voxel = jnp.asarray(voxel)
+def rays_of(
+    voxel: Any, association: Any, density: Any, miss: Any, side: Any = None, before: Any = None
+) -> SensorRays:
+    """Whole rays for which all voxels look alike from both sides, unless the sides are given."""
+    voxel, miss = jnp.asarray(voxel), jnp.asarray(miss)
     side = jnp.zeros_like(voxel) if side is None else jnp.asarray(side)
-    return SensorRays(voxel, jnp.asarray(association), jnp.asarray(density), jnp.asarray(miss), side)
+    before = jnp.zeros_like(miss) if before is None else jnp.asarray(before)
+    return SensorRays(voxel, jnp.asarray(association), jnp.asarray(density), before, miss, side)
 
 
 def exact_marginals(rays: SensorRays, prior: NDArray[np.float64]) -> NDArray[np.float64]:
     """p(O_v = 1 | all rays) by summing over every state; a ray's density is that of the forward model."""
-    voxel, density, miss = (np.asarray(leaf) for leaf in (rays.voxel, rays.density, rays.miss))
+    leaves = (rays.voxel, rays.density, rays.before, rays.miss)
+    voxel, density, before, miss = (np.asarray(leaf) for leaf in leaves)
     states = np.array(list(itertools.product([0, 1], repeat=len(prior))))
     log_weight = (np.log(prior) * states + np.log1p(-prior) * (1 - states)).sum(axis=1)
-    for line, values, missed in zip(voxel, density, miss, strict=True):
+    for line, values, ended, missed in zip(voxel, density, before, miss, strict=True):
         passed = line < len(prior)
         on_ray = states[:, line[passed]]
         first = np.where(on_ray.any(axis=1), on_ray.argmax(axis=1), -1)
-        log_weight += np.log(np.append(values[passed], missed)[first])
+        log_weight += np.log(ended + np.append(values[passed], missed)[first])
     weight = np.exp(log_weight - log_weight.max())
     return weight @ states / weight.sum()
 
@@ -58,8 +62,9 @@ def measured_ray(line: list[int], truth: NDArray[np.int_], rng: np.random.Genera
     return np.asarray(density), float(np.exp(log_density_of_miss(SENSOR, jnp.asarray(measured))))
 
 
-def test_one_ray_is_exact(seed: int) -> None:
-    """Two undamped sweeps give the sums over all states of up to ten voxels."""
+@pytest.mark.parametrize("ended", [0.0, 0.3])
+def test_one_ray_is_exact(seed: int, ended: float) -> None:
+    """Two undamped sweeps give the sums over all states of up to ten voxels, of a part of a ray too."""
     rng = np.random.default_rng(seed)
     with jax.enable_x64(True):
         for count in (1, 2, 5, 10):
@@ -67,7 +72,7 @@ def test_one_ray_is_exact(seed: int) -> None:
             truth = (rng.random(count) < prior).astype(int)
             density, miss = measured_ray(list(range(count)), truth, rng)
             rays = rays_of(
-                jnp.arange(count)[None], jnp.ones((1, count)), jnp.asarray(density)[None], jnp.asarray([miss])
+                jnp.arange(count)[None], jnp.ones((1, count)), density[None], [miss], before=[ended]
             )
             got = binary_states(rays, prior, damping=1.0, sweeps=2).probability[:, 0]
             np.testing.assert_allclose(got, exact_marginals(rays, prior), atol=1e-9)
