@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import jax
@@ -15,6 +16,9 @@ from scipy import ndimage
 
 from pipeline.benchmarks.shape_ceiling import reached_voxels
 from pipeline.benchmarks.shape_films import ObjectFilm, PosedFilm, film_of, with_slam, with_true_poses
+from pipeline.benchmarks.shape_row import KeptRows, ShapeRow
+from pipeline.errors import PipelineError
+from pipeline.evaluation.calibration import calibration
 from pipeline.evaluation.shapes import intersection_over_union, shape_agreement, true_voxels
 from pipeline.peers.voxel_maps import PosedViews, VoxelMap, octomap, open3d_tsdf, space_carving
 from pipeline.synthesis.world import Part, RayCaster
@@ -58,12 +62,16 @@ PEERS: Mapping[str, Mapping[str, VoxelMap]] = {
         for margin in MARGINS
         for votes in (2, 3)
     },
-    "octomap": {f"hit {hit:g}, miss {miss:g}": octomap(hit, miss) for hit, miss in ((0.7, 0.4), (0.6, 0.45))},
+    "octomap": {
+        f"hit {hit:g}, miss {miss:g}, free below {free:g}": octomap(hit, miss, free)
+        for hit, miss, free in ((0.7, 0.4, 0.5), (0.7, 0.4, 0.2), (0.6, 0.45, 0.3))
+    },
     "tsdf": {f"truncation {pitches:g} pitches": open3d_tsdf(pitches) for pitches in (2.0, 4.0)},
 }
 """Every peer with the settings it may choose from: the best mean over the run's own objects is printed.
 `carving` frees a voxel that one view sees past; `votes` is carving that asks several views to agree."""
 OURS, LIKELIEST = "voxscene", "voxscene, likeliest particle alone"
+SCORES = ("brier", "log_loss", "ece")
 NEAR_VOXELS = 3.0
 """Calibration is scored so near to the true surface."""
 WALL_SAMPLES = 2000
@@ -72,45 +80,42 @@ GROWTH_PITCHES_M = (0.01, 0.007, 0.005, 0.0035)
 GROWTH_VIEWS = 10
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ShapeRow:
-    """One object from one number of views with one kind of poses.
-
-    Attributes:
-        figures: what is printed and written.
-        scored: by method, probabilities and truth (2, N) of the seen voxels near the surface.
-    """
-
-    figures: dict[str, Any]
-    scored: dict[str, NDArray[np.floating]]
-
-
 def shape_rows(
     meshes: Mapping[str, trimesh.Trimesh],
+    only: Sequence[str],
     views: Sequence[int],
     kinds: Sequence[Poses],
     peers: Sequence[str],
     config: LearnConfig,
     seed: int,
+    folder: Path | None = None,
 ) -> Iterator[ShapeRow]:
-    """Learn every mesh from every number of views, with every kind of poses."""
+    """Learn meshes from every number of views, with every kind of poses.
+
+    Args:
+        meshes: all of a folder, so that a mesh is filmed alike in every slice of the table.
+        only: names of those that are learned.
+        views: numbers of them.
+        kinds: of poses.
+        peers: names in `PEERS`.
+        config: of learning.
+        seed: of the films.
+        folder: rows found there are taken from it, and new ones are kept there.
+    """
+    kept = KeptRows(folder, {"config": asdict(config), "seed": seed, "peers": sorted(peers)})
     for count in views:
         for number, (name, mesh) in enumerate(sorted(meshes.items())):
-            film = film_of(mesh, count, SEED + 1000 * seed + number)
+            if name not in only:
+                continue
+            film = None
             for kind in kinds:
-                posed = with_true_poses(film) if kind == "true" else with_slam(film, seed)
-                used = config if kind == "true" else config.for_tracked_poses
-                try:
-                    row = _row(film, posed, peers, used)
-                except ValueError as error:  # there is no object where slam says the views looked
-                    row = ShapeRow(figures=_failure(film.mesh, config, str(error)), scored={})
-                about = {
-                    "object": name,
-                    "views": count,
-                    "poses": kind,
-                    "supplement": SUPPLEMENT_IOU.get(name),
-                }
-                yield replace(row, figures=about | row.figures)
+                row = kept.find(f"{name} {count} {kind}")
+                if row is None:
+                    film = film or film_of(mesh, count, SEED + 1000 * seed + number)
+                    about = {"object": name, "views": count, "poses": kind}
+                    row = _filmed_row(film, about, peers, config, seed)
+                    kept.keep(f"{name} {count} {kind}", row)
+                yield row
 
 
 def growth(mesh: trimesh.Trimesh, config: LearnConfig, seed: int) -> list[dict[str, float]]:
@@ -122,6 +127,21 @@ def growth(mesh: trimesh.Trimesh, config: LearnConfig, seed: int) -> list[dict[s
         shape, seconds = _learned(film, posed, replace(config, pitch_m=pitch_m))
         rows.append({"pitch_m": pitch_m, "voxels": shape.phi.size, "seconds": seconds})
     return rows
+
+
+def _filmed_row(
+    film: ObjectFilm, about: Mapping[str, Any], peers: Sequence[str], config: LearnConfig, seed: int
+) -> ShapeRow:
+    """The row of one film with the poses that `about` names; zeros where no shape can be learned."""
+    told = {**about, "supplement": SUPPLEMENT_IOU.get(about["object"])}
+    try:
+        if about["poses"] == "true":
+            row = _row(film, with_true_poses(film), peers, config)
+        else:
+            row = _row(film, with_slam(film, seed), peers, config.for_tracked_poses)
+    except (ValueError, PipelineError) as error:  # there is no object where slam says the views looked
+        row = ShapeRow(figures=_failure(film.mesh, config, str(error)), scored={})
+    return replace(row, figures=told | row.figures)
 
 
 def _learned(film: ObjectFilm, posed: PosedFilm, config: LearnConfig) -> tuple[ShapePrior, float]:
@@ -150,11 +170,16 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
     seen = near & (shape.seen_free | shape.seen_occupied)
     scored: dict[str, NDArray[np.floating]] = {OURS: _pair(shape.phi, truth, seen)}
     above = np.arange(shape.phi.shape[2]) * shape.pitch_m >= plane_m - 1e-6  # below it nobody has voxels
+    agreement = asdict(shape_agreement(shape, film.mesh, posed.reference_from_mesh))
+    ceiling = _ceiling(film, posed, shape.grid, (truth, above))
+    calibrated = calibration(scored[OURS][0], scored[OURS][1] > 0.5)
     figures = {
         "thin": _is_thin(film.mesh, config.pitch_m),
         "voxels": int(truth.sum()),
-        **asdict(shape_agreement(shape, film.mesh, posed.reference_from_mesh)),
-        "ceiling": _ceiling(film, posed, shape.grid, (truth, above)),
+        **agreement,
+        "ceiling": ceiling,
+        "ratio": agreement["solid"] / ceiling,
+        **{score: getattr(calibrated, score) if calibrated.count else None for score in SCORES},
         "seconds": seconds,
         "particles": len(posed.trajectories),
         "hidden_occupied": float(truth[shape.enclosed].mean()) if shape.enclosed.any() else None,
@@ -168,6 +193,7 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
         depths_m=[frame.depth_m for frame in posed.frames],
         intrinsics=film.recording.intrinsics,
         reference_from_camera=posed.best,
+        support_m=plane_m,
     )
     for peer in peers:
         for setting, build in PEERS[peer].items():
@@ -183,8 +209,9 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
 
 def _failure(mesh: trimesh.Trimesh, config: LearnConfig, problem: str) -> dict[str, Any]:
     """What is counted where no shape could be learned: no agreement at all, and nothing for peers to fill."""
-    nothing = dict.fromkeys(("solid", "shell", "observed", "ceiling", "seconds"), 0.0)
-    return {"thin": _is_thin(mesh, config.pitch_m), **nothing, "peers": {}, "failed": problem}
+    nothing = dict.fromkeys(("solid", "shell", "observed", "ceiling", "ratio", "seconds"), 0.0)
+    unknown = dict.fromkeys(SCORES)
+    return {"thin": _is_thin(mesh, config.pitch_m), **nothing, **unknown, "peers": {}, "failed": problem}
 
 
 def _pair(

@@ -25,13 +25,16 @@ class PosedViews:
         depths_m: (T) images (H, W).
         intrinsics: of their camera.
         reference_from_camera: (T, 4, 4).
+        support_m: height of the support plane in the grid's frame.
     """
 
     depths_m: Sequence[NDArray[np.float32]]
     intrinsics: CameraIntrinsics
     reference_from_camera: NDArray[np.float64]
+    support_m: float
 
 
+ON_SUPPORT_M = 0.003
 VoxelMap = Callable[[PosedViews, VoxelGrid], NDArray[np.float64]]
 
 
@@ -54,8 +57,12 @@ def space_carving(margin_pitches: float, votes: int) -> VoxelMap:
     return build
 
 
-def octomap(hit: float, miss: float) -> VoxelMap:
-    """OctoMap (Hornung et al. 2013) with its own inverse sensor model; needs octomap-python."""
+def octomap(hit: float, miss: float, free_below: float) -> VoxelMap:
+    """OctoMap (Hornung et al. 2013) with its own inverse sensor model; needs octomap-python.
+
+    Voxels between free and occupied count as unknown, lest outliers empty the inside. Returns from the
+    support plane end below the grid, or half of them would fill its lowest layer.
+    """
 
     def build(views: PosedViews, grid: VoxelGrid) -> NDArray[np.float64]:
         import octomap as library  # pyright: ignore[reportMissingImports]
@@ -68,6 +75,9 @@ def octomap(hit: float, miss: float) -> VoxelMap:
             grid_from_camera = grid_from_reference @ pose
             points = _points(depth, views.intrinsics, grid_from_camera, grid)
             eye = grid_from_camera[:3, 3].copy()
+            below = _below(points, eye, views.support_m - grid.pitch_m)
+            on_support = points[:, 2] < views.support_m + ON_SUPPORT_M
+            points = np.ascontiguousarray(np.where(on_support[:, None], below, points))
             beyond = np.linalg.norm(np.maximum(eye, np.asarray(grid.shape) * grid.pitch_m - eye))
             if len(points):  # rays are cut off behind the grid, where nobody asks
                 tree.insertPointCloud(points, eye, float(beyond), True)
@@ -79,7 +89,8 @@ def octomap(hit: float, miss: float) -> VoxelMap:
                 phi[index] = node.getOccupancy()
             except library.NullPointerException:
                 continue
-        return phi.reshape(grid.shape)
+        undecided = (phi > free_below) & (phi < 0.5)
+        return np.where(undecided, np.nan, phi).reshape(grid.shape)
 
     return build
 
@@ -108,6 +119,13 @@ def open3d_tsdf(truncation_pitches: float) -> VoxelMap:
         return np.where(weight > 0, np.where(distance < 0, 1.0, 0.0), np.nan)
 
     return build
+
+
+def _below(points_m: NDArray[np.float64], eye_m: NDArray[np.float64], height_m: float) -> NDArray[np.float64]:
+    """Where the rays from the eye through the points (N, 3) come down to a height; the points if never."""
+    down = eye_m[2] - points_m[:, 2]
+    stretch = np.where(down > 0, (eye_m[2] - height_m) / np.maximum(down, 1e-9), 1.0)
+    return np.asarray(eye_m + stretch[:, None] * (points_m - eye_m), np.float64)
 
 
 def _image(pixels: Any) -> o3d.geometry.Image:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,16 +14,12 @@ from pipeline.options import Common, common_options, words
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
 POSES = ("true", "slam")
-FIGURES = ("solid", "shell", "observed", "ceiling", "seconds")
+FIGURES = ("solid", "shell", "observed", "ceiling", "ratio")
+SCORES = ("brier", "log_loss", "ece")
+TITLES = ("solid", "shell", "observed", "ceiling", "ratio", *PEERS, "Brier", "log loss", "ECE", "seconds")
 COLUMNS: tuple[str, ...] = (
-    "object",
-    "thin",
-    "poses",
-    "views",
-    *FIGURES,
-    "supplement",
-    "particles",
-    "hidden_occupied",
+    *("object", "thin", "poses", "views", *FIGURES, *PEERS, *SCORES),
+    *("seconds", "supplement", "particles", "hidden_occupied", "failed"),
 )
 
 
@@ -30,7 +27,21 @@ COLUMNS: tuple[str, ...] = (
 @click.option("--meshes", type=click.Path(path_type=Path), required=True, metavar="DIR", help="True shapes.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--views", default="5,10,20", show_default=True, metavar="T,...", help="Numbers of views.")
-@click.option("--only", metavar="TEXT", default="", help="Only the meshes whose name has this in it.")
+@click.option(
+    "--only",
+    metavar="TEXT,...",
+    default="",
+    help="A slice of the table: only the meshes whose name has one of these in it.",
+)
+@click.option(
+    "--keep",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Rows are kept there one by one, and taken from there where they were made with the same settings.",
+)
+@click.option(
+    "--growth/--no-growth", default=True, show_default=True, help="Also time falling pitches, of one object."
+)
 @click.option(
     "--poses",
     default=",".join(POSES),
@@ -55,6 +66,8 @@ def command(
     units: Any,
     views: str,
     only: str,
+    keep: Path | None,
+    growth: bool,
     poses: str,
     against: str,
     csv_path: Path | None,
@@ -66,10 +79,17 @@ def command(
     shell     their outermost layer against that of the object
     observed  voxels that some ray decided, alone
     ceiling   solid, of the true object and all voxels that no noise-free ray reaches
+    ratio     solid to ceiling
+    peers     solid of each, in a row at its best setting for that object, in means at its best for all
+    Brier ... of voxels that some ray decided, within three voxels of the true surface
     paper     what Table 1 of the supplement says of the object
+    thin      a tenth of the object's surface belongs to walls thinner than the pitch
+
+    Each row is printed when it is done; an interrupted run prints the means of those before.
     """  # noqa: D301  (click reads the \b)
     from pipeline.benchmarks.shape_summary import summary
-    from pipeline.benchmarks.shapes import growth, shape_rows
+    from pipeline.benchmarks.shapes import growth as growth_of
+    from pipeline.benchmarks.shapes import shape_rows
     from pipeline.errors import ConfigError, PipelineError
     from pipeline.jax_setup import keep_compiled_kernels
     from pipeline.meshes import load_meshes
@@ -78,56 +98,82 @@ def command(
     from shapes.learning.config import LearnConfig
 
     keep_compiled_kernels()
-    peers = words("--against", against, PEERS)
+    peers = _installed(words("--against", against, PEERS))
     kinds: Any = words("--poses", poses, POSES)
     counts = [int(count) for count in numbers("--views", views)]
     if min(counts) < 1:
         raise ConfigError(f"--views {views}: every number must be at least 1")
     if not kinds:
         raise ConfigError("--poses: name at least one kind")
-    chosen = {name: mesh for name, mesh in load_meshes(meshes, units).items() if only in name}
+    all_meshes = load_meshes(meshes, units)
+    chosen = [name for name in sorted(all_meshes) if any(word in name for word in only.split(","))]
     if not chosen:
         raise PipelineError(f"--only {only}: no mesh has that in its name")
     config = common.settings.section("learn", LearnConfig)
     talking = not (common.as_json or common.quiet)
-    rows, total = [], len(counts) * len(chosen) * len(kinds)
+    rows, grown, total = [], [], len(counts) * len(chosen) * len(kinds)
     if talking:
         click.echo(
             f"pitch {1000 * config.pitch_m:g} mm; the paper does not state its pitch and interior rule"
         )
-        click.echo(_line(["object", "poses", "T", *FIGURES, "paper"]))
-    with common.progress("shapes", "films") as progress:
-        remaining = shape_rows(chosen, counts, kinds, peers, config, common.seed)
-        while len(rows) < total:
-            with stdout_to_stderr():
-                rows.append(next(remaining))
-            if talking:
-                click.echo(_row_line(rows[-1].figures))
-            progress(len(rows), total)
-        with stdout_to_stderr():
-            grown = growth(chosen[min(chosen)], config, common.seed)
-    document = summary(rows, grown, config.pitch_m)
-    if csv_path is not None:
-        _write_csv(csv_path, document["rows"])
-    common.report(document, _summary_lines(document))
+        click.echo(_line(["object", "poses", "T", *TITLES, "paper"]))
+    remaining = shape_rows(all_meshes, chosen, counts, kinds, peers, config, common.seed, keep)
+    try:
+        with common.progress("shapes", "films") as progress:
+            while len(rows) < total:
+                with stdout_to_stderr():
+                    rows.append(next(remaining))
+                if talking:
+                    click.echo(_row_line(rows[-1].figures))
+                progress(len(rows), total)
+            if growth:
+                with stdout_to_stderr():
+                    grown = growth_of(all_meshes[chosen[0]], config, common.seed)
+    finally:
+        if rows:
+            document = summary(rows, grown, config.pitch_m)
+            if csv_path is not None:
+                _write_csv(csv_path, document["rows"])
+            common.report(document, _summary_lines(document))
+
+
+def _installed(peers: list[str]) -> list[str]:
+    """The peers without OctoMap where it is not installed, which is told on stderr."""
+    if "octomap" not in peers or importlib.util.find_spec("octomap") is not None:
+        return peers
+    click.echo("octomap is left out: pip install 'voxscene[bench]' adds it", err=True)
+    return [peer for peer in peers if peer != "octomap"]
 
 
 def _row_line(row: dict[str, Any]) -> str:
     name = row["object"] + (" (thin)" if row["thin"] else "")
-    paper = "" if row["supplement"] is None else f"{row['supplement']:.3f}"
     if "failed" in row:
-        return _line([name, row["poses"], row["views"], f"failed: {row['failed']}"])
-    return _line([name, row["poses"], row["views"], *(f"{row[key]:.3f}" for key in FIGURES), paper])
+        return _line([name, row["poses"], row["views"], f"  failed: {row['failed']}"])
+    flat = _with_peers(row)
+    cells = [flat[key] for key in (*FIGURES, *PEERS)]
+    cells += [row[score] for score in SCORES] + [row["seconds"], row["supplement"]]
+    return _line([name, row["poses"], row["views"], *map(_number, cells)])
+
+
+def _with_peers(row: dict[str, Any]) -> dict[str, Any]:
+    """A row and, by peer, what it reached at its best setting for the object."""
+    best = {peer: max(one["solid"] for one in settings.values()) for peer, settings in row["peers"].items()}
+    return dict.fromkeys(PEERS) | row | best
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
 
 
 def _summary_lines(document: dict[str, Any]) -> list[str]:
     lines = [""]
     for mean in document["means"]:
         name = f"mean, {mean['walls']} walls ({mean['objects']})"
-        cells = [f"{mean[key]:.3f}" for key in FIGURES]
-        lines.append(_line([name, mean["poses"], mean["views"], *cells]))
-        for peer, best in mean["peers"].items():
-            lines.append(_line([f"  {peer}", "", "", f"{best['solid']:.3f}"]) + f"  {best['setting']}")
+        peers = {peer: best["solid"] for peer, best in mean["peers"].items()}
+        cells = [*(mean[key] for key in FIGURES), *(peers.get(peer) for peer in PEERS), *[None] * len(SCORES)]
+        lines.append(_line([name, mean["poses"], mean["views"], *map(_number, [*cells, mean["seconds"]])]))
+        if mean["walls"] == "all":
+            lines += [f"  {peer}: {best['setting']}" for peer, best in mean["peers"].items()]
     lines.append(_line(["calibration of seen voxels", "poses", "T", "Brier", "log loss", "ECE"]))
     for one in document["calibration"]:
         cells = (f"{one[key]:.4f}" for key in ("brier", "log_loss", "ece"))
@@ -148,7 +194,7 @@ def _summary_lines(document: dict[str, Any]) -> list[str]:
 
 def _line(cells: Iterable[Any]) -> str:
     name, poses, views, *rest = cells
-    return f"{name:<36}{poses:<6}{views:>3}" + "".join(f"{cell:>10}" for cell in rest)
+    return f"{name:<32}{poses:<5}{views:>3}" + "".join(f"{cell:>9}" for cell in rest)
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -157,4 +203,4 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows(map(_with_peers, rows))

@@ -1,6 +1,7 @@
 """`bench shapes` on a box: what it measures, with what, and its peers on the same views."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import trimesh
 
 from pipeline.benchmarks import shape_films
 from pipeline.benchmarks import shapes as bench
+from pipeline.benchmarks.shape_row import KeptRows
 from pipeline.benchmarks.shape_summary import exponent, falls, summary
 from pipeline.benchmarks.shapes import shape_rows
 from pipeline.synthesis.rooms import RoomConfig
@@ -22,11 +24,27 @@ def learned_with() -> list:
     return []
 
 
+CONFIG = replace(LearnConfig(), pitch_m=0.01)
+
+
 @pytest.fixture(scope="module")
-def document(learned_with: list) -> dict:
+def films() -> dict[str, trimesh.Trimesh]:
+    """A solid box, and one of thin walls."""
+    return {
+        "solid": trimesh.creation.box((0.1, 0.08, 0.06)),
+        "thin": trimesh.creation.box((0.1, 0.08, 0.004)),
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where rows are kept."""
+    return tmp_path_factory.mktemp("rows") / "kept"
+
+
+@pytest.fixture(scope="module")
+def document(learned_with: list, films: dict, folder: Path) -> dict:
     """Two boxes, one of thin walls, from four views at a pitch of 1 cm, beside two peers."""
-    solid = trimesh.creation.box((0.1, 0.08, 0.06))
-    thin = trimesh.creation.box((0.1, 0.08, 0.004))
     with pytest.MonkeyPatch.context() as patch:
 
         def spied(*arguments):
@@ -36,10 +54,8 @@ def document(learned_with: list) -> dict:
         patch.setattr(bench, "learn_shape", spied)
         patch.setattr(shape_films, "ROOM", RoomConfig(kind="bare"))
         patch.setattr(shape_films, "CAMERA", CameraConfig(width=200, height=150))
-        config = replace(LearnConfig(), pitch_m=0.01)
-        films = {"solid": solid, "thin": thin}
-        rows = list(shape_rows(films, [4], ["true"], ["carving", "tsdf"], config, 0))
-        return summary(rows, [], config.pitch_m)
+        rows = list(shape_rows(films, list(films), [4], ["true"], ["carving", "tsdf"], CONFIG, 0, folder))
+        return summary(rows, [], CONFIG.pitch_m)
 
 
 def test_it_calls_the_production_function(document: dict, learned_with: list) -> None:
@@ -63,6 +79,41 @@ def test_peers_see_the_same_box(document: dict) -> None:
     row = next(row for row in document["rows"] if row["object"] == "solid")
     for peer, settings in row["peers"].items():
         assert max(one["solid"] for one in settings.values()) > 0.6, peer
+
+
+def test_a_slice_takes_rows_that_were_kept(document: dict, films: dict, folder: Path) -> None:
+    """Nothing is learned again with the same settings, and the rows say the same."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "film_of", lambda *_: pytest.fail("filmed again"))
+        (row,) = shape_rows(films, ["thin"], [4], ["true"], ["carving", "tsdf"], CONFIG, 0, folder)
+    assert row.figures == next(one for one in document["rows"] if one["object"] == "thin")
+    assert row.scored["voxscene"].shape[0] == 2
+
+
+@pytest.mark.usefixtures("document")
+def test_rows_of_other_settings_are_not_taken(folder: Path) -> None:
+    """Nor is a file that is no row."""
+    (folder / "torn 4 true.npz").write_bytes(b"PK")
+    same = {"config": asdict(CONFIG), "seed": 0, "peers": ["carving", "tsdf"]}
+    assert KeptRows(folder, same).find("thin 4 true") is not None
+    assert KeptRows(folder, same | {"seed": 1}).find("thin 4 true") is None
+    assert KeptRows(folder, same).find("torn 4 true") is None
+
+
+def test_every_slice_films_a_mesh_alike(films: dict) -> None:
+    """The seed of a mesh does not hang on which others are asked for."""
+    seeds: list[int] = []
+
+    def seeing(_mesh: trimesh.Trimesh, _views: int, seed: int) -> None:
+        seeds.append(seed)
+        raise InterruptedError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "film_of", seeing)
+        for only in (["solid"], ["thin"], ["solid", "thin"]):
+            with pytest.raises(InterruptedError):
+                next(shape_rows(films, only, [4], ["true"], [], CONFIG, 0))
+    assert seeds[0] == seeds[2] != seeds[1]
 
 
 def test_calibration_is_pooled_over_objects(document: dict) -> None:
