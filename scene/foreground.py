@@ -7,7 +7,14 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, label, maximum_filter, median_filter, minimum_filter
+from scipy.ndimage import (
+    binary_dilation,
+    label,
+    maximum_filter,
+    median_filter,
+    minimum_filter,
+    uniform_filter,
+)
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.detection import SupportPlane, support_plane
@@ -23,6 +30,7 @@ WARP_M, STEP_M, LEVEL_COSINE, SMOOTHED_PX = 0.02, 0.004, 0.9, 5
 TABLE_MARGIN_M = 0.05
 FARTHEST_M = 2.5
 FEWEST_PIXELS = 100
+COMPANY_PX = 5
 
 
 def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed: int) -> SceneData:
@@ -66,7 +74,7 @@ def _data_over(
     if table is not None:
         foreground &= ~_enlarged(_surface_of(table, view), factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
-    window = window_over(foreground, depth_m, intrinsics)
+    window = window_over(_in_company(foreground), depth_m, intrinsics)
     return SceneData(
         view=replace(view, unexplained=jnp.asarray(pooled_foreground)),
         foreground=pooled_foreground,
@@ -77,6 +85,11 @@ def _data_over(
         rest_m=_background(table, window.of(foreground), window, intrinsics),
         table=table,
     )
+
+
+def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels most of whose neighbours are of the foreground too: stray ones must not widen the window."""
+    return foreground & (uniform_filter(foreground.astype(np.float32), COMPANY_PX) > 0.5)
 
 
 def _over(table: SupportPlane | None, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -19,13 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
+from recordings.types import NO_RETURN, DepthNoise
 from scene.compared_pixels import ComparedPixels
 from scene.detection import SupportPlane, clusters
 from scene.observation import unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.polishing import polished
-from scene.pose_choice import PoseLayers, choose, log_conditional
+from scene.pose_choice import PoseLayers, choose, improve_pairs, log_conditional
 from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
@@ -37,6 +37,9 @@ ANCHORS, CENTRES = 192, 8
 ANCHOR_SPACING_M = 0.012
 CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
 UNEXPLAINED_M = 0.012
+AGREE_M, FITTING = 0.006, 0.85
+"""Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
+PAIRED = 32
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
 
 
@@ -95,8 +98,9 @@ def initialise(
         depth = renderer.layers(np.repeat(np.arange(len(objects)), pool), found.reshape(-1, 7), data.window)
         layers = pixels.with_layers(layers, depth, len(objects), turn * pool)
         choices, log_densities = choose(round_key, layers, HOT, COLD, PARTICLES, SWEEPS)
-        chosen = np.asarray(choices)[int(np.argmax(log_densities))]
+        chosen = np.asarray(improve_pairs(layers, choices[jnp.argmax(log_densities)], PAIRED))
         shown = _shown(renderer, data, pools, chosen)
+        shown[_fit(data, shown) < FITTING] = np.inf
         unexplained = [_unexplained(data, np.delete(shown, one, axis=0)) for one in range(len(objects))]
     present = chosen < everywhere
     poses = pools[np.arange(len(objects)), np.minimum(chosen, everywhere - 1)]
@@ -161,6 +165,15 @@ def _shown(
     placed = pools[np.arange(count), np.minimum(chosen, poses - 1)]
     depth = renderer.layers(np.arange(count), placed, data.window)
     return np.where((chosen < poses)[:, None, None], depth, np.float32(np.inf))
+
+
+def _fit(data: SceneData, shown_m: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The share (N,) of what each layer (N, H, W) shows in the scene that agrees with the measurements."""
+    observed_m = data.window.depth_m
+    front_m = np.minimum(shown_m.min(axis=0), data.rest_m)
+    seen = np.isfinite(shown_m) & (shown_m <= front_m) & (observed_m != NO_RETURN)
+    agree = seen & (np.abs(shown_m - observed_m) < AGREE_M)
+    return agree.sum(axis=(1, 2)) / np.maximum(seen.sum(axis=(1, 2)), 1)
 
 
 def _unexplained(data: SceneData, others_m: NDArray[np.float32]) -> NDArray[np.bool_]:

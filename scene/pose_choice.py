@@ -61,6 +61,61 @@ def choose(
     return choice, jax.vmap(partial(log_density_of_choice, layers))(choice)
 
 
+@partial(jax.jit, static_argnames="candidates")
+def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax.Array:
+    """The choice (N,) after every two objects got the best joint poses given the others.
+
+    Two that took each other's places cannot leave them one by one. The joint is exact over the
+    `candidates` best poses of each, given the others without the two, and what they have.
+    """
+    count = len(layers.log_alone)
+    first, second = jnp.triu_indices(count, 1)
+    objects = jnp.arange(count)
+
+    def improve(pair: int, choice: jax.Array) -> jax.Array:
+        a, b = first[pair], second[pair]
+        others = _front(layers, choice, (objects != a) & (objects != b))
+        places = [_best_given(layers, others, choice, one, candidates) for one in (a, b)]
+        joint = _joint_log_density(layers, others, (a, places[0]), (b, places[1]))
+        best = jnp.unravel_index(jnp.argmax(joint), joint.shape)
+        return choice.at[a].set(places[0][best[0]]).at[b].set(places[1][best[1]])
+
+    return jax.lax.fori_loop(0, len(first), improve, choice)
+
+
+def _best_given(
+    layers: PoseLayers, others: tuple[jax.Array, jax.Array], choice: jax.Array, one: jax.Array, count: int
+) -> jax.Array:
+    """Places (count,) of the best poses of an object before a front, the chosen one first, none last."""
+    front_m, front = others
+    nearer = layers.depth_m[one] < front_m[None]
+    log_given = jnp.sum(jnp.where(nearer, layers.log_density[one] - front[None], 0.0), axis=1)
+    _, best = jax.lax.top_k(log_given + layers.log_alone[one], count - 2)
+    none = layers.log_alone.shape[1] - 1
+    return jnp.concatenate([choice[one][None], best, jnp.full(1, none)])
+
+
+def _joint_log_density(
+    layers: PoseLayers,
+    others: tuple[jax.Array, jax.Array],
+    one: tuple[jax.Array, jax.Array],
+    other: tuple[jax.Array, jax.Array],
+) -> jax.Array:
+    """Log density (A, B) of two objects, each given with its places, before the front of the others."""
+    (a, a_places), (b, b_places) = one, other
+    b_m, b_log = layers.depth_m[b, b_places], layers.log_density[b, b_places]
+
+    def row(place: jax.Array) -> jax.Array:
+        behind_m, behind = others
+        nearer = layers.depth_m[a, place] < behind_m
+        behind_m = jnp.where(nearer, layers.depth_m[a, place], behind_m)
+        behind = jnp.where(nearer, layers.log_density[a, place], behind)
+        shown = jnp.where(b_m < behind_m[None], b_log, behind[None])
+        return jnp.sum(shown, axis=1) + layers.log_alone[a, place]
+
+    return jax.lax.map(row, a_places) + layers.log_alone[b, b_places][None]
+
+
 def log_density_of_choice(layers: PoseLayers, choice: jax.Array) -> jax.Array:
     """Log density of the observation under one choice (N,)."""
     _, shown = _front(layers, choice, jnp.ones(len(choice), bool))

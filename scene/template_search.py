@@ -23,6 +23,9 @@ BEHIND = 2.5
 """Tolerances by which a surface may be seen behind the object before it speaks against it."""
 TAKEN = 0.5
 """Weight against the object of a point that agrees with a surface explained by something else."""
+HIDDEN = 0.4
+"""What a point counts in the mean that something nearer hides: little, but not nothing, else a pose of which
+one point is seen would be as good as one that is seen whole."""
 FEW_POINTS = 16
 FACING = -0.2
 """Cosine between normal and line of sight below which a surface point is taken for seen at first sight."""
@@ -107,11 +110,14 @@ def _first_sight(
     first = jnp.argsort(jnp.where(facing, 0, 1), stable=True)[:FEW_POINTS]
     turned, outward = turned[first], outward[first]
 
-    def add(index: int, total: jax.Array) -> jax.Array:
+    def add(index: int, sums: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         point = [x + turned[index, 0], y + turned[index, 1], z + turned[index, 2]]
-        return total + _evidence(view, point, outward[index], tolerance_m)
+        evidence, weight = _evidence(view, point, outward[index], tolerance_m)
+        return sums[0] + evidence, sums[1] + weight
 
-    return offsets, jax.lax.fori_loop(0, FEW_POINTS, add, jnp.zeros(len(offsets)))
+    nothing = jnp.zeros(len(offsets))
+    evidence, weight = jax.lax.fori_loop(0, FEW_POINTS, add, (nothing, nothing))
+    return offsets, evidence / weight
 
 
 def _contacts(turned_m: jax.Array, facing: jax.Array, forward: jax.Array) -> jax.Array:
@@ -134,16 +140,18 @@ def _score(
     rotation: jax.Array,
     offset_m: jax.Array,
 ) -> jax.Array:
-    """Mean evidence of the points that should be seen."""
+    """Mean evidence of the points that face the camera."""
     outward = rotated(rotation, normals)
     placed = [component + offset_m[axis] for axis, component in enumerate(rotated(rotation, points_m))]
     should = faces_camera(placed, outward)
-    evidence = _evidence(view, placed, outward, tolerance_m)
-    return jnp.sum(jnp.where(should, evidence, 0.0)) / jnp.maximum(jnp.sum(should), 1)
+    evidence, weight = _evidence(view, placed, outward, tolerance_m)
+    return jnp.sum(jnp.where(should, evidence, 0.0)) / jnp.maximum(jnp.sum(jnp.where(should, weight, 0.0)), 1)
 
 
-def _evidence(view: ViewTable, point: Vector, outward: Vector, tolerance_m: jax.Array | float) -> jax.Array:
-    """For each point 1 if it is seen where it should be, down to -1 if what is behind it is seen.
+def _evidence(
+    view: ViewTable, point: Vector, outward: Vector, tolerance_m: jax.Array | float
+) -> tuple[jax.Array, jax.Array]:
+    """For each point 1 if it is seen where it should be, down to -1 if what is behind it is seen; its weight.
 
     Where the table or another object explains the pixel already, to agree with it speaks against the
     object: else every flat one would be found inside the table's top.
@@ -156,7 +164,8 @@ def _evidence(view: ViewTable, point: Vector, outward: Vector, tolerance_m: jax.
     near = jnp.maximum(1 - (0.5 * gap) ** 2, 0) ** 2
     alike = jnp.where(known, cosine**2, 0.5) * near
     evidence = jnp.where(observed.unexplained, alike, -TAKEN * alike) - (gap > BEHIND)
-    return jnp.where(observed.measured, evidence, 0.0)
+    weight = jnp.where(observed.measured & (gap < -BEHIND), HIDDEN, 1.0)
+    return jnp.where(observed.measured, evidence, 0.0), weight
 
 
 def _best_everywhere(coarse: jax.Array, anchors: int) -> jax.Array:

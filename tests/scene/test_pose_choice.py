@@ -1,0 +1,58 @@
+"""The joint choice of poses from pools, against enumeration."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from scene.pose_choice import PoseLayers, improve_pairs, log_conditional, log_density_of_choice
+
+
+def _layers(objects: int, poses: int, pixels: int, seed: int = 0) -> PoseLayers:
+    """Random layers; the last pose of each pool shows nothing."""
+    rng = np.random.default_rng(seed)
+    depth = np.where(rng.random((objects, poses, pixels)) < 0.6, rng.random((objects, poses, pixels)), np.inf)
+    depth[:, -1] = np.inf
+    alone = rng.standard_normal((objects, poses))
+    alone[:, -1] = 0.0
+    return PoseLayers(
+        depth_m=jnp.asarray(depth, jnp.float32),
+        log_density=jnp.asarray(rng.standard_normal((objects, poses, pixels)), jnp.float32),
+        log_alone=jnp.asarray(alone, jnp.float32),
+        rest_m=jnp.asarray(rng.uniform(0.5, 1.5, pixels), jnp.float32),
+        rest_log_density=jnp.asarray(rng.standard_normal(pixels), jnp.float32),
+    )
+
+
+def test_conditionals_are_slices_of_the_joint() -> None:
+    """Entries of a conditional differ as the densities of the scenes with those poses do."""
+    layers = _layers(3, 4, 20)
+    choice = jnp.array([1, 0, 2])
+    for one in range(3):
+        scenes = [choice.at[one].set(pose) for pose in range(4)]
+        joint = [float(log_density_of_choice(layers, scene)) for scene in scenes]
+        conditional = np.asarray(log_conditional(layers, choice, jnp.asarray(one)))
+        np.testing.assert_allclose(conditional - conditional[0], np.array(joint) - joint[0], atol=1e-4)
+
+
+def test_two_objects_get_their_best_joint_poses() -> None:
+    """With every pose a candidate, the pair is the best of all; from any start."""
+    layers = _layers(2, 6, 30)
+    scenes = jnp.asarray(list(itertools.product(range(6), repeat=2)))
+    densities = jax.vmap(lambda scene: log_density_of_choice(layers, scene))(scenes)
+    best = scenes[jnp.argmax(densities)]
+    for start in scenes[::7]:
+        np.testing.assert_array_equal(improve_pairs(layers, start, 8), best)
+
+
+def test_pairs_never_make_a_scene_worse() -> None:
+    """Few candidates, four objects."""
+    layers = _layers(4, 9, 40, seed=1)
+    for seed in range(5):
+        start = jax.random.randint(jax.random.key(seed), (4,), 0, 9)
+        before, after = (
+            float(log_density_of_choice(layers, choice))
+            for choice in (start, improve_pairs(layers, start, 4))
+        )
+        assert after >= before - 1e-4
