@@ -7,14 +7,13 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm, qmc
 
 LOCAL_ANGLES_RAD = (-0.07, 0.0, 0.07)
 LOCAL_SHIFTS_M = (-0.06, 0.06)
 ORBIT_STEP_DEG = 6
-ORBIT_ELEVATIONS_DEG = (0, 15, 30, 45, 60)
-ORBIT_CLIMBS_DEG = (-30, 0, 30)
-ORBIT_DISTANCES = (0.9, 1.1, 1.35)
+ORBIT_ELEVATIONS_DEG = (0, 10, 20, 30, 40, 50, 60)
+ORBIT_CLIMBS_DEG = (-30, -15, 0, 15, 30)
+ORBIT_DISTANCES = (0.9, 1.05, 1.25)
 """Distances to the pivot of an orbit, in depths at the image centre."""
 TURNS_DEG = tuple(range(-180, 180, 15))
 TILTS_DEG = (-20, 0, 20)
@@ -73,22 +72,6 @@ def anywhere(
     looks[:, :3, :3] = tilted
     returns = (keyframes[:, None] @ looks[None]).reshape(-1, 4, 4)
     return np.concatenate([last @ orbit_steps(distances_m), last @ turns(), returns])
-
-
-def spread(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float) -> NDArray[np.float64]:
-    """Each of poses (C, 4, 4) and `count` around it (C (count + 1), 4, 4), Gaussian in the camera's frame.
-
-    Args:
-        poses: reference_from_camera.
-        count: of a low-discrepancy sequence, which covers six dimensions better than draws.
-        shift_m: standard deviation along each axis.
-        angle_rad: of the rotation vector, along each axis.
-    """
-    normal = norm.ppf(qmc.Halton(d=6, scramble=False).random(count + 1)[1:])
-    offsets = np.tile(np.eye(4), (count + 1, 1, 1))
-    offsets[1:, :3, 3] = shift_m * normal[:, :3]
-    offsets[1:, :3, :3] = Rotation.from_rotvec(angle_rad * normal[:, 3:]).as_matrix()
-    return (poses[:, None] @ offsets[None]).reshape(-1, 4, 4)
 
 
 def distinct(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float) -> NDArray[np.int_]:

@@ -188,7 +188,7 @@ def _found(
         found.append(searcher.near(group_map, starts, hold if len(starts) > 1 else 0.0))
     convincing = [located for located in found if located.is_convincing]
     doubtful = not any(located.is_unmistakable for located in found)
-    if not convincing or (doubtful and _step_was_wide(particles, int(np.argmax(weights)))):
+    if not convincing or (doubtful and _step_may_be_wide(particles, int(np.argmax(weights)))):
         everyone = _group_map(state, weights, 0)
         distances = np.asarray(enumeration.ORBIT_DISTANCES) * central_depth(view)
         found.append(searcher.near(everyone, [state.last_found]))
@@ -199,11 +199,14 @@ def _found(
     return kept[: COMPONENT_BUCKETS[-1]] or [replace(found[0], group=-1)]
 
 
-def _step_was_wide(particles: CameraParticles, heaviest: int) -> bool:
-    """Whether a particle's last step turned so far that the next may lead to a place that only looks like it.
+def _step_may_be_wide(particles: CameraParticles, heaviest: int) -> bool:
+    """Whether the next step may lead to a place that only looks like it: a particle's last one turned far.
 
-    Round an object on a pedestal the last view explains most of the next one, a fifth of a circle on.
+    Round an object on a pedestal the last view explains most of the next one, a fifth of a circle on. Of the
+    first step nothing is known.
     """
+    if np.array_equal(particles.previous_pose[heaviest], particles.pose[heaviest]):
+        return True
     first, second = (matrices_of(poses[heaviest]) for poses in (particles.previous_pose, particles.pose))
     return bool(0.5 * (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) < np.cos(WIDE_STEP_RAD))
 

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from recordings.types import NO_RETURN, DepthNoise
-from shapes import depth_noise
+from recordings.types import DepthNoise
 from slam import pose_gaussian
 from slam.alignment import (
     Agreement,
@@ -24,18 +23,15 @@ from slam.alignment import (
     projected_scores,
 )
 from slam.calibration import BIN_EDGES_M
-from slam.components import dot, moved
 from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, DepthView
 from slam.image_density import (
     STRIDE_PX,
     ScoredPixels,
-    expected_from_the_left,
     log_image_density,
-    log_unknown_factors,
     scored_pixels,
 )
 from slam.keyframes import Surface
-from slam.rendering import MapImage, fused_planes, pixels_of, render
+from slam.rendering import MapImage, fused_planes, render
 
 STARTS = 4
 COARSE_STRIDE_PX = 8
@@ -243,46 +239,3 @@ def block_variance(scores: jax.Array) -> jax.Array:
     block = (row // BLOCK_SIDE) * (columns // BLOCK_SIDE) + column // BLOCK_SIDE
     sums = scores @ jnp.asarray(np.eye(block.max() + 1, dtype=np.float32)[block])
     return sums @ sums.T
-
-
-@jax.jit
-def log_map_scores(
-    local_map: LocalMap,
-    view: DepthView,
-    noise: DepthNoise,
-    candidates: jax.Array,
-    surface_sigma_m: jax.Array | float,
-) -> jax.Array:
-    """Approximate log densities (C,) of a frame at candidates (C, 7) that may be far apart.
-
-    The reverse projection: a point of the frame lies on the surface of some keyframe, or in space that
-    a keyframe saw through, or where no keyframe looked. Nothing is rendered for a candidate; the
-    proposal may use this, the weights never do. Surfaces are blurred by `surface_sigma_m` so that
-    a coarse grid of candidates cannot step over a mode.
-    """
-    every = slice(COARSE_STRIDE_PX // 2, None, COARSE_STRIDE_PX)
-    observed = view.depth_m[every, every]
-    log_unknown = log_unknown_factors(observed, expected_from_the_left(observed), noise).ravel()
-    rays, depth = view.rays[:, every, every].reshape(3, -1), observed.ravel()
-    returned = depth > NO_RETURN
-    sigma = jnp.hypot(depth_noise.standard_deviation(noise, depth), surface_sigma_m)
-    log_contradicted = jnp.log(noise.outlier_probability / noise.max_range_m)
-
-    def score(candidate: jax.Array) -> jax.Array:
-        camera = jaxlie.SE3(candidate)
-        log_explained, seen_through = jnp.full(depth.shape, -jnp.inf), jnp.zeros(depth.shape, bool)
-        for index in range(len(local_map.present)):
-            keyframe = jax.tree.map(lambda leaf, index=index: leaf[index], local_map.surfaces)
-            relative = jaxlie.SE3(local_map.poses[index]).inverse() @ camera
-            points = moved(relative.rotation().as_matrix(), relative.translation(), rays * depth[None])
-            pixel, inside = pixels_of(points, keyframe.camera)
-            nearness = dot(keyframe.planes.reshape(3, -1)[:, pixel], points)
-            known = inside & (nearness > 0) & local_map.present[index]
-            gap = points[2] * (1.0 - 1.0 / jnp.where(known, nearness, 1.0))
-            log_normal = -0.5 * (gap / sigma) ** 2 - jnp.log(sigma) - 0.5 * jnp.log(2.0 * jnp.pi)
-            log_explained = jnp.maximum(log_explained, jnp.where(known, log_normal, -jnp.inf))
-            seen_through |= known & (gap < -3.0 * sigma)
-        otherwise = jnp.where(seen_through, log_contradicted, log_unknown)
-        return jnp.where(returned, jnp.maximum(log_explained, otherwise), 0.0).sum()
-
-    return jax.lax.map(score, candidates, batch_size=64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import jax
@@ -13,7 +14,8 @@ from recordings.types import DepthNoise
 from slam import enumeration
 from slam.depth_view import DepthView, framing
 from slam.keyframe_map import KeyframeMap, selected_keyframes
-from slam.localisation import LocalMap, Optimum, local_optimum, log_map_scores, optimum_at
+from slam.localisation import LocalMap, Optimum, local_optimum, optimum_at
+from slam.map_scores import climbed, log_map_scores
 from slam.particles import mean_keyframes
 from slam.rigid import matrices_of, poses_of
 
@@ -26,14 +28,16 @@ UNMISTAKABLE_EXPLAINED = 0.92
 PLAUSIBLE_EXPLAINED = 0.6
 PLAUSIBLE_COVERED = 0.1
 """The least with which the camera counts as found at all."""
-WIDE_REFINED = 6
 WIDE_KEYFRAMES = 8
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
-WIDE_SURFACE_SIGMA_M = 0.06
-NARROWING = ((96, 31, 0.05, 0.07, 0.04), (48, 31, 0.025, 0.035, 0.03), (32, 31, 0.012, 0.015, 0.02))
-"""Rounds of the search anywhere: how many of the best places are kept, how many poses are tried around each,
-their spread in metres and radians, and the surfaces' blur in metres. The grid is coarser than the modes: the
-right place may be the three hundredth on it (measured)."""
+WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
+"""Relative to depth, as in `slam.map_scores`."""
+WIDE_CLIMBED = 256
+"""Candidates that climb: the grid is coarser than the modes, the right place may be the three hundredth on it
+(measured)."""
+CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD = 0.05, 0.05
+WIDE_RENDERED = 24
+WIDE_REFINED = 6
 FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
 REFINEMENTS = 3
 """Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
@@ -157,16 +161,15 @@ class Searcher:
     def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
         """Distinct optima anywhere in the map, best first."""
         candidates = enumeration.anywhere(matrices_of(last), group.representative, distances_m)
-        scores = self._map_scores(group, candidates, WIDE_SURFACE_SIGMA_M)
+        scores = self._map_scores(group, candidates, WIDE_BLUR)
         ranked = candidates[np.argsort(-scores, kind="stable")]
-        places = ranked[enumeration.distinct(ranked, NARROWING[0][0], WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
-        for kept, times, shift_m, angle_rad, sigma_m in NARROWING:
-            tried = enumeration.spread(places[:kept], times, shift_m, angle_rad)
-            scores = self._map_scores(group, tried, sigma_m).reshape(-1, times + 1)
-            best = np.argsort(-scores.max(axis=1), kind="stable")
-            places = tried.reshape(-1, times + 1, 4, 4)[best, scores.argmax(axis=1)[best]]
-        climbed = distinct_places([self._at(group, poses_of(pose)) for pose in places])
-        found = [self.near(group, [located.optimum.pose]) for located in climbed[:WIDE_REFINED]]
+        starts = ranked[enumeration.distinct(ranked, WIDE_CLIMBED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
+        places = self._climbed(group, starts)
+        scores = self._map_scores(group, places, CLIMBED_BLUR)
+        ranked = places[np.argsort(-scores, kind="stable")]
+        best = enumeration.distinct(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
+        rendered = distinct_places([self._at(group, poses_of(pose)) for pose in ranked[best]])
+        found = [self.near(group, [located.optimum.pose]) for located in rendered[:WIDE_REFINED]]
         return distinct_places(found)
 
     def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
@@ -184,19 +187,36 @@ class Searcher:
         return indices, LocalMap(self.keyframe_map.stacked(indices), jnp.asarray(present), poses)
 
     def _map_scores(
-        self, group: GroupMap, candidates: NDArray[np.float64], surface_sigma_m: float
+        self, group: GroupMap, candidates: NDArray[np.float64], blur: float
     ) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
-        room = -(-len(candidates) // 256) * 256
-        padded = poses_of(
-            np.concatenate([candidates, np.tile(candidates[:1], (room - len(candidates), 1, 1))])
-        )
-        scores = []
+        padded = poses_of(_padded(candidates, 256))
+        scores = [
+            np.asarray(log_map_scores(local_map, self.view, self.noise, padded, blur))
+            for local_map in self._neighbourhoods(group)
+        ]
+        return np.max(scores, axis=0)[: len(candidates)]
+
+    def _climbed(self, group: GroupMap, starts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Poses (S', 4, 4) uphill of the starts (S, 4, 4), in each neighbourhood; strays are dropped."""
+        padded = poses_of(_padded(starts, WIDE_CLIMBED))
+        climbs = [
+            np.asarray(matrices_of(climbed(local_map, self.view, self.noise, padded)))[: len(starts)]
+            for local_map in self._neighbourhoods(group)
+        ]
+        places = np.concatenate(climbs)
+        return places[np.isfinite(places).all(axis=(1, 2))]
+
+    def _neighbourhoods(self, group: GroupMap) -> Iterator[LocalMap]:
+        """All keyframes, `WIDE_KEYFRAMES` at a time."""
         for first in range(0, len(self.keyframe_map), WIDE_KEYFRAMES):
             chosen = np.arange(first, min(first + WIDE_KEYFRAMES, len(self.keyframe_map)))
-            _, local_map = self._stacked(group, chosen, WIDE_KEYFRAMES)
-            scores.append(log_map_scores(local_map, self.view, self.noise, padded, surface_sigma_m))
-        return np.max([np.asarray(score) for score in scores], axis=0)[: len(candidates)]
+            yield self._stacked(group, chosen, WIDE_KEYFRAMES)[1]
+
+
+def _padded(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
+    """Poses (C, 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
+    return np.concatenate([poses, np.tile(poses[:1], (-len(poses) % multiple, 1, 1))])
 
 
 def _is_near(pose: jax.Array, start: jax.Array) -> bool:

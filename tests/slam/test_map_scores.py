@@ -1,0 +1,41 @@
+"""Candidates anywhere in the map: steps uphill lead to the frame's place, which scores best."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from recordings.types import DepthNoise
+from slam import pose_gaussian
+from slam.depth_view import view_of_frame
+from slam.keyframes import surface_of
+from slam.localisation import LocalMap
+from slam.map_scores import climbed, log_map_scores
+from slam.rigid import poses_of
+from tests.slam import box_room
+
+NOISE = DepthNoise()
+KEYFRAMES = np.stack([box_room.pose(-0.2, 0.0, -0.6, 0.2), box_room.pose(0.3, 0.1, -0.4, -0.1)])
+TRUTH = box_room.pose(0.1, 0.05, -0.5, 0.05, 0.05)
+OFFSETS = [[0.1, -0.05, 0.08, 0, 0, 0], [0, 0, 0, 0.1, -0.1, 0.08], [-0.08, 0.06, 0.05, -0.08, 0.09, -0.05]]
+
+
+def _local_map() -> LocalMap:
+    views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(KEYFRAMES, seed=1)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(surface_of(view, NOISE) for view in views))
+    return LocalMap(stacked, jnp.ones(len(views), bool), poses_of(KEYFRAMES))
+
+
+def test_neighbours_climb_to_the_mode_and_score_as_it_does():
+    """From a tenth of a metre and of a radian away to a fifth of that, where a rendering goes on."""
+    view = view_of_frame(box_room.frames(TRUTH[None], seed=2)[0], box_room.INTRINSICS)
+    true = poses_of(TRUTH[None])[0]
+    starts = jax.vmap(lambda xi: pose_gaussian.displaced(true, xi))(jnp.asarray(OFFSETS, jnp.float32))
+    local_map = _local_map()
+
+    found = climbed(local_map, view, NOISE, starts)
+
+    errors = np.asarray(jax.vmap(lambda pose: pose_gaussian.coordinates(true, pose))(found))
+    assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.02
+    assert np.linalg.norm(errors[:, 3:], axis=1).max() < 0.02
+    before, after = (np.asarray(log_map_scores(local_map, view, NOISE, p, 0.01)) for p in (starts, found))
+    assert (after > before + 100).all()
