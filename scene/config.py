@@ -18,8 +18,7 @@ class ParseConfig:
         rounds: of renewed search on what is left unexplained.
         pool: poses an object and round that are compared jointly.
         chains: Markov chains.
-        moves: of each chain, of which the first third is dropped.
-        thinning: moves from one kept sample to the next.
+        sweeps: of each chain, of which the first third teaches the proposals and is dropped.
         pixel_weight: effective over actual number of pixels in the likelihood (their errors are alike).
         model_error_m: error of shapes and calibration, added in quadrature to the sensor's.
         search_error_m: the same during the search, where poses are coarse.
@@ -36,8 +35,7 @@ class ParseConfig:
     rounds: int = 2
     pool: int = 48
     chains: int = 4
-    moves: int = 600
-    thinning: int = 4
+    sweeps: int = 150
     pixel_weight: float = 0.25
     model_error_m: float = 0.002
     search_error_m: float = 0.005
@@ -53,8 +51,8 @@ class ParseConfig:
             raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")
         if not 0 < self.pixel_weight <= 1:
             raise ValueError(f"pixel_weight must lie in (0, 1], got {self.pixel_weight}")
-        if min(self.rounds + 1, self.pool, self.chains, self.moves, self.thinning) < 1:
-            raise ValueError("rounds must not be negative; pool, chains, moves and thinning at least 1")
+        if min(self.rounds + 1, self.pool, self.chains, self.sweeps) < 1:
+            raise ValueError("rounds must not be negative; pool, chains and sweeps at least 1")
         if min(self.contact_sigma_m, self.contact_concentration, self.search_error_m) <= 0:
             raise ValueError("contact_sigma_m, contact_concentration and search_error_m must be positive")
         if not 0 <= self.slack_share < 1 or not 0 < self.outlier_probability < 1:

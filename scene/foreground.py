@@ -20,7 +20,7 @@ from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.detection import SupportPlane, support_plane
 from scene.observation import DepthView, pooled_view, unprojected
 from scene.scene_data import SceneData
-from scene.window import PixelWindow, window_over
+from scene.window import DETAIL, PixelWindow, window_over
 
 VIEW_WIDTH = 320
 LOWEST_M = 0.006
@@ -74,7 +74,9 @@ def _data_over(
     if table is not None:
         foreground &= ~_enlarged(_surface_of(table, view), factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
-    window = window_over(_in_company(foreground), depth_m, intrinsics)
+    seen = _in_company(foreground)
+    window = window_over(seen, depth_m, intrinsics)
+    detail = window_over(seen, depth_m, intrinsics, DETAIL)
     return SceneData(
         view=replace(view, unexplained=jnp.asarray(pooled_foreground)),
         foreground=pooled_foreground,
@@ -83,6 +85,8 @@ def _data_over(
             binary_dilation(window.of(foreground) & window.inside, iterations=2), bool
         ),
         rest_m=_background(table, window.of(foreground), window, intrinsics),
+        detail=detail,
+        detail_rest_m=_background(table, detail.of(foreground), detail, intrinsics),
         table=table,
     )
 

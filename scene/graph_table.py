@@ -45,3 +45,25 @@ class GraphTable:
     def update(self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate) -> Estimate:  # noqa: ARG002
         """The same."""
         return self.start(key, scene)
+
+    def of_candidates(
+        self,
+        keys: jax.Array,  # noqa: ARG002
+        scene: SceneGraph,  # noqa: ARG002
+        chosen: jax.Array,  # noqa: ARG002
+        poses: jax.Array,
+        current: Estimate,
+    ) -> jax.Array:
+        """The graph is one for all."""
+        return jnp.broadcast_to(current.log_likelihood, len(poses))
+
+    def taken(
+        self,
+        key: jax.Array,  # noqa: ARG002
+        scene: SceneGraph,  # noqa: ARG002
+        chosen: jax.Array,  # noqa: ARG002
+        stays: jax.Array,  # noqa: ARG002
+        current: Estimate,
+    ) -> Estimate:
+        """The same."""
+        return current

@@ -66,10 +66,9 @@ class Proposal:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class MoveInfo:
-    """What happened: whether the move was accepted, its log weight, and the check of its involution."""
+    """What happened: whether the move was accepted, and the check of its involution."""
 
     accepted: jax.Array
-    log_weight: jax.Array
     involution_error: jax.Array
 
 
@@ -87,7 +86,7 @@ def propose(
     """
     object_key, auxiliary_key = jax.random.split(key)
     scene = state.scene
-    chosen = _choose_object(object_key, scene.present & model.bodies.movable)
+    chosen = choose_object(object_key, scene.present & model.bodies.movable)
     context = move.context(model, scene, chosen)
     auxiliary = move.sample(auxiliary_key, context)
     there, reverse, log_jacobian = move.involution(model, scene, chosen, auxiliary)
@@ -113,10 +112,11 @@ def accept(
     uniform = jax.random.uniform(key, dtype=log_weight.dtype)
     accepted = jnp.log(uniform) < log_weight
     chosen = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), proposed, state)
-    return chosen, MoveInfo(accepted, log_weight, proposal.involution_error)
+    return chosen, MoveInfo(accepted, proposal.involution_error)
 
 
-def _choose_object(key: jax.Array, eligible: jax.Array) -> jax.Array:
+def choose_object(key: jax.Array, eligible: jax.Array) -> jax.Array:
+    """One of the eligible objects (C,), each as likely."""
     rank = jax.random.randint(key, (), 0, jnp.maximum(jnp.sum(eligible), 1))
     return jnp.argmax(jnp.cumsum(eligible) > rank)
 

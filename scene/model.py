@@ -44,6 +44,21 @@ class Likelihood(Protocol):
         """The estimate at a proposed scene, where the objects in the mask `moved` (C,) have moved."""
         ...
 
+    def of_candidates(
+        self, keys: jax.Array, scene: SceneGraph, chosen: jax.Array, poses: jax.Array, current: Estimate
+    ) -> jax.Array:
+        """Log likelihoods (K,) with the chosen object at poses (K, 7), the first of which is the present one.
+
+        That one keeps its stored estimate; each other has an estimate of its own, made from its key.
+        """
+        ...
+
+    def taken(
+        self, key: jax.Array, scene: SceneGraph, chosen: jax.Array, stays: jax.Array, current: Estimate
+    ) -> Estimate:
+        """The estimate behind one of the candidates: the stored one, or that made from its key."""
+        ...
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -61,6 +76,28 @@ class NoData:
         key: jax.Array,  # noqa: ARG002
         scene: SceneGraph,  # noqa: ARG002
         moved: jax.Array,  # noqa: ARG002
+        current: Estimate,
+    ) -> Estimate:
+        """The same."""
+        return current
+
+    def of_candidates(
+        self,
+        keys: jax.Array,  # noqa: ARG002
+        scene: SceneGraph,  # noqa: ARG002
+        chosen: jax.Array,  # noqa: ARG002
+        poses: jax.Array,
+        current: Estimate,  # noqa: ARG002
+    ) -> jax.Array:
+        """All alike."""
+        return jnp.zeros(len(poses), poses.dtype)
+
+    def taken(
+        self,
+        key: jax.Array,  # noqa: ARG002
+        scene: SceneGraph,  # noqa: ARG002
+        chosen: jax.Array,  # noqa: ARG002
+        stays: jax.Array,  # noqa: ARG002
         current: Estimate,
     ) -> Estimate:
         """The same."""

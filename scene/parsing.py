@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics, DepthNoise, Frame
+from scene.adaptation import adapted
 from scene.chain import Kernel, run_block, scene_kernel
 from scene.config import ParseConfig
 from scene.contact import TOP_FACE
@@ -21,6 +22,7 @@ from scene.foreground import frame_data, scene_data
 from scene.graph import Bodies, floating_scene
 from scene.initialisation import Initialisation, initialise
 from scene.model import ChainState, SceneModel, start_chain
+from scene.pose_moves import MixtureMove
 from scene.poses import composed, pose_of
 from scene.prior import PosePrior, UniformTrees
 from scene.proposals import pose_proposals
@@ -43,8 +45,8 @@ UNINFORMATIVE = 0.5
 """Probability of no return, with and without a surface: dark and grazing surfaces make it say little."""
 WALK_M, WALK_RAD = 0.004, 0.05
 PRIOR_SHARE = 0.05
-BLOCK = 120
-"""Moves between two reports of progress: whole cycles of the kernel."""
+BURN_IN_BLOCKS = 2
+"""Parts of the run after each of which proposals are fitted anew; as many again, twice, are kept."""
 
 
 def parse_scene(
@@ -103,7 +105,9 @@ def parse_scene(
         camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
         world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
         poses = [np.linalg.inv(world_from_camera @ pose) for pose in first_camera_from_camera]
-        likelihood = _likelihood(views, poses, renderer, noise, config)
+        likelihood = DepthImages.of(
+            views, np.stack(poses), renderer, noise, config.pixel_weight, objects=len(objects)
+        )
         rotation, translation = world_from_camera[:3, :3], world_from_camera[:3, 3]
         starts = start.poses[start.found, 4:] @ rotation.T + translation
         model = _model(data, objects, likelihood, space_of(data.table, starts), config)
@@ -120,27 +124,6 @@ def parse_scene(
         samples = _sample(chain_key, model, kernel, start, world, config, progress)
         indices = np.asarray(frame_indices)
         return summarise(samples, model, start, refined, world_from_camera, objects, indices, config)
-
-
-def _likelihood(
-    views: Sequence[SceneData],
-    camera_from_world: Sequence[NDArray[np.float64]],
-    renderer: ObjectRenderer,
-    noise: DepthNoise,
-    config: ParseConfig,
-) -> DepthImages:
-    return DepthImages(
-        renderer=renderer,
-        cameras=jax.tree.map(lambda *leaves: jnp.stack(leaves), *[view.window.camera for view in views]),
-        camera_from_world=jax.vmap(pose_of)(jnp.asarray(np.stack(camera_from_world))),
-        observed_m=jnp.stack([jnp.asarray(view.window.depth_m) for view in views]),
-        rest_m=jnp.stack([jnp.asarray(view.rest_m) for view in views]),
-        inside=jnp.stack([jnp.asarray(view.window.inside, jnp.float32) for view in views]),
-        noise=noise,
-        surface_sigma_m=jnp.zeros((), jnp.float32),
-        pixel_weight=jnp.asarray(config.pixel_weight),
-        objects=len(renderer.library),
-    )
 
 
 def space_of(
@@ -197,24 +180,34 @@ def _sample(
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> Samples:
-    """Chains from the best scene found: first the graph alone finds its place, then all moves run."""
-    start_key, graph_key, run_key = jax.random.split(key, 3)
+    """Chains from the best scene found; the first third of their sweeps teaches the proposals."""
+    start_key, run_key = jax.random.split(key)
     spare = len(model.bodies.movable) - len(start.poses)
     states = _start(jax.random.split(start_key, config.chains), model, start.poses, start.found, world, spare)
     if not start.found.any():
         return jax.tree.map(lambda leaf: leaf[None], jax.vmap(_recorded)(states))
-    if config.graph == "infer":
-        graph_alone = Kernel(kernel.moves, jnp.zeros_like(kernel.schedule))
-        states, _, _ = run_block(graph_key, states, model, graph_alone, BLOCK, _recorded)
-    blocks = -(-config.moves // BLOCK)
-    kept = []
+    blocks = BURN_IN_BLOCKS * 3
+    count = -(-config.sweeps // blocks)
+    kept: list[Samples] = []
     for block in range(blocks):
         block_key = jax.random.fold_in(run_key, block)
-        states, recorded, _ = run_block(block_key, states, model, kernel, BLOCK, _recorded)
+        states, recorded, _ = run_block(block_key, states, model, kernel, count, _recorded)
         kept.append(recorded)
+        if block < BURN_IN_BLOCKS:
+            kernel = _taught(kernel, recorded)
+            kept.clear()
         if progress:
             progress(block + 1, blocks)
-    return Samples.thinned(kept, burn_in=blocks * BLOCK // 3, thinning=config.thinning)
+    return Samples.joined(kept)
+
+
+def _taught(kernel: Kernel, states: Samples) -> Kernel:
+    """The kernel with proposals fitted to the states that its chains went through."""
+    states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
+    mixture = adapted(kernel.candidates.offer.mixture, states.poses, states.log_posterior)
+    draw = replace(kernel.candidates.offer, mixture=mixture)
+    others = tuple(draw if isinstance(move, MixtureMove) else move for move in kernel.others)
+    return replace(kernel, candidates=replace(kernel.candidates, offer=draw), others=others)
 
 
 @partial(jax.jit, static_argnames="spare")

@@ -195,19 +195,27 @@ class MixtureMove:
 
     def sample(self, key: jax.Array, context: _MixtureContext) -> tuple[jax.Array, jax.Array]:
         """A pose (7,), and the coin."""
+        pose_key, coin_key = jax.random.split(key)
+        return self.pose(pose_key, context), jax.random.bernoulli(coin_key)
+
+    def pose(self, key: jax.Array, context: _MixtureContext) -> jax.Array:
+        """A pose (7,)."""
         choice_key, prior_key, component_key = jax.random.split(key, 3)
         model, scene, chosen = context.model, context.scene, context.chosen
         from_prior = sample_pose(prior_key, model.prior, model.bodies, scene, chosen)
         from_mixture = pose_mixture.sample(component_key, context.mixture)
-        choices = jax.random.uniform(choice_key, (2,), self.prior_share.dtype)
-        return jnp.where(choices[0] < self.prior_share, from_prior, from_mixture), choices[1] < 0.5
+        choice = jax.random.uniform(choice_key, dtype=self.prior_share.dtype)
+        return _normalised(jnp.where(choice < self.prior_share, from_prior, from_mixture))
 
     def log_density(self, context: _MixtureContext, auxiliary: tuple[jax.Array, jax.Array]) -> jax.Array:
         """Log density of a pose in the measure of poses."""
-        model, scene, chosen = context.model, context.scene, context.chosen
-        pose, _ = auxiliary
-        at_pose = replace(scene, poses=scene.poses.at[chosen].set(pose))
-        log_from_prior = log_pose_given_faces(model.prior, model.bodies, at_pose, chosen)
+        return self.log_density_of_pose(context, auxiliary[0])
+
+    def log_density_of_pose(self, context: _MixtureContext, pose: jax.Array) -> jax.Array:
+        """The same of a pose (7,)."""
+        model, chosen = context.model, context.chosen
+        there = at_pose(context.scene, chosen, pose)
+        log_from_prior = log_pose_given_faces(model.prior, model.bodies, there, chosen)
         log_from_mixture = pose_mixture.log_density(context.mixture, pose)
         return jnp.logaddexp(
             jnp.log(self.prior_share) + log_from_prior, jnp.log1p(-self.prior_share) + log_from_mixture
@@ -223,6 +231,11 @@ class MixtureMove:
         """Swap the pose and the auxiliary one."""
         pose, carry = auxiliary
         return moved(scene, chosen, pose, carry), (scene.poses[chosen], carry), jnp.zeros((), pose.dtype)
+
+
+def at_pose(scene: SceneGraph, chosen: jax.Array, pose: jax.Array) -> SceneGraph:
+    """The scene with one object at another pose (7,), everything else in its place."""
+    return replace(scene, poses=scene.poses.at[chosen].set(pose))
 
 
 def moved(scene: SceneGraph, chosen: jax.Array, pose: jax.Array, carry: jax.Array) -> SceneGraph:

@@ -22,6 +22,8 @@ class SceneData:
         window: the pixels on which scenes are compared.
         window_foreground: its pixels that may show an object.
         rest_m: the window's background depth: the table's plane, elsewhere what was seen; +inf if nothing.
+        detail: the finer pixels on which chains compare scenes.
+        detail_rest_m: their background depth.
         table: None where nothing supports the objects.
     """
 
@@ -30,4 +32,6 @@ class SceneData:
     window: PixelWindow
     window_foreground: NDArray[np.bool_]
     rest_m: NDArray[np.float32]
+    detail: PixelWindow
+    detail_rest_m: NDArray[np.float32]
     table: SupportPlane | None

@@ -30,7 +30,7 @@ MEAN_STEPS = 5
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Samples:
-    """Kept states of chains: (S, ...) once thinned, any leading axes before.
+    """Kept states of chains: (S, chains, ...) of whole runs, any leading axes before.
 
     Attributes:
         poses: (..., C, 7) world_from_box.
@@ -47,11 +47,9 @@ class Samples:
     log_posterior: jax.Array
 
     @classmethod
-    def thinned(cls, blocks: Sequence[Samples], burn_in: int, thinning: int) -> Samples:
-        """Every `thinning`-th state after `burn_in`; blocks are (count, chains, ...), the result too."""
-        joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *blocks)
-        burn_in = min(burn_in, len(joined.log_posterior) - 1)
-        return jax.tree.map(lambda leaf: leaf[burn_in::thinning], joined)
+    def joined(cls, blocks: Sequence[Samples]) -> Samples:
+        """Blocks (count, chains, ...) after one another."""
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *blocks)
 
 
 def summarise(

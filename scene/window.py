@@ -12,6 +12,8 @@ from recordings.types import NO_RETURN, CameraIntrinsics
 from shapes.camera import Camera
 
 WINDOW_HEIGHT, WINDOW_WIDTH = 72, 96
+DETAIL = 2
+"""Chains compare scenes on so many times as many pixels along each edge as the search."""
 MARGIN_PX = 3
 
 
@@ -21,7 +23,7 @@ class PixelWindow:
 
     Attributes:
         camera: of the window's own pixel coordinates.
-        depth_m: (WINDOW_HEIGHT, WINDOW_WIDTH) float32; `NO_RETURN` also beyond the image.
+        depth_m: (H, W) float32; `NO_RETURN` also beyond the image.
         inside: the same shape, bool, False beyond the image.
         rows, columns: of the image.
     """
@@ -32,6 +34,11 @@ class PixelWindow:
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
 
+    @property
+    def stride(self) -> int:
+        """Pixels of the image from one of the window to the next."""
+        return int(self.rows[1] - self.rows[0])
+
     def of(self, image: NDArray) -> NDArray:
         """The window's pixels of an image-sized array."""
         height, width = image.shape[:2]
@@ -39,13 +46,16 @@ class PixelWindow:
 
 
 def window_over(
-    foreground: NDArray[np.bool_], depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics
+    foreground: NDArray[np.bool_],
+    depth_m: NDArray[np.float32],
+    intrinsics: CameraIntrinsics,
+    detail: int = 1,
 ) -> PixelWindow:
-    """The finest window that holds the foreground pixels (H, W)."""
+    """The finest window that holds the foreground pixels, `detail` times WINDOW_HEIGHT x WINDOW_WIDTH."""
     rows, columns = np.nonzero(foreground)
     low = np.array([rows.min(initial=0), columns.min(initial=0)])
     high = np.array([rows.max(initial=0), columns.max(initial=0)]) + 1
-    size = np.array([WINDOW_HEIGHT, WINDOW_WIDTH])
+    size = detail * np.array([WINDOW_HEIGHT, WINDOW_WIDTH])
     stride = max(1, int(np.ceil(((high - low) / (size - 2 * MARGIN_PX)).max())))
     first = (low + high - stride * size) // 2
     at_rows, at_columns = (first[axis] + stride * np.arange(size[axis]) for axis in (0, 1))
@@ -65,7 +75,7 @@ def window_over(
     )
     window = PixelWindow(
         camera=camera,
-        depth_m=np.zeros((WINDOW_HEIGHT, WINDOW_WIDTH), np.float32),
+        depth_m=np.zeros(inside.shape, np.float32),
         inside=inside,
         rows=at_rows,
         columns=at_columns,

@@ -44,6 +44,7 @@ def cube_kernel(count: int, proposal: str = "posterior", *, prior_share: float =
         prior_share=prior_share,
         translation_m=scale,
         rotation_rad=2 * scale,
+        candidates=2,
         structure=StructureMove(proposal),  # pyright: ignore[reportArgumentType]
     )
 
@@ -80,16 +81,16 @@ def tree_frequencies(
     kernel: Kernel,
     *,
     chains: int,
-    moves: int,
+    sweeps: int,
     burn_in: int,
     record: Callable[[ChainState], jax.Array] = code_of,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Share of time (chains, T) that each chain spends in each of the trees (T, C)."""
+    """Share of sweeps (chains, T) that end in each of the trees (T, C), for each chain."""
     movable = np.asarray(model.bodies.movable)
     trees = all_trees(int(movable.sum()), table=not movable.all())
     start_key, run_key = jax.random.split(key)
     states = start_chains(start_key, model, chains)
-    _, codes, _ = run_block(run_key, states, model, kernel, moves, record)
+    _, codes, _ = run_block(run_key, states, model, kernel, sweeps, record)
     codes = np.asarray(codes)[burn_in:]
     tree_codes = np.asarray(jax.vmap(tree_code)(jnp.asarray(trees)))
     return np.stack([(codes == code).mean(axis=0) for code in tree_codes], axis=1), trees

@@ -27,9 +27,9 @@ from scene.model import ChainState, SceneModel
 OBJECTS = (2, 3, 4)
 CHAINS, GROUPS = 256, 2
 """Chains that are compiled together, and groups of them that run side by side."""
-BLOCK = 612
-"""Moves of each chain compiled together, whole cycles of the schedule; the first block is dropped."""
-VERIFIED_CHAINS, VERIFIED_MOVES = 64, 240
+BLOCK = 68
+"""Sweeps of each chain compiled together; the first block is dropped."""
+VERIFIED_CHAINS, VERIFIED_SWEEPS = 64, 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ def _measure(rng: np.random.Generator, count: int, moves: int) -> SamplerFigures
 
     def visits(key: jax.Array, model: SceneModel, state: ChainState) -> NDArray[np.int64]:
         counts = np.zeros(len(trees), np.int64)
-        for index in range(1 + -(-moves // (GROUPS * CHAINS * BLOCK))):
+        for index in range(1 + -(-moves // (GROUPS * CHAINS * BLOCK * kernel.moves))):
             state, codes, _ = block(jax.random.fold_in(key, index), state, model, kernel)
             if index:
                 codes, numbers = np.unique(np.asarray(codes), return_counts=True)
@@ -103,7 +103,7 @@ def _measure(rng: np.random.Generator, count: int, moves: int) -> SamplerFigures
     seconds = time.perf_counter() - compiled
     seen_with_data = all_visits(data_key, models[1], states[1])
     few = jax.tree.map(lambda leaf: leaf[:VERIFIED_CHAINS], states[1][0])
-    _, _, info = run_block(verify_key, few, models[1], kernel, VERIFIED_MOVES, code_of, verify=True)
+    _, _, info = run_block(verify_key, few, models[1], kernel, VERIFIED_SWEEPS, code_of, verify=True)
     prior = np.full(len(trees), 1 / len(trees))
     return SamplerFigures(
         total_variation=_distance(seen, prior),

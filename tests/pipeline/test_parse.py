@@ -21,7 +21,7 @@ from recordings.writer import RecordingWriter
 from scene.result import SceneResult
 
 SHAPES = ("box", "mug")
-SHORT = ("-s", "parse.rounds=0", "-s", "parse.moves=120", "-s", "parse.chains=2")
+SHORT = ("-s", "parse.rounds=0", "-s", "parse.sweeps=18", "-s", "parse.chains=2")
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ def test_every_involution_returns(key: jax.Array) -> None:
     start_key, run_key = jax.random.split(key)
     states = start_chains(start_key, model, 64)
 
-    _, codes, info = run_block(run_key, states, model, cube_kernel(4), 240, code_of, verify=True)
+    _, codes, info = run_block(run_key, states, model, cube_kernel(4), 40, code_of, verify=True)
 
     assert len(np.unique(codes)) >= 40  # of 50 trees: all four kinds of transition took place
     assert float(jnp.max(info.involution_error)) < 1e-9
@@ -48,7 +48,7 @@ def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array, strength:
     posterior = probabilities * np.exp(log_likelihood)
     model = replace(model, likelihood=GraphTable.build(trees, log_likelihood))
 
-    frequencies, _ = tree_frequencies(key, model, cube_kernel(3), chains=CHAINS, moves=2400, burn_in=400)
+    frequencies, _ = tree_frequencies(key, model, cube_kernel(3), chains=CHAINS, sweeps=300, burn_in=50)
 
     assert_mean(frequencies, posterior / posterior.sum(), detectable=0.06)
 
@@ -57,7 +57,7 @@ def test_no_data_returns_the_uniform_prior_with_a_table(key: jax.Array) -> None:
     """Likelihood constant, two objects and a table: 8 trees, 1/8 each."""
     model = cube_model(2, table=True)
 
-    frequencies, _ = tree_frequencies(key, model, cube_kernel(3), chains=CHAINS, moves=2400, burn_in=400)
+    frequencies, _ = tree_frequencies(key, model, cube_kernel(3), chains=CHAINS, sweeps=300, burn_in=50)
 
     assert_mean(frequencies, np.full(8, 1 / 8), detectable=0.06)
 
@@ -67,7 +67,7 @@ def test_uniform_proposal_is_exact_too(key: jax.Array) -> None:
     model, probabilities = weighted(2)
     kernel = cube_kernel(2, "uniform")
 
-    frequencies, _ = tree_frequencies(key, model, kernel, chains=CHAINS, moves=4800, burn_in=1200)
+    frequencies, _ = tree_frequencies(key, model, kernel, chains=CHAINS, sweeps=600, burn_in=150)
 
     assert_mean(frequencies, probabilities, detectable=0.06)
 
@@ -81,7 +81,7 @@ def test_the_factor_eight_is_seen(
     monkeypatch.setattr(structure_move, "LOG_CONTACT_JACOBIAN", np.log(factor))
     jax.clear_caches()
 
-    frequencies, trees = tree_frequencies(key, model, cube_kernel(2), chains=CHAINS, moves=1500, burn_in=500)
+    frequencies, trees = tree_frequencies(key, model, cube_kernel(2), chains=CHAINS, sweeps=200, burn_in=60)
 
     jax.clear_caches()
     floating = frequencies[:, (trees == ROOT).all(axis=1)]

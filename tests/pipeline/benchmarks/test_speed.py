@@ -6,7 +6,6 @@ import sys
 import numpy as np
 import pytest
 
-import scene.depth_images
 import scene.parsing
 import scene.refinement
 import scene.rendering
@@ -28,9 +27,8 @@ def task() -> Problem:
 
 
 def test_it_calls_what_parse_calls() -> None:
-    """The very functions: refinement scores with one; chains and searches render with the other."""
+    """The very functions: refinement scores with one; searches render with the other."""
     assert speed.log_likelihood_ratio is scene.refinement.log_likelihood_ratio
-    assert speed.render_layers is scene.depth_images.render_layers
     assert speed.render_layers is scene.rendering.render_layers
     assert scene.parsing.refine is scene.refinement.refine
 

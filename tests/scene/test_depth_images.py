@@ -1,0 +1,123 @@
+"""The likelihood that chains keep tile by tile is that of whole images."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from recordings.types import DepthNoise
+from scene.depth_images import DepthImages
+from scene.graph import SceneGraph, floating_scene
+from scene.rendering import ObjectRenderer
+from scene.scene_object import SceneObject, scene_object
+from shapes import depth_noise
+from shapes.camera import Camera
+from shapes.depth_rendering import render_layers
+from shapes.tiles import tiled
+
+HEIGHT, WIDTH, WEIGHT = 48, 64, 0.25
+NOISE = DepthNoise(sigma_base_m=0.003, outlier_probability=0.1)
+
+
+@pytest.fixture(scope="module")
+def boxes() -> list[SceneObject]:
+    """Two small boxes."""
+    sizes = {"flat": (0.1, 0.06, 0.02), "long": (0.03, 0.03, 0.12)}
+    meshes = {name: trimesh.creation.box(size) for name, size in sizes.items()}
+    return [scene_object(name, mesh.vertices, mesh.faces) for name, mesh in meshes.items()]
+
+
+@pytest.fixture(scope="module")
+def poses() -> jax.Array:
+    """Of both, one partly before the other."""
+    with jax.enable_x64(True):
+        turns = [[0.9, 0.3, 0.2, 0.1], [0.7, -0.4, 0.5, 0.2]]
+        places = [[0.0, 0.0, 0.6], [0.02, 0.01, 0.5]]
+        turns = np.array(turns) / np.linalg.norm(turns, axis=1, keepdims=True)
+        return jnp.asarray(np.concatenate([turns, places], axis=1))
+
+
+def images(
+    shapes: list[SceneObject], observed_m: np.ndarray, *, objects: int = 2, draws: int = 1
+) -> DepthImages:
+    """Two cameras side by side, a wall behind, the second image's last rows beyond its border."""
+    rest_m = np.full((2, HEIGHT, WIDTH), 0.8, np.float32)
+    rest_m[1, -5:] = 0
+    camera = Camera(*(jnp.full(2, value, jnp.float32) for value in (80.0, 80.0, 31.5, 23.5)))
+    return DepthImages(
+        renderer=ObjectRenderer.of(shapes),
+        cameras=camera,
+        camera_from_world=jnp.asarray([[1.0, 0, 0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0.05, 0, 0]]),
+        observed_m=tiled(jnp.asarray(observed_m, jnp.float32), 0.0),
+        rest_m=tiled(jnp.asarray(rest_m), 0.0),
+        weights=jnp.asarray([WEIGHT, WEIGHT / 2]),
+        noise=jax.tree.map(jnp.float32, NOISE),
+        objects=objects,
+        height=HEIGHT,
+        width=WIDTH,
+        draws=draws,
+    )
+
+
+def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:
+    """The log likelihood by whole images."""
+    total = 0.0
+    for frame in range(2):
+        world = jnp.asarray([0.05 * frame, 0, 0])
+        shifted = scene.poses.at[:, 4:].add(world[None])
+        renderer = likelihood.renderer
+        camera = jax.tree.map(lambda leaf: leaf[:1], likelihood.cameras)
+        posed = renderer.posed(jnp.arange(2), shifted, jnp.zeros(2, jnp.int32))
+        layers = np.asarray(render_layers(renderer.library, posed, camera, HEIGHT, WIDTH))
+        shown = np.where(np.asarray(scene.present)[:, None, None], layers, np.inf).min(axis=0)
+        log_pixels = depth_noise.log_density(NOISE, observed_m[frame], np.minimum(shown, 0.8))
+        rows = HEIGHT - 5 * frame
+        total += WEIGHT / (1 + frame) * float(np.asarray(log_pixels, np.float64)[:rows].sum())
+    return total
+
+
+def test_every_way_to_a_scene_has_its_likelihood(
+    key: jax.Array, seed: int, boxes: list[SceneObject], poses: jax.Array
+) -> None:
+    """From scratch, by moving one object or all, and as a candidate: that of the images rendered whole."""
+    observed_m = np.random.default_rng(seed).uniform(0.45, 0.85, (2, HEIGHT, WIDTH)).astype(np.float32)
+    likelihood = images(boxes, observed_m)
+    scene = floating_scene(poses)
+    steps = jnp.asarray(
+        [[0.0] * 7, [0, 0, 0, 0, 0.03, 0, 0], [0, 0, 0, 0, 0.4, 0, 0], [0, 0, 0, 0, 0, 0, -0.1]]
+    )
+    start_key, offer_key, update_key = jax.random.split(key, 3)
+    start = jax.jit(likelihood.start)(start_key, scene)
+    assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
+    chains = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
+    offer = jax.jit(jax.vmap(likelihood.of_candidates, in_axes=(None, None, None, None, 0)))
+    update, take = jax.jit(likelihood.update), jax.jit(likelihood.taken)
+    keys = jax.random.split(offer_key, len(steps))
+    for chosen in range(2):
+        poses_there = scene.poses[chosen][None] + steps
+        offered = offer(jax.random.clone(keys), scene, jnp.asarray(chosen), poses_there, chains)
+        np.testing.assert_array_equal(offered[0], offered[1])
+        for pose, log_likelihood in zip(poses_there, offered[0], strict=True):
+            there = replace(scene, poses=scene.poses.at[chosen].set(pose))
+            updated = update(jax.random.clone(update_key), there, jnp.arange(2) == chosen, start)
+            expected = dense(likelihood, observed_m, there)
+            assert float(updated.log_likelihood) == pytest.approx(expected, abs=1e-2)
+            assert float(log_likelihood) == pytest.approx(expected, abs=1e-2)
+            for stays in (False, True):
+                one = take(
+                    jax.random.clone(update_key), there, jnp.asarray(chosen), jnp.asarray(stays), start
+                )
+                kept = start if stays else updated
+                jax.tree.map(np.testing.assert_array_equal, one, kept)
+
+
+def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], poses: jax.Array) -> None:
+    """The likelihood of a scene with one object is that of the images without the other."""
+    observed_m = np.full((2, HEIGHT, WIDTH), 0.79, np.float32)
+    likelihood = images(boxes, observed_m)
+    scene = floating_scene(poses, jnp.asarray([True, False]))
+    start = jax.jit(likelihood.start)(key, scene)
+    assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
