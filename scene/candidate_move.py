@@ -59,7 +59,8 @@ class CandidateMove:
         place = jax.random.categorical(choice_key, log_priors + log_likelihoods - log_offered)
         there = jax.tree.map(lambda leaf: leaf[place], scenes)
         stays = place == 0
-        estimate = model.likelihood.taken(draw_keys[place], there, chosen, stays, state.estimate)
+        again = jax.random.clone(draw_keys)[place]
+        estimate = model.likelihood.taken(again, there, chosen, stays, state.estimate)
         info = MoveInfo(~stays, jnp.zeros_like(state.log_prior))
         return ChainState(there, log_priors[place], estimate), info
 
@@ -75,6 +76,8 @@ class CandidateMove:
         scale = SMALLEST * (LARGEST / SMALLEST) ** jax.random.uniform(scale_key, dtype=dtype)
         normal = jax.random.normal(step_key, (self.count, 6), dtype)
         steps = scale * jnp.sum(context.mixture.choleskys[:1] * normal[:, None], axis=2)
+        turn = jaxlie.SO3(context.mixture.centres[0, :4]).as_matrix()
+        steps = jnp.concatenate([steps[:, :3], steps[:, 3:] @ turn.T], axis=1)
         centre = stepped(present, steps[0])
         near = jax.vmap(partial(stepped, centre))(steps[1:])
         is_near = jax.random.uniform(coin_key, dtype=dtype) < self.near_share
@@ -84,6 +87,9 @@ class CandidateMove:
 
 
 def stepped(pose: jax.Array, step: jax.Array) -> jax.Array:
-    """The pose (7,) after an offset in the world and a rotation vector on the right, (6,) together."""
-    turned = jaxlie.SO3(pose[:4]) @ jaxlie.SO3.exp(step[3:])
+    """The pose (7,) after an offset and a rotation vector, (6,) together, both along the world's axes.
+
+    What the images tell of an object's tilt does not turn with a spin of a round object.
+    """
+    turned = jaxlie.SO3.exp(step[3:]) @ jaxlie.SO3(pose[:4])
     return jnp.concatenate([turned.wxyz / jnp.linalg.norm(turned.wxyz), pose[4:] + step[:3]])

@@ -25,7 +25,7 @@ from scene.model import ChainState, SceneModel, start_chain
 from scene.pose_moves import MixtureMove
 from scene.poses import composed, pose_of
 from scene.prior import PosePrior, UniformTrees
-from scene.proposals import pose_proposals
+from scene.proposals import pose_proposals, round_axis
 from scene.refinement import refine
 from scene.rendering import ObjectRenderer
 from scene.result import SceneResult
@@ -113,7 +113,8 @@ def parse_scene(
         model = _model(data, objects, likelihood, space_of(data.table, starts), config)
         world = pose_of(jnp.asarray(world_from_camera))
         bodies = len(model.bodies.movable)
-        mixture = pose_proposals(start, refined, config.pixel_weight, world, bodies)
+        axes = jnp.asarray([round_axis(one) for one in objects] + [-1] * (bodies - len(objects)))
+        mixture = pose_proposals(start, refined, config.pixel_weight, world, axes)
         kernel = scene_kernel(
             mixture,
             prior_share=PRIOR_SHARE,
@@ -121,7 +122,7 @@ def parse_scene(
             rotation_rad=jnp.full(bodies, WALK_RAD),
             structure=StructureMove() if config.graph == "infer" else None,
         )
-        samples = _sample(chain_key, model, kernel, start, world, config, progress)
+        samples = _sample(chain_key, model, kernel, axes, start, world, config, progress)
         indices = np.asarray(frame_indices)
         return summarise(samples, model, start, refined, world_from_camera, objects, indices, config)
 
@@ -175,6 +176,7 @@ def _sample(
     key: jax.Array,
     model: SceneModel,
     kernel: Kernel,
+    axes: jax.Array,
     start: Initialisation,
     world: jax.Array,
     config: ParseConfig,
@@ -194,17 +196,17 @@ def _sample(
         states, recorded, _ = run_block(block_key, states, model, kernel, count, _recorded)
         kept.append(recorded)
         if block < BURN_IN_BLOCKS:
-            kernel = _taught(kernel, recorded)
+            kernel = _taught(kernel, axes, recorded)
             kept.clear()
         if progress:
             progress(block + 1, blocks)
     return Samples.joined(kept)
 
 
-def _taught(kernel: Kernel, states: Samples) -> Kernel:
+def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
     """The kernel with proposals fitted to the states that its chains went through."""
     states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
-    mixture = adapted(kernel.candidates.offer.mixture, states.poses, states.log_posterior)
+    mixture = adapted(kernel.candidates.offer.mixture, axes, states.poses, states.log_posterior)
     draw = replace(kernel.candidates.offer, mixture=mixture)
     others = tuple(draw if isinstance(move, MixtureMove) else move for move in kernel.others)
     return replace(kernel, candidates=replace(kernel.candidates, offer=draw), others=others)

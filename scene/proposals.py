@@ -12,24 +12,87 @@ from scene.initialisation import Initialisation
 from scene.pose_mixture import PoseMixture
 from scene.poses import composed
 from scene.refinement import Refinement
+from scene.scene_object import SceneObject
 
-OTHERS, OTHERS_SHARE = 7, 0.2
+OTHERS, OTHERS_SHARE = 7, 0.15
 OTHER_SIGMA = np.repeat([0.002, 0.03], 3)
-WIDE, WIDE_SHARE = 2.0, 0.2
-"""A second, wider Gaussian for the tails."""
+SPINS, WIDE_SPINS = 8, 4
+WIDE, WIDE_SHARE = 2.0, 0.25
+"""Own components that are wider, for the tails."""
+SPIN_RAD, WIDE_SPIN_RAD = 0.5, 1.0
+"""Standard deviations of the spin of round objects: the components join up to a circle."""
+ROUND = 0.15
+"""Largest sine between a normal of a round object and the plane through its axis; for most of its points."""
+MOSTLY = 0.95
+
+
+def round_axis(one: SceneObject) -> int:
+    """The box axis about which an object looks the same from all sides, or -1."""
+    for axis in range(3):
+        around = np.cross(np.eye(3)[axis], one.points_m)
+        radius = np.linalg.norm(around, axis=1)
+        outside = radius > 0.1 * radius.max()
+        sine = np.abs((around * one.normals).sum(axis=1))[outside] / radius[outside]
+        if (sine < ROUND).mean() > MOSTLY:
+            return axis
+    return -1
+
+
+def spin(axis: jax.Array, angle: jax.Array) -> jaxlie.SO3:
+    """The turn about an axis of the box; none for axis -1."""
+    half = jnp.where(axis < 0, 0.0, angle / 2)
+    vector = jnp.where(jnp.arange(3) == axis, jnp.sin(half), 0.0)
+    return jaxlie.SO3(jnp.concatenate([jnp.cos(half)[None], vector]))
+
+
+def own_components(
+    mean: jax.Array, covariance: jax.Array, axis: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Weights (logs), centres and covariances of one object's components in its best mode.
+
+    A Gaussian and a wider one. For a round object, whose spin nothing tells, both are repeated round the
+    circle, turned with it.
+
+    Args:
+        mean: (7,).
+        covariance: (6, 6).
+        axis: about which the object is round, or -1.
+    """
+    is_round = axis >= 0
+    turns = jnp.concatenate([jnp.arange(SPINS) / SPINS, jnp.arange(WIDE_SPINS) / WIDE_SPINS])
+    is_wide = jnp.arange(SPINS + WIDE_SPINS) >= SPINS
+
+    def component(turn: jax.Array, is_wide: jax.Array) -> tuple[jax.Array, jax.Array]:
+        turned = spin(axis, 2 * jnp.pi * turn)
+        centre = jnp.concatenate([(jaxlie.SO3(mean[:4]) @ turned).normalize().wxyz, mean[4:]])
+        sigma = jnp.where(is_wide, WIDE_SPIN_RAD, SPIN_RAD)
+        along = (jnp.arange(6) == axis + 3) & is_round
+        free = covariance * jnp.where(is_wide, WIDE**2, 1.0)
+        free = jnp.where(along[:, None] | along[None], 0.0, free) + jnp.diag(jnp.where(along, sigma**2, 0.0))
+        frame = jnp.eye(6).at[3:, 3:].set(turned.inverse().as_matrix())
+        return centre, frame @ free @ frame.T
+
+    centres, covariances = jax.vmap(component)(turns, is_wide)
+    share = jnp.where(is_wide, WIDE_SHARE / WIDE_SPINS, (1 - WIDE_SHARE) / SPINS)
+    one = jnp.where(turns == 0, jnp.where(is_wide, WIDE_SHARE, 1 - WIDE_SHARE), 0.0)
+    return jnp.log(jnp.where(is_round, share, one)), centres, covariances
 
 
 def pose_proposals(
-    start: Initialisation, refined: Refinement, pixel_weight: float, world_from_camera: jax.Array, bodies: int
+    start: Initialisation,
+    refined: Refinement,
+    pixel_weight: float,
+    world_from_camera: jax.Array,
+    axes: jax.Array,
 ) -> PoseMixture:
-    """The mixtures of N objects, and places without use for `bodies` - N more, in the world's frame.
+    """The mixtures of N objects, and places without use for the other bodies, in the world's frame.
 
     Args:
         start: with the pools.
         refined: Gaussians of the best scene.
         pixel_weight: the likelihood's exponent.
         world_from_camera: (7,).
-        bodies: of the scene graph.
+        axes: (C,) the box axis about which each body is round, or -1.
     """
     count = len(start.poses)
     gains = start.log_gains[:, : start.pools.shape[1]]
@@ -37,24 +100,31 @@ def pose_proposals(
     others = np.take_along_axis(start.pools, best[..., None], axis=1)
     log_others = pixel_weight * np.take_along_axis(gains, best, axis=1)
     log_others = log_others - np.logaddexp.reduce(log_others, axis=1, keepdims=True)
-    own = np.log([1 - OTHERS_SHARE - WIDE_SHARE, WIDE_SHARE])
-    log_weights = np.concatenate([np.tile(own, (count, 1)), np.log(OTHERS_SHARE) + log_others], axis=1)
-    narrow = np.tile(np.diag(OTHER_SIGMA**2), (count, OTHERS, 1, 1))
-    laplace = refined.covariances[:, None]
-    covariances = np.concatenate([laplace, WIDE**2 * laplace, narrow], axis=1)
-    centres = np.concatenate([np.repeat(refined.means[:, None], 2, axis=1), others], axis=1)
 
     def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([values, np.repeat(values[:1], bodies - count, axis=0)])
+        return np.concatenate([values, np.repeat(values[:1], len(axes) - count, axis=0)])
 
-    return _in_world(world_from_camera, filled(log_weights), filled(centres), filled(covariances))
+    every = (refined.means, refined.covariances, others, log_others)
+    return _in_world(world_from_camera, *map(filled, every), axes)
 
 
 @jax.jit
 def _in_world(
-    world_from_camera: jax.Array, log_weights: jax.Array, centres: jax.Array, covariances: jax.Array
+    world_from_camera: jax.Array,
+    means: jax.Array,
+    covariances: jax.Array,
+    others: jax.Array,
+    log_others: jax.Array,
+    axes: jax.Array,
 ) -> PoseMixture:
-    """The mixture from poses (C, K, 7) and covariances (C, K, 6, 6) whose offsets are in the camera."""
+    """The mixture from poses (C, 7) and (C, K, 7), and covariances (C, 6, 6) with offsets in the camera."""
     turn = jnp.eye(6).at[:3, :3].set(jaxlie.SO3(world_from_camera[:4]).as_matrix())
-    centres = jax.vmap(jax.vmap(lambda pose: composed(world_from_camera, pose)))(centres)
-    return PoseMixture.build(log_weights, centres, turn @ covariances @ turn.T)
+    means = jax.vmap(lambda pose: composed(world_from_camera, pose))(means)
+    others = jax.vmap(jax.vmap(lambda pose: composed(world_from_camera, pose)))(others)
+    log_own, centres, covariances = jax.vmap(own_components)(means, turn @ covariances @ turn.T, axes)
+    narrow = jnp.broadcast_to(jnp.diag(jnp.asarray(OTHER_SIGMA**2)), (*log_others.shape, 6, 6))
+    return PoseMixture.build(
+        jnp.concatenate([jnp.log1p(-OTHERS_SHARE) + log_own, jnp.log(OTHERS_SHARE) + log_others], axis=1),
+        jnp.concatenate([centres, others], axis=1),
+        jnp.concatenate([covariances, narrow], axis=1),
+    )
