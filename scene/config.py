@@ -35,7 +35,7 @@ class ParseConfig:
     rounds: int = 2
     pool: int = 48
     chains: int = 4
-    sweeps: int = 150
+    sweeps: int = 120
     pixel_weight: float = 0.25
     model_error_m: float = 0.002
     search_error_m: float = 0.005
