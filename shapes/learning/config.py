@@ -39,11 +39,11 @@ class LearnConfig:
     hidden_occupied: float = 0.9
     partly_filled: float = 0.3
     partial_opacity: float = 0.5
-    walled: float = 0.1
+    walled: float = 0.2
     unresolved: float = 0.02
     registration_sigma_m: float = 0.0004
     tracking_sigma_m: float = 0.0007
-    sweeps: int = 25
+    sweeps: int = 20
     damping: float = 0.3
     noise: DepthNoise = field(default_factory=DepthNoise)
 

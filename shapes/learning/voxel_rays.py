@@ -20,7 +20,7 @@ from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import SensorRays
 from shapes.learning.grid import VoxelGrid
 
-BAND_PITCHES = 2.4
+BAND_PITCHES = 1.0
 BAND_SIGMAS = 4.0
 """A ray is truncated to voxels within both distances of its surface."""
 LEAST_ASSOCIATION = 0.02
@@ -28,11 +28,12 @@ ON_PLANE_SIGMAS = 2.5
 SURFACES_APART_PITCHES = 2.0
 IN_SUCCESSION_PITCHES = 0.5
 """Of two voxels that stand less apart along a ray neither hides the other: they have rays of their own."""
+LONGEST_RAY = 4
+"""Voxels; few have more near their surface, and those are cut in parts."""
 OBJECT_SIZE_M = 0.3
 PEAK_DENSITY = 200.0
 """Of a reading where its surface is, per metre: what an unexplained reading competes with."""
 RAY_BUCKET = 4096
-LENGTH_BUCKET = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,6 +169,8 @@ def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> S
         field[order] for field in (voxel, behind, sigma, association, from_plane, ray, side)
     )
     first = np.diff(ray, prepend=-1) > 0
+    first |= (np.arange(len(ray)) - np.flatnonzero(first)[np.cumsum(first) - 1]) % LONGEST_RAY == 0
+    ray = np.cumsum(first) - 1
     starts, rays = np.flatnonzero(first), int(first.sum())
     last = np.append(starts, len(ray))[1:] - 1
     place = np.arange(len(ray)) - starts[ray]
@@ -182,7 +185,7 @@ def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> S
     miss += ndtr(-behind[last] / sigma[last]) / grid.pitch_m
     largest = np.maximum(before, miss)
     np.maximum.at(largest, ray, density)
-    shape = _bucket(rays, RAY_BUCKET), _bucket(int(place.max(initial=0)) + 1, LENGTH_BUCKET)
+    shape = _bucket(rays, RAY_BUCKET), LONGEST_RAY
     places = {
         "voxel": (voxel, len(grid), np.int32),
         "association": (association, 0.0, np.float32),
@@ -233,8 +236,8 @@ def _successions(ray: NDArray[np.int64], behind_m: NDArray[np.floating], apart_m
 
 
 def _bucket(count: int, step: int) -> int:
-    """The next power of two times `step`, so that few sizes are compiled."""
+    """The next of 1, 2, 3, 4, 6, 8, 12, 16, ... times `step`, so that few sizes are compiled."""
     size = step
     while size < count:
         size *= 2
-    return size
+    return size * 3 // 4 if size > 2 * step and size * 3 // 4 >= count else size
