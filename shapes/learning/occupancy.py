@@ -15,13 +15,16 @@ from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
 from shapes.learning.grid import VoxelGrid
 from shapes.learning.local_planes import LocalPlanes, local_planes
-from shapes.learning.readings import voxel_readings
-from shapes.learning.voxel_rays import ViewReadings, evidence
+from shapes.learning.readings import BEFORE, BEHIND, NEAR, first_look, voxel_readings
+from shapes.learning.voxel_rays import ViewReadings, bucket, evidence
 
 WINDOW_MARGIN = 8
 WINDOW_BUCKET = 64
 VOXEL_BUCKET = 8192
 REACHED = 0.5
+NEAR_PITCHES = 2.0
+NEAR_M = 0.012
+"""Voxels farther from a surface than both are plainly before or behind it."""
 LARGEST_HALF_WINDOW = 3
 
 
@@ -97,11 +100,7 @@ def occupancy(
     padded[:count] = grid.centres_m
     centres = jnp.asarray(padded)
     camera = Camera.from_intrinsics(intrinsics)
-    readings = [
-        _read(view, camera, grid, pose, centres, config)
-        for view, pose in zip(views, reference_from_camera, strict=True)
-        if view is not None
-    ]
+    readings = _readings(views, camera, grid, reference_from_camera, centres, config)
     states, log_prior = _states(config)
     p0 = config.prior_occupied
     if not readings:
@@ -138,38 +137,84 @@ def _states(config: LearnConfig) -> tuple[NDArray[np.float64], NDArray[np.float6
     return opacity, np.log(np.maximum(prior, 1e-30))
 
 
-def _read(
-    view: Window,
+def _readings(
+    views: Sequence[Window | None],
     camera: Camera,
     grid: VoxelGrid,
     reference_from_camera: NDArray[np.float64],
     centres_m: jnp.ndarray,
     config: LearnConfig,
+) -> list[ViewReadings]:
+    """Readings of the voxels near surfaces in each view; the centres (N, 3) are padded."""
+    margin = max(NEAR_PITCHES * grid.pitch_m, NEAR_M)
+    shown = [
+        (view, np.linalg.inv(pose) @ grid.reference_from_grid, _distance(grid, pose))
+        for view, pose in zip(views, reference_from_camera, strict=True)
+        if view is not None
+    ]
+    looks = [
+        np.asarray(
+            first_look(
+                view.planes,
+                camera,
+                jnp.asarray(view.corner, jnp.float32),
+                jnp.asarray(camera_from_grid, jnp.float32),
+                centres_m,
+                margin,
+            )
+        )[: len(grid)]
+        for view, camera_from_grid, _ in shown
+    ]
+    most = bucket(max((int((look == NEAR).sum()) for look in looks), default=0), VOXEL_BUCKET)
+    return [
+        _read(view, camera, grid, camera_from_grid, look, most, distance, config)
+        for (view, camera_from_grid, distance), look in zip(shown, looks, strict=True)
+    ]
+
+
+def _read(
+    view: Window,
+    camera: Camera,
+    grid: VoxelGrid,
+    camera_from_grid: NDArray[np.float64],
+    look: NDArray[np.int8],
+    most: int,
+    distance_m: float,
+    config: LearnConfig,
 ) -> ViewReadings:
-    camera_from_grid = np.linalg.inv(reference_from_camera) @ grid.reference_from_grid
+    """One view's readings, made for `most` voxels so that all views share a compiled kernel."""
+    voxel = np.flatnonzero(look == NEAR)
+    centres = (np.stack(np.unravel_index(voxel, grid.shape), axis=1) + 0.5) * grid.pitch_m
+    padded = np.zeros((most, 3), np.float32)
+    padded[: len(voxel)] = centres
     readings = voxel_readings(
         view.planes,
         camera,
         jnp.asarray(view.corner, jnp.float32),
         jnp.asarray(camera_from_grid, jnp.float32),
-        centres_m,
+        jnp.asarray(padded),
         config.registration_sigma_m,
     )
-    arrays = {name: np.asarray(value)[: len(grid)] for name, value in vars(readings).items()}
+    arrays = {name: np.asarray(value)[: len(voxel)] for name, value in vars(readings).items()}
     near = (np.abs(arrays["behind_m"]) <= grid.pitch_m).any(axis=1)
-    normal = np.zeros((len(grid), 3), np.float32)
+    normal = np.zeros((len(voxel), 3), np.float32)
     in_camera = _normals(view, camera, arrays["column"][near], arrays["row"][near])
     normal[near] = in_camera @ camera_from_grid[:3, :3]
-    direction = (grid.centres_m - np.linalg.inv(camera_from_grid)[:3, 3]).astype(np.float32)
-    plane = np.full(len(grid), np.inf, np.float32)
+    eye = np.linalg.inv(camera_from_grid)[:3, 3]
+    plane = np.full(len(voxel), np.inf, np.float32)
     if grid.on_plane:
-        eye = np.linalg.inv(camera_from_grid)[2, 3]
-        height = grid.centres_m[:, 2]
-        above = eye > height
-        plane[above] = arrays["depth_m"][above] * (eye / (eye - height[above]))
-    footprint = grid.pitch_m * float(camera.fx) / _distance(grid, reference_from_camera)
+        height = centres[:, 2]
+        above = eye[2] > height
+        plane[above] = arrays["depth_m"][above] * (eye[2] / (eye[2] - height[above]))
     return ViewReadings(
-        **arrays, normal=normal, direction=direction, plane_depth_m=plane, footprint=footprint
+        before=look == BEFORE,
+        hidden=look == BEHIND,
+        voxel=voxel,
+        **arrays,
+        normal=normal,
+        plane_depth_m=plane,
+        eye_m=eye,
+        footprint=grid.pitch_m * float(camera.fx) / distance_m,
     )
 
 

@@ -19,8 +19,13 @@ SPLIT_M = 0.002
 """Readings of neighbouring pixels that differ by more than both are of two surfaces."""
 OVERLAP = 0.6
 """Share of the pixels that two neighbours' planes have in common: correlation of their errors."""
+NEAREST_M = 1e-3
 UNMEASURED = 0.5
 """Share of the neighbours without a return that counts as seeing what the others see."""
+
+
+NOTHING, BEFORE, BEHIND, NEAR = range(4)
+"""What a first look says of a voxel: no reading, well before or behind every surface there, or near one."""
 
 
 @jax.tree_util.register_dataclass
@@ -46,6 +51,36 @@ class Readings:
 
 
 @jax.jit
+def first_look(
+    planes: LocalPlanes,
+    camera: Camera,
+    corner: jax.Array,
+    camera_from_grid: jax.Array,
+    centres_m: jax.Array,
+    margin_m: jax.Array | float,
+) -> jax.Array:
+    """Which voxel centres (N, 3) need a reading in one view, and where the others stand: (N,) int8.
+
+    Well before or behind means by more than the margin, with a return at each of the four pixels around.
+    Arguments as those of `voxel_readings`.
+    """
+    column, row, depth = _projected(camera, camera_from_grid, centres_m)
+    left, top = jnp.floor(column - corner[0]), jnp.floor(row - corner[1])
+    height, width = planes.valid.shape
+    returned, nearest, farthest = [], jnp.inf, -jnp.inf
+    for dv, du in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        u, v = left + du, top + dv
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (depth > NEAREST_M)
+        index = jnp.clip(v, 0, height - 1).astype(jnp.int32), jnp.clip(u, 0, width - 1).astype(jnp.int32)
+        returned.append(inside & planes.valid[index])
+        behind = depth - 1.0 / jnp.maximum(planes.inverse_depth[index], 1e-3)
+        nearest, farthest = jnp.minimum(nearest, behind), jnp.maximum(farthest, behind)
+    some, all_ = jnp.any(jnp.stack(returned), axis=0), jnp.all(jnp.stack(returned), axis=0)
+    plain = jnp.where(farthest < -margin_m, BEFORE, jnp.where(nearest > margin_m, BEHIND, NEAR))
+    return jnp.where(all_, plain, jnp.where(some, NEAR, NOTHING)).astype(jnp.int8)
+
+
+@jax.jit
 def voxel_readings(
     planes: LocalPlanes,
     camera: Camera,
@@ -64,17 +99,12 @@ def voxel_readings(
         centres_m: in the grid frame.
         registration_sigma_m: standard deviation of the view's registration along its rays.
     """
-    point = centres_m @ camera_from_grid[:3, :3].T + camera_from_grid[None, :3, 3]
-    depth = point[:, 2]
-    before = depth > 1e-3
-    z = jnp.where(before, depth, 1.0)
-    column = camera.fx * point[:, 0] / z + camera.cx
-    row = camera.fy * point[:, 1] / z + camera.cy
+    column, row, depth = _projected(camera, camera_from_grid, centres_m)
     neighbours = [
         _neighbour(planes, column - corner[0], row - corner[1], dv, du) for dv in (0, 1) for du in (0, 1)
     ]
     surface, variance, share, valid = (jnp.stack(part, axis=-1) for part in zip(*neighbours, strict=True))
-    valid &= before[:, None]
+    valid &= depth[:, None] > NEAREST_M
     behind = jnp.where(valid, depth[:, None] - surface, -jnp.inf)
     sigma = jnp.sqrt(variance + registration_sigma_m**2)
     measured = jnp.where(valid, share, 0.0).sum(axis=1)
@@ -87,6 +117,15 @@ def voxel_readings(
     mean, deviation, weight = (jnp.stack(part, axis=-1) for part in zip(*layers, strict=True))
     association = jnp.where(weight > 0, weight * spare[:, None], 0.0)
     return Readings(mean, deviation, association, column, row, depth)
+
+
+def _projected(
+    camera: Camera, camera_from_grid: jax.Array, centres_m: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Image coordinates and depth (N,) of voxel centres; only the depth means something behind the camera."""
+    point = centres_m @ camera_from_grid[:3, :3].T + camera_from_grid[None, :3, 3]
+    z = jnp.where(point[:, 2] > NEAREST_M, point[:, 2], 1.0)
+    return camera.fx * point[:, 0] / z + camera.cx, camera.fy * point[:, 1] / z + camera.cy, point[:, 2]
 
 
 def _neighbour(

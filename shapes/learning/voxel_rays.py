@@ -41,6 +41,9 @@ class ViewReadings:
     """Readings of one view as host arrays; see `shapes.learning.readings.Readings`.
 
     Attributes:
+        before: (V,) bool, voxels of the grid well before all surfaces there: a ray crosses them.
+        hidden: (V,) bool, voxels well behind.
+        voxel: (N,) the voxels near a surface, of which the rest is said.
         behind_m: (N, 2).
         sigma_m: (N, 2).
         association: (N, 2).
@@ -48,11 +51,14 @@ class ViewReadings:
         column: (N,).
         row: (N,).
         depth_m: (N,) of the voxels' centres.
-        direction: (N, 3) from the camera to the centres, in the grid frame, of any length.
         plane_depth_m: (N,) depth of the support plane on the ray through each centre; +inf without one.
+        eye_m: (3,) the camera in the grid frame.
         footprint: edge of a voxel in pixels.
     """
 
+    before: NDArray[np.bool_]
+    hidden: NDArray[np.bool_]
+    voxel: NDArray[np.intp]
     behind_m: NDArray[np.float32]
     sigma_m: NDArray[np.float32]
     association: NDArray[np.float32]
@@ -60,8 +66,8 @@ class ViewReadings:
     column: NDArray[np.float32]
     row: NDArray[np.float32]
     depth_m: NDArray[np.float32]
-    direction: NDArray[np.float32]
     plane_depth_m: NDArray[np.float32]
+    eye_m: NDArray[np.float64]
     footprint: float
 
 
@@ -102,26 +108,44 @@ def evidence(
     count = len(grid)
     crossed, hidden = np.zeros(count), np.zeros(count, np.bool_)
     log_crossings = np.zeros((count, opacity.shape[1]))
+    crossings = np.zeros((2, count), np.int32)
     walls = _wall_normals(views, grid)
     slip = unexplained_density(config) / PEAK_DENSITY
     places = []
     for number, view in enumerate(views):
         band = _band(view, grid)
+        side = _sides(view, walls, grid)
         measured = view.association > LEAST_ASSOCIATION
-        before = measured & (view.behind_m < -band)
-        through = np.where(before, view.association, 0.0).max(axis=1)
-        crossed = np.maximum(crossed, through)
-        side = ((view.direction * walls).sum(axis=1) > 0).astype(np.int32)
+        through = np.where(measured & (view.behind_m < -band), view.association, 0.0).max(axis=1)
+        crossed[view.voxel] = np.maximum(crossed[view.voxel], through)
         gone = np.flatnonzero(through)
-        log_crossings[gone] += np.log1p(-through[gone, None] * opacity[side[gone]] * (1 - slip))
-        hidden |= np.where(measured & (view.behind_m > 0), view.association, 0.0).sum(axis=1) > 0.5
+        log_crossings[view.voxel[gone]] += np.log1p(
+            -through[gone, None] * opacity[side[view.voxel[gone]]] * (1 - slip)
+        )
+        for one in range(2):
+            crossings[one] += view.before & (side == one)
+        covered = np.where(measured & (view.behind_m > 0), view.association, 0.0).sum(axis=1) > 0.5
+        hidden |= view.hidden
+        hidden[view.voxel] |= covered
         for layer in range(view.behind_m.shape[1]):
-            voxel = np.flatnonzero(measured[:, layer] & (np.abs(view.behind_m[:, layer]) <= band[:, layer]))
-            places.append(_places(view, number, layer, voxel, side))
+            near = np.flatnonzero(measured[:, layer] & (np.abs(view.behind_m[:, layer]) <= band[:, layer]))
+            places.append(_places(view, number, layer, near, side))
+    log_crossings += crossings.T @ np.log1p(-opacity * (1 - slip))
+    crossed[crossings.any(axis=0)] = 1.0
     fields = [np.concatenate(parts) for parts in zip(*places, strict=True)] if places else []
     return Evidence(
         rays=_assembled(fields, grid, config), crossed=crossed, log_crossings=log_crossings, hidden=hidden
     )
+
+
+def _sides(view: ViewReadings, walls: NDArray[np.float64], grid: VoxelGrid) -> NDArray[np.int8]:
+    """From which side of its wall the view sees each voxel (V,); 0 where no wall is near."""
+    side = np.zeros(len(walls), np.int8)
+    facing = np.flatnonzero(walls.any(axis=1))
+    index = np.stack(np.unravel_index(facing, grid.shape), axis=1)
+    direction = (index + 0.5) * grid.pitch_m - view.eye_m
+    side[facing] = (direction * walls[facing]).sum(axis=1) > 0
+    return side
 
 
 def _band(view: ViewReadings, grid: VoxelGrid) -> NDArray[np.float32]:
@@ -134,7 +158,7 @@ def _wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.
     spread = np.zeros((len(grid), 3, 3))
     for view in views:
         near = np.flatnonzero(view.normal.any(axis=1))
-        spread[near] += view.normal[near, :, None] * view.normal[near, None, :]
+        spread[view.voxel[near]] += view.normal[near, :, None] * view.normal[near, None, :]
     walls = np.zeros((len(grid), 3))
     facing = np.flatnonzero(np.trace(spread, axis1=1, axis2=2))
     walls[facing] = np.linalg.eigh(spread[facing])[1][:, :, 2]
@@ -142,22 +166,23 @@ def _wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.
 
 
 def _places(
-    view: ViewReadings, number: int, layer: int, voxel: NDArray[np.intp], side: NDArray[np.int32]
+    view: ViewReadings, number: int, layer: int, near: NDArray[np.intp], side: NDArray[np.int8]
 ) -> tuple:
     """Voxel, distances, ray label (view, footprint column and row, on the plane) and side of readings."""
-    behind, sigma = view.behind_m[voxel, layer], view.sigma_m[voxel, layer]
-    surface = view.depth_m[voxel] - behind
-    from_plane = surface - view.plane_depth_m[voxel]
+    behind, sigma = view.behind_m[near, layer], view.sigma_m[near, layer]
+    surface = view.depth_m[near] - behind
+    from_plane = surface - view.plane_depth_m[near]
     label = np.stack(
         [
-            np.full(len(voxel), number),
-            np.floor(view.column[voxel] / view.footprint).astype(np.int64),
-            np.floor(view.row[voxel] / view.footprint).astype(np.int64),
+            np.full(len(near), number),
+            np.floor(view.column[near] / view.footprint).astype(np.int64),
+            np.floor(view.row[near] / view.footprint).astype(np.int64),
             np.abs(from_plane) < ON_PLANE_SIGMAS * sigma,
         ],
         axis=1,
     )
-    return voxel, behind, sigma, view.association[voxel, layer], surface, from_plane, label, side[voxel]
+    voxel = view.voxel[near]
+    return voxel, behind, sigma, view.association[near, layer], surface, from_plane, label, side[voxel]
 
 
 def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> SensorRays:
@@ -185,7 +210,7 @@ def _assembled(fields: list[NDArray], grid: VoxelGrid, config: LearnConfig) -> S
     miss += ndtr(-behind[last] / sigma[last]) / grid.pitch_m
     largest = np.maximum(before, miss)
     np.maximum.at(largest, ray, density)
-    shape = _bucket(rays, RAY_BUCKET), LONGEST_RAY
+    shape = bucket(rays, RAY_BUCKET), LONGEST_RAY
     places = {
         "voxel": (voxel, len(grid), np.int32),
         "association": (association, 0.0, np.float32),
@@ -235,7 +260,7 @@ def _successions(ray: NDArray[np.int64], behind_m: NDArray[np.floating], apart_m
     return split
 
 
-def _bucket(count: int, step: int) -> int:
+def bucket(count: int, step: int) -> int:
     """The next of 1, 2, 3, 4, 6, 8, 12, 16, ... times `step`, so that few sizes are compiled."""
     size = step
     while size < count:

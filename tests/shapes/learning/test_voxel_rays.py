@@ -17,7 +17,11 @@ def occupied_after_one_view(behind_m: list[float]) -> np.ndarray:
     count = len(behind_m)
     grid = VoxelGrid(shape=(count, 1, 1), pitch_m=0.005, reference_from_grid=np.eye(4), on_plane=False)
     behind = np.asarray(behind_m, np.float32)
+    nowhere = np.zeros(count, np.bool_)
     view = ViewReadings(
+        before=nowhere,
+        hidden=nowhere,
+        voxel=np.arange(count),
         behind_m=np.stack([behind, np.full(count, -np.inf)], axis=1),
         sigma_m=np.full((count, 2), SIGMA_M),
         association=np.tile([1.0, 0.0], (count, 1)),
@@ -25,8 +29,8 @@ def occupied_after_one_view(behind_m: list[float]) -> np.ndarray:
         column=np.zeros(count, np.float32),
         row=np.zeros(count, np.float32),
         depth_m=0.8 + behind,
-        direction=np.tile([0.0, 0.0, 1.0], (count, 1)),
         plane_depth_m=np.full(count, np.inf),
+        eye_m=np.asarray([0.0, 0.0, -0.8]),
         footprint=4.0,
     )
     found = evidence([view], grid, OPACITY, LearnConfig())
