@@ -37,9 +37,9 @@ class LearnConfig:
     trajectories: int = 4
     prior_occupied: float = 0.5
     hidden_occupied: float = 0.9
-    partly_filled: float = 0.3
+    partly_filled: float = 0.2
     partial_opacity: float = 0.5
-    walled: float = 0.2
+    walled: float = 0.1
     unresolved: float = 0.02
     registration_sigma_m: float = 0.0004
     tracking_sigma_m: float = 0.0007
