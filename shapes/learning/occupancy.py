@@ -200,7 +200,7 @@ def _read(
     normal = np.zeros((len(voxel), 3), np.float32)
     in_camera = _normals(view, camera, arrays["column"][near], arrays["row"][near])
     normal[near] = in_camera @ camera_from_grid[:3, :3]
-    eye = np.linalg.inv(camera_from_grid)[:3, 3]
+    eye = np.asarray(np.linalg.inv(camera_from_grid)[:3, 3], np.float64)
     plane = np.full(len(voxel), np.inf, np.float32)
     if grid.on_plane:
         height = centres[:, 2]
