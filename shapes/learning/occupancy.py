@@ -22,8 +22,8 @@ WINDOW_MARGIN = 8
 WINDOW_BUCKET = 64
 VOXEL_BUCKET = 8192
 REACHED = 0.5
-NEAR_PITCHES = 2.0
-NEAR_M = 0.012
+NEAR_PITCHES = 1.5
+NEAR_M = 0.008
 """Voxels farther from a surface than both are plainly before or behind it."""
 LARGEST_HALF_WINDOW = 3
 

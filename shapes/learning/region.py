@@ -33,8 +33,8 @@ COVERED = 0.5
 SURROUNDINGS_M = 0.1
 MARGIN_M = 0.01
 MARGIN_VOXELS = 3
-LARGEST_GRID = 40_000_000
-"""Voxels; more would not fit into memory."""
+LARGEST_GRID = 8_000_000
+"""Voxels; more, of which learning holds some 300 bytes each, would take minutes and gigabytes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
