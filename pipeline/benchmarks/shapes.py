@@ -63,7 +63,7 @@ PEERS: Mapping[str, Mapping[str, VoxelMap]] = {
         for votes in (2, 3)
     },
     "octomap": {
-        f"hit {hit:g}, miss {miss:g}, free below {free:g}": octomap(hit, miss, free)
+        f"hit {hit:g}, miss {miss:g}, free {free:g}": octomap(hit, miss, free)
         for hit, miss, free in ((0.7, 0.4, 0.5), (0.7, 0.4, 0.2), (0.6, 0.45, 0.3))
     },
     "tsdf": {f"truncation {pitches:g} pitches": open3d_tsdf(pitches) for pitches in (2.0, 4.0)},

@@ -194,7 +194,7 @@ def _summary_lines(document: dict[str, Any]) -> list[str]:
 
 def _line(cells: Iterable[Any]) -> str:
     name, poses, views, *rest = cells
-    return f"{name:<32}{poses:<5}{views:>3}" + "".join(f"{cell:>9}" for cell in rest)
+    return f"{name:<38} {poses:<5}{views:>3}" + "".join(f"{cell:>9}" for cell in rest)
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
