@@ -60,13 +60,30 @@ IMAGE_BUCKET = 4
 """Images compared with one surface in one call, so that kernels are compiled once."""
 
 
+@dataclass(frozen=True)
+class Detail:
+    """A keyframe at full detail: its view, and `region_planes` of it.
+
+    JAX computes in the background: planes are asked for when the keyframe is made, and used at the end.
+    """
+
+    view: DepthView
+    planes: jax.Array
+    region_sizes: jax.Array
+
+
+def detail_of(view: DepthView, noise: DepthNoise) -> Detail:
+    """A keyframe seen on `FINE_CANVAS`."""
+    return Detail(view, *region_planes(view, noise))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Keyframes:
     """Keyframes at full detail, and which of them overlap.
 
     Attributes:
         surfaces: N.
-        samples: N.
+        samples: N, on the host, where stacking them is cheap.
         images_of: for each surface, the keyframes (n,) whose images are compared with it.
         noise: the sensor, at full detail.
     """
@@ -81,28 +98,27 @@ class Keyframes:
         for surface, images in enumerate(self.images_of):
             for first in range(0, len(images), IMAGE_BUCKET):
                 chosen = images[first : first + IMAGE_BUCKET]
-                padded = np.resize(chosen, IMAGE_BUCKET)
-                chosen_samples = [self.samples[int(i)] for i in padded]
+                padded = [self.samples[int(image)] for image in np.resize(chosen, IMAGE_BUCKET)]
                 samples = jax.tree.map(
-                    lambda *leaves: jnp.stack([leaf[:, ::stride] for leaf in leaves]), *chosen_samples
+                    lambda *leaves: np.stack([leaf[:, ::stride] for leaf in leaves]), *padded
                 )
                 yield self.surfaces[surface], samples, surface, chosen
 
 
-def refined(key: jax.Array, state: FilterState, views: Sequence[DepthView], noise: DepthNoise) -> FilterState:
+def refined(key: jax.Array, state: FilterState, details: Sequence[Detail], noise: DepthNoise) -> FilterState:
     """The state with every particle's keyframes after one Metropolis-Hastings step.
 
     Args:
         key: consumed.
         state: after the last frame.
-        views: of the keyframes on `FINE_CANVAS`.
+        details: of the keyframes.
         noise: the sensor at that detail.
     """
     particles: CameraParticles = state.population.particles
     used = len(state.keyframe_map)
     weights = jnp.exp(state.population.log_weights)
     filtered = mean_keyframes(particles.keyframe_poses[:, :used], weights)
-    keyframes = _at_full_detail(state.keyframe_map, views, matrices_of(filtered), noise)
+    keyframes = _keyframes(state.keyframe_map, details, matrices_of(filtered), noise)
     optimum = _optimum(keyframes, filtered)
     if optimum is None:
         return state
@@ -125,21 +141,18 @@ def refined(key: jax.Array, state: FilterState, views: Sequence[DepthView], nois
     return replace(state, population=population)
 
 
-def _at_full_detail(
-    keyframe_map: KeyframeMap, views: Sequence[DepthView], poses: NDArray[np.float64], noise: DepthNoise
+def _keyframes(
+    keyframe_map: KeyframeMap, details: Sequence[Detail], poses: NDArray[np.float64], noise: DepthNoise
 ) -> Keyframes:
     surfaces, samples = [], []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        regions = list(pool.map(lambda view: jax.block_until_ready(region_planes(view, noise)), views))
-    for view, (planes, sizes) in zip(views, regions, strict=True):
-        surfaces.append(
-            PlaneImage(view.depth_m, jnp.where((sizes > 0)[None], planes, 0.0), view.rays, view.camera)
-        )
-        samples.append(sampled(view, planes, sizes))
-    overlap = np.zeros((len(views), len(views)), bool)
-    for second in range(1, len(views)):
+    for detail in details:
+        view, flat = detail.view, (detail.region_sizes > 0)[None]
+        surfaces.append(PlaneImage(view.depth_m, jnp.where(flat, detail.planes, 0.0), view.rays, view.camera))
+        samples.append(jax.tree.map(np.asarray, sampled(view, detail.planes, detail.region_sizes)))
+    overlap = np.zeros((len(details), len(details)), bool)
+    for second in range(1, len(details)):
         before = KeyframeMap(surfaces=keyframe_map.surfaces[:second], samples=keyframe_map.samples[:second])
-        frame = framing(views[second])
+        frame = framing(details[second].view)
         overlap[second, selected_keyframes(before, poses[:second], poses[second], frame, OVERLAPS)] = True
     images_of = [np.nonzero(row)[0] for row in overlap | overlap.T]
     return Keyframes(surfaces=surfaces, samples=samples, images_of=images_of, noise=noise)
@@ -194,8 +207,9 @@ def _linearised(
     """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
     stride = 1 if inflation == 1.0 else THINNED
     overlaps, parts = [], []
+    placed = np.asarray(poses)
     for surface, samples, index, images in keyframes.batches(stride):
-        relative = _relative(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
+        relative = _relative(placed[index], placed[np.resize(images, IMAGE_BUCKET)])
         terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation)
         parts.append([np.asarray(leaf, np.float64)[: len(images)] for leaf in jax.tree.leaves(terms)])
         overlaps.append(np.stack([images, np.full(len(images), index)], axis=1))
@@ -234,12 +248,10 @@ def _log_densities(
 ) -> NDArray[np.float64]:
     """Tempered log densities (K,) of all overlaps at keyframes (K, N, 7), of pixels seen from (L, N, 7)."""
     total = np.zeros(len(poses))
+    placed = np.asarray(poses), np.asarray(landmarks)
     for surface, samples, index, images in keyframes.batches(THINNED):
         padded = np.resize(images, IMAGE_BUCKET)
-        relative, fixed = (
-            jax.vmap(_relative)(several[:, index], several[:, padded]).swapaxes(0, 1)
-            for several in (poses, landmarks)
-        )
+        relative, fixed = (_relative_by_image(several[:, index], several[:, padded]) for several in placed)
         densities = log_overlap_densities(surface, samples, relative, fixed, keyframes.noise)
         total += THINNED * exponents[images] @ np.asarray(densities, np.float64)[: len(images)]
     return total
@@ -250,6 +262,12 @@ def _relative(origin: jax.Array, poses: jax.Array) -> jax.Array:
     """origin_from_pose (n, 7) of one pose (7,) and others (n, 7)."""
     inverse = jaxlie.SE3(origin).inverse()
     return jax.vmap(lambda pose: (inverse @ jaxlie.SE3(pose)).wxyz_xyz)(poses)
+
+
+@jax.jit
+def _relative_by_image(origins: jax.Array, poses: jax.Array) -> jax.Array:
+    """origin_from_pose (n, K, 7) of K poses (K, 7) and of n others each (K, n, 7)."""
+    return jax.vmap(_relative)(origins, poses).swapaxes(0, 1)
 
 
 _displaced = jax.jit(jax.vmap(pose_gaussian.displaced))

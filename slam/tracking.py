@@ -10,10 +10,10 @@ import numpy as np
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam import filter as camera_filter
 from slam.config import SlamConfig
-from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
+from slam.depth_view import FINE_CANVAS, view_of_frame
 from slam.filter_state import FilterState, FrameInfo
 from slam.history import History
-from slam.joint_refinement import refined
+from slam.joint_refinement import Detail, detail_of, refined
 from slam.odometry import KissOdometry
 from slam.result import SlamResult
 
@@ -42,7 +42,8 @@ def track(
     state: FilterState | None = None
     has_return = False
     history = History()
-    keyframe_views: list[DepthView] = []
+    details: list[Detail] = []
+    full_detail_noise = config.noise or DepthNoise()
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, frame in enumerate(frames):
         has_return = has_return or bool(np.any(frame.depth_m != NO_RETURN))
@@ -55,7 +56,7 @@ def track(
             state, info = camera_filter.step(frame_key, state, view, frame.time_ns, config, motion)
         history.append(frame.time_ns, info)
         if info.keyframe is not None:
-            keyframe_views.append(view_of_frame(frame, intrinsics, FINE_CANVAS))
+            details.append(detail_of(view_of_frame(frame, intrinsics, FINE_CANVAS), full_detail_noise))
         if on_frame is not None:
             on_frame(info)
     if state is None:
@@ -63,5 +64,5 @@ def track(
     if not has_return:
         raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
     refinement_key = jax.random.fold_in(key, len(history.frames))
-    state = refined(refinement_key, state, keyframe_views, config.noise or DepthNoise())
+    state = refined(refinement_key, state, details, full_detail_noise)
     return history.result(state)

@@ -12,7 +12,7 @@ from slam import filter as camera_filter
 from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, view_of_frame
 from slam.filter_state import FilterState
-from slam.joint_refinement import refined
+from slam.joint_refinement import detail_of, refined
 from slam.rigid import matrices_of, poses_of
 from tests.slam import box_room
 
@@ -26,7 +26,7 @@ POSES = np.stack([box_room.pose(0.12 * i, 0.05 * i, -0.5, 0.21 * i) for i in ran
 
 
 FRAMES = box_room.frames(POSES, seed=3)
-VIEWS = [view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS) for frame in FRAMES]
+DETAILS = [detail_of(view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS), NOISE) for frame in FRAMES]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_drift_is_undone(key, tracked):
     assert len(tracked.keyframe_map) == len(POSES)
     drifted = _drifted(tracked)
 
-    after = refined(key, drifted, VIEWS, NOISE)
+    after = refined(key, drifted, DETAILS, NOISE)
 
     assert _errors_m(after)[0] == 0.0
     assert _errors_m(after).max() < 0.65 * _errors_m(drifted).max()
@@ -74,7 +74,7 @@ def test_drift_is_undone(key, tracked):
 
 def test_equal_keys_give_equal_poses(key, tracked):
     """Repair draws from its key alone."""
-    first, second = (refined(jax.random.clone(key), tracked, VIEWS, NOISE) for _ in range(2))
+    first, second = (refined(jax.random.clone(key), tracked, DETAILS, NOISE) for _ in range(2))
     np.testing.assert_array_equal(
         np.asarray(first.population.particles.keyframe_poses),
         np.asarray(second.population.particles.keyframe_poses),
@@ -85,7 +85,7 @@ def test_a_lone_keyframe_stays(key):
     """Without overlaps there is nothing to repair."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     state, _ = camera_filter.init(view, 0, CONFIG)
-    after = refined(key, state, VIEWS[:1], NOISE)
+    after = refined(key, state, DETAILS[:1], NOISE)
     assert jnp.array_equal(
         after.population.particles.keyframe_poses, state.population.particles.keyframe_poses
     )
