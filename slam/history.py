@@ -15,6 +15,10 @@ from slam.particles import IDENTITY, CameraParticles, mean_and_covariance
 from slam.result import SlamResult
 from slam.rigid import matrices_of
 
+UNDERSTATED = 2.5
+"""By how much the curvature, tempered as the spread of the blocks' scores says, understates the variance of
+poses in all directions: learnt on 150 short walks (`bench slam --only coverage --seed 201 --runs 150`)."""
+
 
 @dataclass(kw_only=True)
 class History:
@@ -32,7 +36,8 @@ class History:
         """Every frame carried by the keyframe it is anchored to, or became, where the last particles have it.
 
         A particle's trajectory follows its own ancestors. The marginal of a frame mixes the particles'
-        conditional Gaussians, so that it keeps its spread where few ancestors survive.
+        conditional Gaussians, so that it keeps its spread where few ancestors survive, widened by what was
+        learnt to be `UNDERSTATED`; the particles themselves are not spread.
         """
         particles: CameraParticles = state.population.particles
         count = len(state.population.log_weights)
@@ -57,7 +62,7 @@ class History:
             trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
             log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
-            covariance=np.asarray(covariance, np.float64),
+            covariance=UNDERSTATED * np.asarray(covariance, np.float64),
             ess=np.asarray([info.ess for info in self.frames]),
             log_evidence=np.asarray([info.log_evidence for info in self.frames]),
             resampled=np.asarray([info.resampled for info in self.frames], bool),

@@ -36,6 +36,9 @@ FIELD_OF_VIEW_DEG = 70.0
 """Orbits look across the room so that a corner is always in view: where only one wall and the floor are
 seen, the motion along that wall leaves no trace in depth, and errors would tell of the room alone."""
 KITCHEN_FRAMES = 400
+SHORT_WALK_FRAMES = 8
+SHORT_WALK_DEGREES = (0.5, 6.0)
+"""A frame, drawn anew for each short walk."""
 ORBIT_FRAMES = {1: 60, 6: 60, 12: 30}
 """Degrees a frame, and frames: the wider ones are whole circles."""
 
@@ -171,6 +174,29 @@ def _orbit(kind: Literal["bare", "furnished"], degrees: float, frames: int, numb
         SceneTruth(objects=(), support_plane=None),
         Trajectory(times_ns=33_333_333 * np.arange(frames), reference_from_camera=poses),
         camera.intrinsics,
+        DepthSensor(),
+        number,
+    )
+    return _filmed(recording)
+
+
+def short_walk(number: int) -> Case:
+    """Eight frames at 160x120 of a hand-held camera in a furnished room, room and path of that number."""
+    rng = np.random.default_rng([number, 77_002])
+    path = PathConfig(
+        kind="handheld",
+        frames=SHORT_WALK_FRAMES,
+        degrees_per_frame=rng.uniform(*SHORT_WALK_DEGREES),
+        radius_m=rng.uniform(0.8, 1.6),
+        elevations_deg=(rng.uniform(0.0, 40.0),),
+    )
+    poses = camera_path(path, TARGET_M, rng)
+    room = RoomConfig(kind="furnished", width_m=ROOM_M, depth_m=ROOM_M)
+    recording = SyntheticRecording(
+        room_parts(room, path.radius_m, rng),
+        SceneTruth(objects=(), support_plane=None),
+        Trajectory(times_ns=33_333_333 * np.arange(path.frames), reference_from_camera=poses),
+        CameraConfig(width=160, height=120).intrinsics,
         DepthSensor(),
         number,
     )

@@ -17,6 +17,7 @@ from shapes import depth_noise
 from shapes.camera import Camera
 from shapes.depth_rendering import render_layers
 from shapes.tiles import tiled
+from tests.statistical import assert_mean
 
 HEIGHT, WIDTH, WEIGHT = 48, 64, 0.25
 NOISE = DepthNoise(sigma_base_m=0.003, outlier_probability=0.1)
@@ -121,3 +122,39 @@ def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], p
     scene = floating_scene(poses, jnp.asarray([True, False]))
     start = jax.jit(likelihood.start)(key, scene)
     assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
+
+
+@pytest.mark.parametrize("draws", [1, 4])
+def test_the_estimate_over_shapes_is_unbiased(
+    key: jax.Array, seed: int, poses: jax.Array, draws: int
+) -> None:
+    """Its mean is the likelihood averaged over all known shapes; a candidate's key makes it again."""
+    sizes = [(0.1, 0.06, 0.02 + 0.004 * extra) for extra in range(4)]
+    meshes = [trimesh.creation.box(size) for size in sizes]
+    shapes = [scene_object("it", mesh.vertices, mesh.faces) for mesh in meshes]
+    observed_m = np.random.default_rng(seed).normal(0.61, 0.02, (2, HEIGHT, WIDTH))
+    observed_m[:, :, :40] = 0.8
+    scene = floating_scene(poses[:1])
+    start_key, offer_key = jax.random.split(key)
+    start = jax.jit(lambda alone: alone.start(jax.random.clone(key), scene).log_likelihood)
+    exact = jnp.stack([start(images([one], observed_m, objects=1)) for one in shapes])
+    assert float(jnp.std(exact)) > 0.5
+    log_exact = jax.scipy.special.logsumexp(exact) - np.log(len(shapes))
+    likelihood = images(shapes, observed_m, objects=1, draws=draws)
+
+    estimates = jax.jit(jax.vmap(lambda key: likelihood.start(key, scene).log_likelihood))(
+        jax.random.split(start_key, 800 // draws)
+    )
+
+    assert_mean(jnp.exp(estimates - log_exact), 1.0, detectable=0.4)
+    keys = jax.random.split(offer_key, 3)
+    there = jnp.stack([poses[0], poses[0], poses[0].at[4].add(0.01)])
+    current = jax.jit(likelihood.start)(jax.random.clone(start_key), scene)
+    offered = jax.jit(likelihood.of_candidates)(keys, scene, jnp.array(0), there, current)
+    assert float(offered[0]) == pytest.approx(float(current.log_likelihood), abs=1e-3)
+    for place in (1, 2):
+        at = floating_scene(there[place][None])
+        again = jax.jit(likelihood.taken)(
+            jax.random.clone(keys)[place], at, jnp.array(0), jnp.array(False), current
+        )
+        assert float(again.log_likelihood) == pytest.approx(float(offered[place]), abs=1e-3)

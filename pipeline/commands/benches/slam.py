@@ -13,6 +13,13 @@ from pipeline.peers import PEERS
 
 @click.command(name="slam")
 @click.option("--rooms", type=click.IntRange(min=1), default=10, show_default=True, help="Rooms of each row.")
+@click.option(
+    "--runs",
+    type=click.IntRange(min=0),
+    default=300,
+    show_default=True,
+    help="Short runs, one frame of each, in which it is counted how often the truth lies inside.",
+)
 @click.option("--only", metavar="TEXT", default="", help="Only the rows whose name has this in it.")
 @click.option(
     "--against",
@@ -33,7 +40,9 @@ from pipeline.peers import PEERS
     "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write it as CSV too."
 )
 @common_options()
-def command(common: Common, rooms: int, only: str, against: str, data: Path, csv_path: Path | None) -> None:
+def command(
+    common: Common, rooms: int, runs: int, only: str, against: str, data: Path, csv_path: Path | None
+) -> None:
     """Tracking errors: real recordings first, then bare and furnished rooms, object views, whole circles.
 
     Every peer is tuned, in rooms of other seeds or on the real recording itself. With all rows, peers and
@@ -45,11 +54,13 @@ def command(common: Common, rooms: int, only: str, against: str, data: Path, csv
     keep_compiled_kernels()
     from pipeline.benchmarks.slam import slam_rows
     from pipeline.benchmarks.slam_cases import real_rows, synthetic_rows
+    from pipeline.benchmarks.slam_coverage import ROW, coverage_row
     from pipeline.quiet_stdout import stdout_to_stderr
 
     peers = words("--against", against, PEERS)
     rows = [row for row in [*real_rows(data), *synthetic_rows()] if only in row.name]
-    if not rows:
+    counted = runs > 0 and only in ROW
+    if not rows and not counted:
         raise PipelineError(f"--only {only}: no row has that in its name")
     talking = not (common.as_json or common.quiet)
     if talking:
@@ -63,6 +74,12 @@ def command(common: Common, rooms: int, only: str, against: str, data: Path, csv
             if talking:
                 for cells in _cells(measured[-1]):
                     click.echo(_line(cells))
+    if counted:
+        with common.progress("coverage", "runs") as progress, stdout_to_stderr():
+            measured.append(coverage_row(runs, common.seed, progress))
+        if talking:
+            for cells in _cells(measured[-1]):
+                click.echo(_line(cells))
     document = {"rows": measured}
     if csv_path is not None:
         _write_csv(csv_path, document)
@@ -77,6 +94,9 @@ def _cells(row: dict[str, Any]) -> list[list[str]]:
     """One line for each tracker."""
     if "skipped" in row:
         return [[row["row"], "skipped", row["skipped"], "", "", "", "", ""]]
+    if "coverage" in row:
+        shares = "; ".join(_share(level, figures) for level, figures in row["coverage"].items())
+        return [[row["row"], "voxscene", shares, row["unit"], "", "", "", ""]]
     scale = 1000 if row["unit"].startswith("mm") else 100
     return [
         [
@@ -95,6 +115,10 @@ def _cells(row: dict[str, Any]) -> list[list[str]]:
 
 def _line(cells: list[str]) -> str:
     return "  ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS, strict=True)).rstrip()
+
+
+def _share(level: str, figures: dict[str, float]) -> str:
+    return f"{figures['share']:.1%} in {float(level):.0%} ({figures['least']:.1%} to {figures['most']:.1%})"
 
 
 def _spread(figure: dict[str, float] | None, scale: float) -> str:

@@ -7,9 +7,11 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from pipeline.benchmarks import slam as bench
-from pipeline.benchmarks.slam_cases import Case, Row, real_rows, synthetic_rows
+from pipeline.benchmarks import slam_coverage
+from pipeline.benchmarks.slam_cases import Case, Row, real_rows, short_walk, synthetic_rows
 from slam.config import SlamConfig
 
 
@@ -64,3 +66,29 @@ def test_cases_are_seeded_and_start_at_the_identity(name: str):
     assert (case.frames[1].depth_m != other.frames[1].depth_m).any()
     np.testing.assert_allclose(case.poses[0], np.eye(4), atol=1e-12)
     assert (case.object_m is not None) == (row.judged_by == "object")
+
+
+def test_coverage_holds_for_the_stated_spread_alone(monkeypatch: pytest.MonkeyPatch):
+    """Distances at chi-square's own quantiles lie inside at every level; those of half the spread do not."""
+    runs = 400
+    exact = stats.chi2.ppf((np.arange(runs) + 0.5) / runs, 6)
+    told = Mock()
+    monkeypatch.setattr(slam_coverage, "_squared_distance", lambda _, number: exact[number - 10_000])
+
+    row = slam_coverage.coverage_row(runs, 1, told)
+    narrow = slam_coverage.summary(4 * exact)
+
+    assert told.call_count == row["runs"] == runs
+    assert row["median_ratio"] == pytest.approx(1.0, abs=0.01)
+    assert all(figures["holds"] for figures in row["coverage"].values())
+    assert not any(figures["holds"] for figures in narrow["coverage"].values())
+    assert narrow["median_ratio"] == pytest.approx(4.0, abs=0.04)
+
+
+def test_short_walks_are_seeded_and_differ():
+    """The same number gives the same depth; the first camera is the reference."""
+    first, again, other = (short_walk(number) for number in (3, 3, 4))
+
+    np.testing.assert_array_equal(first.frames[2].depth_m, again.frames[2].depth_m)
+    assert not np.array_equal(first.frames[2].depth_m, other.frames[2].depth_m)
+    np.testing.assert_allclose(first.poses[0], np.eye(4), atol=1e-12)
