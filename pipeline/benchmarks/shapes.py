@@ -187,7 +187,7 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
     }
     if len(posed.trajectories) > 1:
         alone = replace(posed, trajectories=posed.best[None], log_weights=np.zeros(1))
-        phi = _on_grid(_learned(film, alone, config)[0], shape.grid)
+        phi = _laid_over(shape, _learned(film, alone, config)[0])
         scored[LIKELIEST] = _pair(phi, truth, seen)
     views = PosedViews(
         depths_m=[frame.depth_m for frame in posed.frames],
@@ -273,12 +273,12 @@ def _covering(
     return enlarged, float(below[2]) * shape.pitch_m
 
 
-def _on_grid(shape: ShapePrior, grid: VoxelGrid) -> NDArray[np.float32]:
-    """Probabilities of a shape at the centres of another grid, 0.5 outside its own."""
-    shape_from_grid = np.linalg.inv(shape.reference_from_grid) @ grid.reference_from_grid
-    places = trimesh.transform_points(grid.centres_m, shape_from_grid) / shape.pitch_m
-    phi = ndimage.map_coordinates(shape.phi, (places - 0.5).T, order=0, cval=0.5)
-    return np.asarray(phi, np.float32).reshape(grid.shape)
+def _laid_over(shape: ShapePrior, other: ShapePrior) -> NDArray[np.float32]:
+    """Probabilities of the other shape at the first one's voxels, where its smaller grid has any."""
+    other_from_grid = np.linalg.inv(other.reference_from_grid) @ shape.reference_from_grid
+    places = trimesh.transform_points(shape.grid.centres_m, other_from_grid) / shape.pitch_m
+    phi = ndimage.map_coordinates(other.phi, (places - 0.5).T, order=0, cval=np.nan).reshape(shape.phi.shape)
+    return np.where(np.isnan(phi), shape.phi, phi)
 
 
 def _is_thin(mesh: trimesh.Trimesh, pitch_m: float) -> bool:
