@@ -39,7 +39,9 @@ NEIGHBOURHOOD_M, CROWDING = 0.05, 0.04
 CANDIDATES = 128
 ICP_MIDDLE_M, ICP_LAST_M = 0.01, 0.003
 COARSE_POINTS = 128
-COARSE_ITERATIONS, FINE_ITERATIONS = 7, 10
+SLIDING_ROUNDS = 2
+SLIDES_M = (-0.06, -0.04, -0.025, -0.015, -0.008, 0.008, 0.015, 0.025, 0.04, 0.06)
+COARSE_ITERATIONS, SETTLING_ITERATIONS, FINE_ITERATIONS = 7, 3, 10
 
 _CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
 """Which visible points are put on observed ones: places in the outline's bounding rectangle."""
@@ -79,6 +81,12 @@ def search(
     everything = jnp.ones((CANDIDATES, COARSE_POINTS), bool)
     few = points_m[:COARSE_POINTS], normals[:COARSE_POINTS]
     poses = align(table, *few, everything, poses, coarse_m, ICP_MIDDLE_M, COARSE_ITERATIONS)
+
+    def settled(_: int, poses: jax.Array) -> jax.Array:
+        poses = jax.vmap(partial(_slid, table, *few))(poses)
+        return align(table, *few, everything, poses, ICP_MIDDLE_M, ICP_MIDDLE_M, SETTLING_ITERATIONS)
+
+    poses = jax.lax.fori_loop(0, SLIDING_ROUNDS, settled, poses)
     turned, placed = jaxlie.SO3(poses[:, :4]).as_matrix(), poses[:, 4:]
     scores = jax.vmap(partial(_score, table, points_m, normals, TOLERANCE_M))(turned, placed)
     chosen = _distinct(turned, placed, scores, count)
@@ -118,6 +126,15 @@ def _first_sight(
     nothing = jnp.zeros(len(offsets))
     evidence, weight = jax.lax.fori_loop(0, FEW_POINTS, add, (nothing, nothing))
     return offsets, evidence / weight
+
+
+def _slid(view: ViewTable, points_m: jax.Array, normals: jax.Array, pose: jax.Array) -> jax.Array:
+    """The best of a pose (7,) and others along the axes of its box, where flat faces let ICP drift."""
+    rotation = jaxlie.SO3(pose[:4]).as_matrix()
+    shifts = jnp.asarray(SLIDES_M)[:, None, None] * jnp.eye(3)[None]
+    placed = pose[4:] + jnp.concatenate([jnp.zeros((1, 3)), shifts.reshape(-1, 3)]) @ rotation.T
+    scores = jax.vmap(partial(_score, view, points_m, normals, TOLERANCE_M, rotation))(placed)
+    return pose.at[4:].set(placed[jnp.argmax(scores)])
 
 
 def _contacts(turned_m: jax.Array, facing: jax.Array, forward: jax.Array) -> jax.Array:
