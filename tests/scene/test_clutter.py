@@ -24,8 +24,9 @@ def _data(depth_m: np.ndarray) -> SceneData:
     data = scene_data(depth_m.astype(np.float32), INTRINSICS, 0)
     everything = np.ones(depth_m.shape, bool)
     window = window_over(everything, depth_m.astype(np.float32), INTRINSICS)
-    return replace(
-        data,
+    return SceneData(
+        view=data.view,
+        foreground=data.foreground,
         window=window,
         window_foreground=np.ones(window.depth_m.shape, bool),
         rest_m=np.full(window.depth_m.shape, np.inf, np.float32),
