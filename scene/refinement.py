@@ -2,8 +2,8 @@
 
 Adaptive importance sampling (population Monte Carlo, Cappe et al. 2004): a Gaussian round each pose of the
 best scene is drawn from, weighted by the likelihood at a temperature that keeps enough draws alive, and
-fitted anew, for all objects side by side. It gives the chains' proposals, and the pose at which the object
-has to explain the image better than something unknown would.
+fitted anew, for all objects side by side. It gives the chains' proposals; and the mean weight of the last
+draws is the evidence for the object, integrated over its pose.
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import softmax
+from scipy.special import logsumexp, softmax
 
 from recordings.types import DepthNoise
-from scene.clutter import log_gain_over_clutter
 from scene.initialisation import Initialisation
 from scene.likelihood import depth_evidence, log_likelihood_ratio
 from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData
-from shapes import depth_noise
 from shapes.camera import Camera
 
 DRAWS, TURNS = 192, 6
@@ -43,14 +41,15 @@ class Refinement:
         poses: (N, 7) camera_from_box, the best seen.
         means: (N, 7) camera_from_box.
         covariances: (N, 6, 6).
-        log_evidence: (N,) log of p(image | object at its best pose) / p(image | something unknown there).
+        log_volume: (N,) log of the integral over poses of p(image | pose) / p(image | without the object),
+            in the measure Lebesgue x rotations of mass pi^2; add the log prior density of the pose.
         visible_fraction: (N,) share of the object's pixels that nothing hides.
     """
 
     poses: NDArray[np.float64]
     means: NDArray[np.float64]
     covariances: NDArray[np.float64]
-    log_evidence: NDArray[np.float64]
+    log_volume: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]
 
 
@@ -76,6 +75,7 @@ def refine(
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     means = start.poses
     factors = np.tile(np.diag(FIRST_SIGMA), (count, 1, 1))
+    log_volume = np.zeros(count)
     best, visible = start.poses, np.zeros(count)
     for _ in range(TURNS):
         rest_m, visible = _without_each(data, renderer, means, start.found)
@@ -88,6 +88,7 @@ def refine(
             -0.5 * (normal**2).sum(axis=-1) - np.linalg.slogdet(factors)[1][:, None] - 3 * np.log(2 * np.pi)
         )
         log_weights = log_ratio - log_draw
+        log_volume = logsumexp(log_weights, axis=1) - np.log(DRAWS) - np.log(8.0)
         weights = np.stack([_tempered(one) for one in log_weights])
         top = log_ratio.argmax(axis=1)
         best = poses[np.arange(count), top]
@@ -100,7 +101,7 @@ def refine(
         poses=best,
         means=means,
         covariances=factors @ np.swapaxes(factors, 1, 2),
-        log_evidence=pixel_weight * _log_evidence(data, renderer, best, start.found, noise),
+        log_volume=log_volume,
         visible_fraction=visible,
     )
 
@@ -132,25 +133,6 @@ def _without_each(
     covers = np.isfinite(depth)
     shown = covers & (depth <= rest_m)
     return rest_m.astype(np.float32), shown.sum(axis=(1, 2)) / np.maximum(covers.sum(axis=(1, 2)), 1)
-
-
-def _log_evidence(
-    data: SceneData,
-    renderer: ObjectRenderer,
-    poses: NDArray[np.float64],
-    found: NDArray[np.bool_],
-    noise: DepthNoise,
-) -> NDArray[np.float64]:
-    """Log ratio (N,), exponent 1, of the image with each object and with something unknown in its place."""
-    rest_m, _ = _without_each(data, renderer, poses, found)
-    depth = renderer.layers(np.arange(len(poses)), poses, data.window)
-    shown = np.isfinite(depth) & (depth <= rest_m) & found[:, None, None]
-    observed_m = jnp.asarray(data.window.depth_m)[None]
-    log_object, log_rest = (
-        np.asarray(depth_noise.log_density(noise, observed_m, jnp.asarray(front_m)))
-        for front_m in (depth, rest_m)
-    )
-    return log_gain_over_clutter(data, noise, shown, log_object, log_rest)
 
 
 def _log_ratio(
