@@ -132,7 +132,7 @@ def _slid(view: ViewTable, points_m: jax.Array, normals: jax.Array, pose: jax.Ar
     """The best of a pose (7,) and others along the axes of its box, where flat faces let ICP drift."""
     rotation = jaxlie.SO3(pose[:4]).as_matrix()
     shifts = jnp.asarray(SLIDES_M)[:, None, None] * jnp.eye(3)[None]
-    placed = pose[4:] + jnp.concatenate([jnp.zeros((1, 3)), shifts.reshape(-1, 3)]) @ rotation.T
+    placed = pose[None, 4:] + jnp.concatenate([jnp.zeros((1, 3)), shifts.reshape(-1, 3)]) @ rotation.T
     scores = jax.vmap(partial(_score, view, points_m, normals, TOLERANCE_M, rotation))(placed)
     return pose.at[4:].set(placed[jnp.argmax(scores)])
 
