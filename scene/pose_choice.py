@@ -68,30 +68,28 @@ def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax
     Two that took each other's places cannot leave them one by one. The joint is exact over the
     `candidates` best poses of each, given the others without the two, and what they have.
     """
-    count = len(layers.log_alone)
-    first, second = jnp.triu_indices(count, 1)
-    objects = jnp.arange(count)
+    objects = jnp.arange(len(layers.log_alone))
 
-    def improve(pair: int, choice: jax.Array) -> jax.Array:
-        a, b = first[pair], second[pair]
+    def improve(choice: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        a, b = pair
         others = _front(layers, choice, (objects != a) & (objects != b))
         places = [_best_given(layers, others, choice, one, candidates) for one in (a, b)]
         joint = _joint_log_density(layers, others, (a, places[0]), (b, places[1]))
         best = jnp.unravel_index(jnp.argmax(joint), joint.shape)
-        return choice.at[a].set(places[0][best[0]]).at[b].set(places[1][best[1]])
+        return choice.at[a].set(places[0][best[0]]).at[b].set(places[1][best[1]]), None
 
-    return jax.lax.fori_loop(0, len(first), improve, choice)
+    return jax.lax.scan(improve, choice, jnp.triu_indices(len(objects), 1))[0]
 
 
 def _best_given(
     layers: PoseLayers, others: tuple[jax.Array, jax.Array], choice: jax.Array, one: jax.Array, count: int
 ) -> jax.Array:
-    """Places (count,) of the best poses of an object before a front, the chosen one first, none last."""
+    """Places (at most `count`) of an object's best poses before a front, the chosen one first, none last."""
     front_m, front = others
     nearer = layers.depth_m[one] < front_m[None]
     log_given = jnp.sum(jnp.where(nearer, layers.log_density[one] - front[None], 0.0), axis=1)
-    _, best = jax.lax.top_k(log_given + layers.log_alone[one], count - 2)
     none = layers.log_alone.shape[1] - 1
+    _, best = jax.lax.top_k(log_given + layers.log_alone[one], min(count - 2, none))
     return jnp.concatenate([choice[one][None], best, jnp.full(1, none)])
 
 

@@ -56,3 +56,18 @@ def test_pairs_never_make_a_scene_worse() -> None:
             for choice in (start, improve_pairs(layers, start, 4))
         )
         assert after >= before - 1e-4
+
+
+def test_one_object_has_no_pair() -> None:
+    """Nothing to improve: the choice is returned as it is."""
+    layers = _layers(1, 5, 20)
+    for start in range(5):
+        np.testing.assert_array_equal(improve_pairs(layers, jnp.array([start]), 32), [start])
+
+
+def test_pools_may_be_smaller_than_the_candidates() -> None:
+    """Then every pose is one, and the pair is the best of all."""
+    layers = _layers(2, 4, 30, seed=2)
+    scenes = jnp.asarray(list(itertools.product(range(4), repeat=2)))
+    densities = jax.vmap(lambda scene: log_density_of_choice(layers, scene))(scenes)
+    np.testing.assert_array_equal(improve_pairs(layers, scenes[5], 32), scenes[jnp.argmax(densities)])
