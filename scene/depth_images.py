@@ -26,6 +26,7 @@ from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
 from scene.scene_data import SceneData
 from shapes import depth_noise
 from shapes.camera import Camera
+from shapes.depth_rendering import render_tiles
 from shapes.ray_casting import chosen_first
 from shapes.tile_queue import for_each_block
 from shapes.tiles import TILE_PIXELS, tiled
@@ -247,25 +248,15 @@ def _log_mean_exp(log_values: jax.Array) -> jax.Array:
 def _layers(images: DepthImages, shapes: jax.Array, poses: jax.Array) -> jax.Array:
     """Layers (..., R, N, X, TILE_PIXELS) of shapes (..., R, N) at poses (..., N, F, 7) camera_from_box."""
     frames = poses.shape[-2]
-    tiles = len(images.observed_m) // frames
     posed_shape = (*shapes.shape, frames)
     index = jnp.broadcast_to(shapes[..., None], posed_shape)
     frame = jnp.broadcast_to(jnp.arange(frames, dtype=jnp.int32), posed_shape)
     poses = jnp.broadcast_to(poses[..., None, :, :, :], (*posed_shape, 7))
-    rows = math.prod(posed_shape) * tiles
-
-    def write(
-        layers_m: jax.Array, view: jax.Array, tile: jax.Array, depth_m: jax.Array, valid: jax.Array
-    ) -> jax.Array:
-        place = jnp.where(valid, view * tiles + tile, rows)
-        return layers_m.at[place].set(depth_m, mode="drop")
-
     with jax.enable_x64(False):  # the engine works in float32 and int32
         posed = images.renderer.posed(index.ravel(), poses.reshape(-1, 7), frame.ravel())
-        nothing = jnp.full((rows, TILE_PIXELS), jnp.inf, jnp.float32)
         library, cameras = images.renderer.library, images.cameras
-        layers_m = for_each_block(library, posed, cameras, images.height, images.width, write, nothing)
-    return layers_m.reshape(*shapes.shape, frames * tiles, TILE_PIXELS)
+        layers_m = render_tiles(library, posed, cameras, images.height, images.width)
+    return layers_m.reshape(*shapes.shape, -1, TILE_PIXELS)
 
 
 @_layers.def_vmap

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scene.graph import SceneGraph, tree_code
-from scene.model import Estimate
+from scene.model import BlindToPoses, Estimate
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class GraphTable:
+class GraphTable(BlindToPoses):
     """log p(G) or log p(data | G) by enumeration; serves as `StructurePrior` and as `Likelihood`.
 
     Attributes:
@@ -45,25 +45,3 @@ class GraphTable:
     def update(self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate) -> Estimate:  # noqa: ARG002
         """The same."""
         return self.start(key, scene)
-
-    def of_candidates(
-        self,
-        keys: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,  # noqa: ARG002
-        chosen: jax.Array,  # noqa: ARG002
-        poses: jax.Array,
-        current: Estimate,
-    ) -> jax.Array:
-        """The graph is one for all."""
-        return jnp.broadcast_to(current.log_likelihood, len(poses))
-
-    def taken(
-        self,
-        key: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,  # noqa: ARG002
-        chosen: jax.Array,  # noqa: ARG002
-        stays: jax.Array,  # noqa: ARG002
-        current: Estimate,
-    ) -> Estimate:
-        """The same."""
-        return current

@@ -60,9 +60,35 @@ class Likelihood(Protocol):
         ...
 
 
+class BlindToPoses:
+    """What a likelihood says of candidate poses that its data do not see."""
+
+    def of_candidates(
+        self,
+        keys: jax.Array,  # noqa: ARG002
+        scene: SceneGraph,  # noqa: ARG002
+        chosen: jax.Array,  # noqa: ARG002
+        poses: jax.Array,
+        current: Estimate,
+    ) -> jax.Array:
+        """All alike."""
+        return jnp.broadcast_to(current.log_likelihood, len(poses))
+
+    def taken(
+        self,
+        key: jax.Array,  # noqa: ARG002
+        scene: SceneGraph,  # noqa: ARG002
+        chosen: jax.Array,  # noqa: ARG002
+        stays: jax.Array,  # noqa: ARG002
+        current: Estimate,
+    ) -> Estimate:
+        """The same."""
+        return current
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class NoData:
+class NoData(BlindToPoses):
     """The constant likelihood, under which every chain must return the prior."""
 
     depends_on_graph: ClassVar[bool] = False
@@ -76,28 +102,6 @@ class NoData:
         key: jax.Array,  # noqa: ARG002
         scene: SceneGraph,  # noqa: ARG002
         moved: jax.Array,  # noqa: ARG002
-        current: Estimate,
-    ) -> Estimate:
-        """The same."""
-        return current
-
-    def of_candidates(
-        self,
-        keys: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,  # noqa: ARG002
-        chosen: jax.Array,  # noqa: ARG002
-        poses: jax.Array,
-        current: Estimate,  # noqa: ARG002
-    ) -> jax.Array:
-        """All alike."""
-        return jnp.zeros(len(poses), poses.dtype)
-
-    def taken(
-        self,
-        key: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,  # noqa: ARG002
-        chosen: jax.Array,  # noqa: ARG002
-        stays: jax.Array,  # noqa: ARG002
         current: Estimate,
     ) -> Estimate:
         """The same."""

@@ -30,14 +30,23 @@ def render_layers(
         height: of the images.
         width: of the images.
     """
+    rows = render_tiles(library, posed, cameras, height, width)
+    return untiled(rows.reshape(-1, TILE_PIXELS), height, width)
+
+
+def render_tiles(
+    library: ObjectLibrary, posed: PosedObjects, cameras: Camera, height: int, width: int
+) -> jax.Array:
+    """The same images cut into tiles (N, tiles, TILE_PIXELS); beyond the border means nothing."""
     down, across = tile_counts(height, width)
-    rows = jnp.full((len(posed) * down * across, TILE_PIXELS), jnp.inf, jnp.float32)
+    tiles = down * across
+    rows = jnp.full((len(posed) * tiles, TILE_PIXELS), jnp.inf, jnp.float32)
 
     def write(
         rows: jax.Array, view: jax.Array, tile: jax.Array, depth: jax.Array, valid: jax.Array
     ) -> jax.Array:
-        place = jnp.where(valid, view * (down * across) + tile, len(rows))
+        place = jnp.where(valid, view * tiles + tile, len(rows))
         return rows.at[place].set(depth, mode="drop")
 
     rows = for_each_block(library, posed, cameras, height, width, write, rows)
-    return untiled(rows, height, width)
+    return rows.reshape(len(posed), tiles, TILE_PIXELS)

@@ -1,8 +1,8 @@
 """Hypotheses rendered and scored a second, beside Embree with NumPy on the same poses.
 
 Every call gets poses that were never seen before, results reach the host, and compile time is apart. What is
-called is what `parse` calls: refinement and presence score poses by `log_likelihood_ratio`; search and the
-chains, which keep the layers of objects that did not move, render them by `render_layers`, the same rays.
+called is what `parse` calls: refinement and presence score poses by `log_likelihood_ratio`; the search asks
+for layers by `render_layers`, and the chains keep the same in tiles.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def likelihood_rate(task: Problem, rng: np.random.Generator) -> Rate:
 
 
 def layer_rate(task: Problem, rng: np.random.Generator) -> Rate:
-    """Depth layers a second, as the chains and searches of `parse` ask for them."""
+    """Depth layers a second, as the search of `parse` asks for them."""
     count = HYPOTHESES[task.intrinsics.width] // 8
     height, width = task.evidence.height, task.evidence.width
 
