@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from scene.cores import shared_among_cores
 from shapes.distance_field import squared_distance
 from shapes.object_library import ObjectLibrary
 from shapes.ray_casting import PosedObjects
@@ -16,10 +19,9 @@ BATCH = 256
 """Hypotheses scored together: with a thousand points their coordinates stay in the cache."""
 
 
-@jax.jit
 def distance_score(
-    library: ObjectLibrary, posed: PosedObjects, points_m: jax.Array, scale_m: jax.Array | float
-) -> jax.Array:
+    library: ObjectLibrary, posed: PosedObjects, points_m: ArrayLike, scale_m: float
+) -> NDArray[np.float32]:
     """Mean over the points of max(0, 1 - (distance / scale)^2), (N,) in [0, 1].
 
     Args:
@@ -30,6 +32,14 @@ def distance_score(
         scale_m: distance from the surface at which a point no longer speaks for a hypothesis.
     """
     points_m = jnp.asarray(points_m, jnp.float32)
+    return shared_among_cores(lambda posed: _nearness(library, posed, points_m, scale_m), posed)
+
+
+@jax.jit
+def _nearness(
+    library: ObjectLibrary, posed: PosedObjects, points_m: jax.Array, scale_m: jax.Array | float
+) -> jax.Array:
+    """The same in one kernel."""
     known = (points_m[..., 2] > 0) & jnp.isfinite(points_m).all(axis=-1)
     points_m = jnp.where(known[None], jnp.moveaxis(points_m, -1, 0), 0.0)
     points_known = known.sum(axis=1)

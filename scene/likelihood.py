@@ -6,15 +6,16 @@ hypothesis of one object costs only the pixels that this object covers.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, field
 from functools import partial
-from operator import itemgetter
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
+from scene.cores import shared_among_cores
 from shapes import depth_noise
 from shapes.camera import Camera
 from shapes.object_library import ObjectLibrary
@@ -22,8 +23,6 @@ from shapes.ray_casting import PosedObjects
 from shapes.tile_queue import for_each_block
 from shapes.tiles import TILE_PIXELS, tile_counts, tiled
 
-LANES = 2
-"""Loops side by side, so that two cores have work."""
 SCENE_TILES = 2**15
 """Tiles of the scenes rendered together: 2 MiB of depth."""
 IMPOSSIBLE = -1e4
@@ -85,27 +84,23 @@ def depth_evidence(
     )
 
 
-@jax.jit
 def log_likelihood_ratio(
     library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
-) -> jax.Array:
+) -> NDArray[np.float32]:
     """Log likelihood (N,) of each hypothesis's image when its object joins the rest, less that of the rest.
 
     The product over the image's pixels of the density of MATH.md section 0; base measure: Lebesgue in
     metres plus the atom of no return. For several frames or cameras, sum over a hypothesis's images.
     """
-    count = len(posed)
-    ends = [count * lane // LANES for lane in range(LANES + 1)] if count >= LANES else [0, count]
-    lanes = [
-        _gain_over_rest(library, noise, evidence, jax.tree.map(itemgetter(slice(*lane)), posed))
-        for lane in itertools.pairwise(ends)
-    ]
-    return jnp.concatenate(lanes)
+    return shared_among_cores(partial(gain_over_rest, library, noise, evidence), posed)
 
 
-def _gain_over_rest(
+@jax.jit
+def gain_over_rest(
     library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
 ) -> jax.Array:
+    """The same in one kernel."""
+
     def add(
         total: jax.Array, view: jax.Array, tile: jax.Array, depth: jax.Array, valid: jax.Array
     ) -> jax.Array:

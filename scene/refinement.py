@@ -19,10 +19,11 @@ from scipy.special import logsumexp, softmax
 
 from recordings.types import DepthNoise
 from scene.initialisation import Initialisation
-from scene.likelihood import depth_evidence, log_likelihood_ratio
+from scene.likelihood import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData
 from shapes.camera import Camera
+from shapes.ray_casting import PosedObjects
 
 DRAWS, TURNS = 192, 6
 ALIVE = 40.0
@@ -147,12 +148,13 @@ def _log_ratio(
     objects = np.repeat(np.arange(count, dtype=np.int32), draws)
     flat = poses.reshape(-1, 7).astype(np.float32)
     camera, observed_m = data.window.camera, data.window.depth_m
-    ratio = _ratio_of_images(renderer, noise, camera, observed_m, rest_m, objects, flat)
-    return np.asarray(ratio, np.float64).reshape(count, draws)
+    evidence, posed = _posed_before_rests(renderer, noise, camera, observed_m, rest_m, objects, flat)
+    ratio = log_likelihood_ratio(renderer.library, noise, evidence, posed)
+    return ratio.astype(np.float64).reshape(count, draws)
 
 
 @jax.jit
-def _ratio_of_images(
+def _posed_before_rests(
     renderer: ObjectRenderer,
     noise: DepthNoise,
     camera: Camera,
@@ -160,12 +162,11 @@ def _ratio_of_images(
     rest_m: jax.Array,
     objects: jax.Array,
     poses: jax.Array,
-) -> jax.Array:
-    """The ratios (M,) for objects (M,) at poses (M, 7), each before its own rest (N, H, W)."""
+) -> tuple[DepthEvidence, PosedObjects]:
+    """The image against rests (N, H, W), and objects (M,) at poses (M, 7), each before its own rest."""
     cameras = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, len(rest_m)), camera)
     evidence = depth_evidence(noise, cameras, observed_m[None], rest_m)
-    posed = renderer.posed(objects, poses, objects)
-    return log_likelihood_ratio(renderer.library, noise, evidence, posed)
+    return evidence, renderer.posed(objects, poses, objects)
 
 
 @jax.jit

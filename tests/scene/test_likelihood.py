@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from recordings.types import DepthNoise
-from scene.likelihood import depth_evidence, log_likelihood_ratio
+from scene.likelihood import depth_evidence, gain_over_rest, log_likelihood_ratio
 from shapes.depth_rendering import render_layers
 from shapes.object_library import ObjectLibrary, joined, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views
@@ -130,7 +130,7 @@ def test_one_trace_serves_all_poses_and_objects_of_a_bucket(library: ObjectLibra
         log_likelihood_ratio(both, NOISE, depth_evidence(NOISE, lens, observed, rest), posed(poses, index))
 
     score(0, 1.0)
-    traced = log_likelihood_ratio._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+    traced = gain_over_rest._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
     score(1, 1.3)
 
-    assert log_likelihood_ratio._cache_size() == traced  # pyright: ignore[reportAttributeAccessIssue]
+    assert gain_over_rest._cache_size() == traced  # pyright: ignore[reportAttributeAccessIssue]
