@@ -39,7 +39,6 @@ class Surface:
         return self.rays * self.depth_m[None]
 
 
-@jax.jit
 def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     """The surface that a single view shows."""
     planes, _ = region_planes(view, noise)
@@ -47,7 +46,6 @@ def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
     return Surface(view.depth_m, planes, variance, view.measured, view.rays, view.camera)
 
 
-@jax.jit
 def with_planes_refitted(surface: Surface) -> Surface:
     """The surface with tangent planes of its refined depth."""
     return replace(surface, planes=tangent_planes(surface.depth_m, surface.rays, surface.camera))

@@ -5,11 +5,14 @@ along a ray d (scaled to z = 1) as the depth 1 / (N . d), moves between frames b
 (`slam.rendering`), and a vector of zeros is the plane at infinity: the pixel that meets nothing. In a
 pinhole image of a plane, inverse depth is affine in the pixel, 1/z = N . d, so that N is a linear
 least-squares fit over the window's pixels that lie on the same surface.
+
+Every round is a kernel of its own: compiled as one they run five times as long (measured, XLA's CPU backend).
 """
 
 from __future__ import annotations
 
 import itertools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -47,11 +50,9 @@ def tangent_planes(depth_m: jax.Array, rays: jax.Array, camera: Camera) -> jax.A
     fit = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
     for band in DEPTH_BANDS:
         fit, _ = _window_fit(inverse_depth, fit, camera, band * inverse_depth, WINDOW_RADIUS_PX)
-    slope_x, slope_y = _widened(fit[:2], inverse_depth, camera)
-    return jnp.where(depth_m > NO_RETURN, _through_points(slope_x, slope_y, inverse_depth, rays), 0.0)
+    return _through_points(_widened(fit[:2], inverse_depth, camera), inverse_depth, rays)
 
 
-@jax.jit
 def region_planes(view: DepthView, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:
     """Plane vectors (3, H, W) averaged over flat regions, zeros at edges, and the regions' sizes (H, W).
 
@@ -60,39 +61,67 @@ def region_planes(view: DepthView, noise: DepthNoise) -> tuple[jax.Array, jax.Ar
     common: noise of N passes for information on motion along it, and biases the rest. Where a region is
     small the surface may be curved: planes then pass through their own points, and the size is 1.
     """
-    inverse_depth, rays, camera = _inverse(view.depth_m), view.rays, view.camera
-    sigma = depth_noise.standard_deviation(noise, view.depth_m)
-    tolerance = ON_PLANE_SIGMAS * sigma * inverse_depth**2
+    inverse_depth = _inverse(view.depth_m)
+    tolerance = _tolerance(view.depth_m, inverse_depth, noise)
     fit = jnp.zeros((3, *inverse_depth.shape), inverse_depth.dtype)
-    fit, _ = _window_fit(inverse_depth, fit, camera, DEPTH_BANDS[0] * inverse_depth, WINDOW_RADIUS_PX - 1)
-    fit, count = _window_fit(inverse_depth, fit, camera, tolerance, WINDOW_RADIUS_PX)
-    offset = inverse_depth + fit[2] - fit[0] * rays[0] - fit[1] * rays[1]
-    planes = jnp.stack([fit[0], fit[1], offset])
-    on_plane = (inverse_depth > 0) & (count >= LEAST_WINDOW_PIXELS) & (jnp.abs(fit[2]) < tolerance)
+    near = DEPTH_BANDS[0] * inverse_depth
+    fit, _ = _window_fit(inverse_depth, fit, view.camera, near, WINDOW_RADIUS_PX - 1)
+    fit, count = _window_fit(inverse_depth, fit, view.camera, tolerance, WINDOW_RADIUS_PX)
+    planes, on_plane = _fitted_planes(fit, count, inverse_depth, view.rays, tolerance)
     size = jnp.ones_like(inverse_depth)
     for step_px, turn in zip(REGION_STEPS_PX, REGION_TURNS, strict=True):
         planes, alike = _averaged(planes, on_plane, inverse_depth, view, tolerance, step_px, turn)
         size *= jnp.maximum(alike, 1.0)
+    return _flat_or_own(planes, on_plane, size, inverse_depth, view.rays, tolerance)
+
+
+@jax.jit
+def _tolerance(depth_m: jax.Array, inverse_depth: jax.Array, noise: DepthNoise) -> jax.Array:
+    """Of inverse depth, within which a pixel lies on a plane."""
+    return ON_PLANE_SIGMAS * depth_noise.standard_deviation(noise, depth_m) * inverse_depth**2
+
+
+@jax.jit
+def _fitted_planes(
+    fit: jax.Array, count: jax.Array, inverse_depth: jax.Array, rays: jax.Array, tolerance: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Planes (3, H, W) of windows, offset included, and whether (H, W) they explain their own pixels."""
+    offset = inverse_depth + fit[2] - fit[0] * rays[0] - fit[1] * rays[1]
+    on_plane = (inverse_depth > 0) & (count >= LEAST_WINDOW_PIXELS) & (jnp.abs(fit[2]) < tolerance)
+    return jnp.stack([fit[0], fit[1], offset]), on_plane
+
+
+@jax.jit
+def _flat_or_own(
+    planes: jax.Array,
+    on_plane: jax.Array,
+    size: jax.Array,
+    inverse_depth: jax.Array,
+    rays: jax.Array,
+    tolerance: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """The averaged planes where regions are large, else planes through the points; the regions' sizes."""
     on_plane &= jnp.abs(dot(planes, rays) - inverse_depth) < tolerance
     flat = on_plane & (size >= LEAST_REGION)
-    own = _through_points(planes[0], planes[1], inverse_depth, rays)
-    planes = jnp.where(flat[None], planes, own)
-    return jnp.where((inverse_depth > 0)[None], planes, 0.0), jnp.where(
-        flat, size, jnp.where(on_plane, 1.0, 0.0)
-    )
+    planes = jnp.where(flat[None], planes, _through_points(planes[:2], inverse_depth, rays))
+    return planes, jnp.where(flat, size, jnp.where(on_plane, 1.0, 0.0))
 
 
+@jax.jit
 def _inverse(depth_m: jax.Array) -> jax.Array:
     known = depth_m > NO_RETURN
     return jnp.where(known, 1.0 / jnp.where(known, depth_m, 1.0), 0.0)
 
 
-def _through_points(
-    slope_x: jax.Array, slope_y: jax.Array, inverse_depth: jax.Array, rays: jax.Array
-) -> jax.Array:
-    return jnp.stack([slope_x, slope_y, inverse_depth - slope_x * rays[0] - slope_y * rays[1]])
+@jax.jit
+def _through_points(slopes: jax.Array, inverse_depth: jax.Array, rays: jax.Array) -> jax.Array:
+    """Planes (3, H, W) of slopes (2, H, W) through the measured points, zeros elsewhere."""
+    x, y = slopes
+    planes = jnp.stack([x, y, inverse_depth - x * rays[0] - y * rays[1]])
+    return jnp.where((inverse_depth > 0)[None], planes, 0.0)
 
 
+@jax.jit
 def _widened(slopes: jax.Array, inverse_depth: jax.Array, camera: Camera) -> jax.Array:
     """Slopes (2, H, W) averaged with those of alike, coplanar pixels a few windows around.
 
@@ -114,6 +143,7 @@ def _widened(slopes: jax.Array, inverse_depth: jax.Array, camera: Camera) -> jax
     return total / jnp.maximum(weight, 1.0)[None]
 
 
+@partial(jax.jit, static_argnames=("step_px", "most_turn"))
 def _averaged(
     planes: jax.Array,
     on_plane: jax.Array,
@@ -143,6 +173,7 @@ def _averaged(
     return jnp.where((count > 0)[None], total / jnp.maximum(count, 1.0)[None], planes), count
 
 
+@partial(jax.jit, static_argnames="radius_px")
 def _window_fit(
     inverse_depth: jax.Array, fit: jax.Array, camera: Camera, tolerance: jax.Array, radius_px: int
 ) -> tuple[jax.Array, jax.Array]:
