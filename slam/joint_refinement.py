@@ -4,17 +4,18 @@ The filter places a keyframe once, by the few it sees at that moment and at work
 along the way. Here every keyframe's image at full detail is compared with the surfaces of all keyframes that
 it overlaps (`slam.overlap`), and the graph of these overlaps is brought to its optimum by Gauss-Newton, each
 overlap linearised anew in every round. The target is the overlap density, tempered so that a pixel which
-several surfaces explain counts once. The proposal carries a particle's displacement from the filter's mean
-over to the optimum, which is its own inverse and keeps volumes, so that the density ratio alone decides.
-Particles that moved then forget the filter's drift: they draw their displacement from the graph's Gaussian,
-the Laplace approximation of the same density (MATH.md J).
+several surfaces explain counts once. Particles that have the keyframes in the same places are one mode, and
+each mode has an optimum of its own. The proposal carries the mode's mean over to the optimum, which is its
+own inverse and keeps volumes, so that the density ratio alone decides. (Asked particle by particle it was
+refused at random: densities at single draws differ by tens of nats.) Moved or not, a mode's particles then
+forget the filter's drift: they draw their displacement from the mean by the graph's Gaussian, the Laplace
+approximation of the same density (MATH.md J). What is told of keyframes is that Gaussian itself (`Placed`): a
+few dozen draws, of which the weights may leave two or three, have no spread in most directions.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import jax
@@ -35,7 +36,7 @@ from slam.overlap import (
     overlap_terms,
     sampled,
 )
-from slam.particles import CameraParticles, mean_keyframes
+from slam.particles import CameraParticles, grouped, mean_keyframes
 from slam.plane_fitting import region_planes
 from slam.pose_graph import PoseGraph
 from slam.rigid import matrices_of
@@ -54,8 +55,7 @@ FARTHEST = 0.05
 place, or nothing holds it. It stays, and the others are refined without it."""
 LEAST_INLIERS = 60.0
 THINNED = 8
-"""Of the samples, every so many decide on the first rounds, and on acceptance, which is asked for every
-particle: they stand for all."""
+"""Of the samples, every so many decide on the first rounds: they stand for all."""
 IMAGE_BUCKET = 4
 """Images compared with one surface in one call, so that kernels are compiled once."""
 
@@ -105,8 +105,30 @@ class Keyframes:
                 yield self.surfaces[surface], samples, surface, chosen
 
 
-def refined(key: jax.Array, state: FilterState, details: Sequence[Detail], noise: DepthNoise) -> FilterState:
-    """The state with every particle's keyframes after one Metropolis-Hastings step.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Where the modes have the keyframes, before the particles (K,) drew theirs.
+
+    Attributes:
+        mode: (K,) index into the modes, -1 for particles of one whose keyframes nothing holds together.
+        poses: (G, N, 7) reference_from_keyframe.
+        covariances: (G, N, 6, 6) in the charts there.
+        held: (G, N) keyframes that overlaps tie to the first; the others are where the particles had them.
+    """
+
+    mode: jax.Array
+    poses: jax.Array
+    covariances: jax.Array
+    held: jax.Array
+
+
+def refined(
+    key: jax.Array, state: FilterState, details: Sequence[Detail], noise: DepthNoise
+) -> tuple[FilterState, Placed | None]:
+    """The state with every particle's keyframes after one Metropolis-Hastings step, and where that led.
+
+    None where no keyframes overlap.
 
     Args:
         key: consumed.
@@ -116,46 +138,74 @@ def refined(key: jax.Array, state: FilterState, details: Sequence[Detail], noise
     """
     particles: CameraParticles = state.population.particles
     used = len(state.keyframe_map)
-    weights = jnp.exp(state.population.log_weights)
-    filtered = mean_keyframes(particles.keyframe_poses[:, :used], weights)
-    keyframes = _keyframes(state.keyframe_map, details, matrices_of(filtered), noise)
-    optimum = _optimum(keyframes, filtered)
-    if optimum is None:
-        return state
-    centres, graph, exponents = optimum
-    draw_key, choice_key = jax.random.split(key)
-    current = particles.keyframe_poses[:, :used]
-    carried = _carried(filtered, centres, current)
-    landmarks = jnp.stack([filtered, centres])
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        ahead, behind = pool.map(
-            lambda poses: _log_densities(keyframes, poses, landmarks, exponents), (carried, current)
+    poses = particles.keyframe_poses[:, :used]
+    weights = np.exp(np.asarray(state.population.log_weights, np.float64))
+    modes = grouped(matrices_of(poses), weights)
+    of_particle = np.full(len(modes), -1, np.int32)
+    surfaces, samples = _surfaces(details), _samples(details)
+    placed: list[tuple[jax.Array, NDArray[np.float64], NDArray[np.bool_]]] = []
+    for mode in range(modes.max() + 1):
+        members = modes == mode
+        filtered = mean_keyframes(
+            poses, jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum())
         )
-    log_ratio = ahead - behind
-    accepted = jnp.log(jax.random.uniform(choice_key, (len(current),))) < log_ratio
-    displacements = pose_graph.draws(draw_key, graph, len(current))
-    drawn = _drawn(centres, jnp.asarray(displacements, jnp.float32))
-    moved = jnp.where(accepted[:, None, None], drawn, current)
-    keyframe_poses = particles.keyframe_poses.at[:, :used].set(moved)
+        keyframes = Keyframes(
+            surfaces=surfaces,
+            samples=samples,
+            images_of=_overlapping(state.keyframe_map, details, matrices_of(filtered)),
+            noise=noise,
+        )
+        optimum = _optimum(keyframes, filtered)
+        if optimum is None:
+            continue
+        centres, graph, exponents = optimum
+        draw_key, choice_key = jax.random.split(jax.random.fold_in(key, mode))
+        before, after = _log_densities(keyframes, jnp.stack([filtered, centres]), exponents)
+        if np.log(float(jax.random.uniform(choice_key))) >= after - before:
+            centres = filtered
+        held = pose_graph.tied_to_first(graph)
+        displacements = pose_graph.draws(draw_key, graph, len(modes))
+        drawn = _drawn(centres, jnp.asarray(displacements, jnp.float32))
+        poses = jnp.where(jnp.asarray(members[:, None] & held)[..., None], drawn, poses)
+        of_particle[members] = len(placed)
+        placed.append((centres, pose_graph.marginals(graph), held))
+    if not placed:
+        return state, None
+    keyframe_poses = particles.keyframe_poses.at[:, :used].set(poses)
     population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
-    return replace(state, population=population)
+    centres, covariances, held = zip(*placed, strict=True)
+    return replace(state, population=population), Placed(
+        mode=jnp.asarray(of_particle),
+        poses=jnp.stack(centres),
+        covariances=jnp.asarray(np.stack(covariances), jnp.float32),
+        held=jnp.asarray(np.stack(held)),
+    )
 
 
-def _keyframes(
-    keyframe_map: KeyframeMap, details: Sequence[Detail], poses: NDArray[np.float64], noise: DepthNoise
-) -> Keyframes:
-    surfaces, samples = [], []
-    for detail in details:
-        view, flat = detail.view, (detail.region_sizes > 0)[None]
-        surfaces.append(PlaneImage(view.depth_m, jnp.where(flat, detail.planes, 0.0), view.rays, view.camera))
-        samples.append(jax.tree.map(np.asarray, sampled(view, detail.planes, detail.region_sizes)))
+def _surfaces(details: Sequence[Detail]) -> list[PlaneImage]:
+    planes = [jnp.where((detail.region_sizes > 0)[None], detail.planes, 0.0) for detail in details]
+    views = [detail.view for detail in details]
+    return [
+        PlaneImage(view.depth_m, of_view, view.rays, view.camera)
+        for view, of_view in zip(views, planes, strict=True)
+    ]
+
+
+def _samples(details: Sequence[Detail]) -> list[PointSample]:
+    samples = (sampled(detail.view, detail.planes, detail.region_sizes) for detail in details)
+    return [jax.tree.map(np.asarray, sample) for sample in samples]
+
+
+def _overlapping(
+    keyframe_map: KeyframeMap, details: Sequence[Detail], poses: NDArray[np.float64]
+) -> list[NDArray[np.int_]]:
+    """For each keyframe as a surface, those (n,) whose images are compared with it, at poses (N, 4, 4)."""
     overlap = np.zeros((len(details), len(details)), bool)
     for second in range(1, len(details)):
         before = KeyframeMap(surfaces=keyframe_map.surfaces[:second], samples=keyframe_map.samples[:second])
         frame = framing(details[second].view)
         overlap[second, selected_keyframes(before, poses[:second], poses[second], frame, OVERLAPS)] = True
-    images_of = [np.nonzero(row)[0] for row in overlap | overlap.T]
-    return Keyframes(surfaces=surfaces, samples=samples, images_of=images_of, noise=noise)
+    return [np.nonzero(row)[0] for row in overlap | overlap.T]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,16 +294,15 @@ def _exponents(linearised: _Linearised) -> NDArray[np.float64]:
 
 
 def _log_densities(
-    keyframes: Keyframes, poses: jax.Array, landmarks: jax.Array, exponents: NDArray[np.float64]
+    keyframes: Keyframes, poses: jax.Array, exponents: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Tempered log densities (K,) of all overlaps at keyframes (K, N, 7), of pixels seen from (L, N, 7)."""
-    total = np.zeros(len(poses))
-    placed = np.asarray(poses), np.asarray(landmarks)
-    for surface, samples, index, images in keyframes.batches(THINNED):
+    """Tempered log densities (L,) of all overlaps at keyframes (L, N, 7)."""
+    total, placed = np.zeros(len(poses)), np.asarray(poses)
+    for surface, samples, index, images in keyframes.batches(1):
         padded = np.resize(images, IMAGE_BUCKET)
-        relative, fixed = (_relative_by_image(several[:, index], several[:, padded]) for several in placed)
-        densities = log_overlap_densities(surface, samples, relative, fixed, keyframes.noise)
-        total += THINNED * exponents[images] @ np.asarray(densities, np.float64)[: len(images)]
+        relative = _relative_by_image(placed[:, index], placed[:, padded])
+        densities = log_overlap_densities(surface, samples, relative, keyframes.noise)
+        total += exponents[images] @ np.asarray(densities, np.float64)[: len(images)]
     return total
 
 
@@ -266,22 +315,12 @@ def _relative(origin: jax.Array, poses: jax.Array) -> jax.Array:
 
 @jax.jit
 def _relative_by_image(origins: jax.Array, poses: jax.Array) -> jax.Array:
-    """origin_from_pose (n, K, 7) of K poses (K, 7) and of n others each (K, n, 7)."""
+    """origin_from_pose (n, L, 7) of L poses (L, 7) and of n others each (L, n, 7)."""
     return jax.vmap(_relative)(origins, poses).swapaxes(0, 1)
 
 
 _displaced = jax.jit(jax.vmap(pose_gaussian.displaced))
 _coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
-
-
-@jax.jit
-def _carried(origin: jax.Array, target: jax.Array, poses: jax.Array) -> jax.Array:
-    """Poses (K, N, 7) with the displacements from `target` (N, 7) that they have from `origin` (N, 7)."""
-
-    def one(origin: jax.Array, target: jax.Array, pose: jax.Array) -> jax.Array:
-        return pose_gaussian.displaced(target, pose_gaussian.coordinates(origin, pose))
-
-    return jax.vmap(jax.vmap(one), (None, None, 0))(origin, target, poses)
 
 
 @jax.jit

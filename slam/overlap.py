@@ -204,28 +204,18 @@ def overlap_terms(
 
 @jax.jit
 def log_overlap_densities(
-    surface: PlaneImage,
-    samples: PointSample,
-    surface_from_images: jax.Array,
-    landmarks: jax.Array,
-    noise: DepthNoise,
+    surface: PlaneImage, samples: PointSample, surface_from_images: jax.Array, noise: DepthNoise
 ) -> jax.Array:
-    """Log densities (B, K) of B images' samples (B, ...) given one surface, at poses (B, K, 7).
+    """Log densities (B, L) of B images' samples (B, ...) given one surface, at poses (B, L, 7).
 
     Base measure: Lebesgue in metres of each pixel's gap. Counted are the pixels that meet the surface from
-    all of the landmark poses (B, L, 7): a set that does not depend on the pose, without those that come and
-    go at the edges.
+    all of the poses: those that come and go at the edges would not compare.
     """
 
-    def at_poses(pair: tuple[PointSample, jax.Array, jax.Array]) -> jax.Array:
-        sample, poses, fixed = pair
-        counted = jax.vmap(lambda pose: _gaps(surface, sample, pose, noise).meets)(fixed).all(0)
+    def at_poses(pair: tuple[PointSample, jax.Array]) -> jax.Array:
+        sample, poses = pair
+        gaps = jax.vmap(lambda pose: _gaps(surface, sample, pose, noise))(poses)
+        log_surface = jnp.logaddexp(_log_normal(gaps, gaps.variance_m2), LOG_OUTLIER)
+        return jnp.where(gaps.meets.all(0), log_surface, 0.0).sum(1)
 
-        def at_pose(pose: jax.Array) -> jax.Array:
-            gaps = _gaps(surface, sample, pose, noise)
-            log_surface = jnp.where(gaps.meets, _log_normal(gaps, gaps.variance_m2), -jnp.inf)
-            return jnp.where(counted, jnp.logaddexp(log_surface, LOG_OUTLIER), 0.0).sum()
-
-        return jax.vmap(at_pose)(poses)
-
-    return jax.lax.map(at_poses, (samples, surface_from_images, landmarks))
+    return jax.lax.map(at_poses, (samples, surface_from_images))

@@ -86,10 +86,11 @@ LEAST_GROUP_WEIGHT = 1e-3
 
 
 def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int_]:
-    """Group (K,) of each particle by its camera pose (K, 4, 4); group 0 holds the heaviest.
+    """Group (K,) of each particle by its pose (K, 4, 4), or by all of its poses (K, N, 4, 4).
 
-    Particles join the first leader within reach, leaders being the heaviest particles. Groups of
-    negligible weight, and all beyond `MOST_GROUPS`, join group 0: a search for them would be wasted.
+    Group 0 holds the heaviest. Particles join the first leader within reach, leaders being the heaviest
+    particles. Groups of negligible weight, and all beyond `MOST_GROUPS`, join group 0: a search for them
+    would be wasted.
     """
     groups = np.full(len(poses), -1)
     count = 0
@@ -97,9 +98,10 @@ def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray
         if groups[leader] >= 0:
             continue
         relative = np.linalg.inv(poses[leader]) @ poses
-        near = np.linalg.norm(relative[:, :3, 3], axis=1) < GROUP_SHIFT_M
-        near &= 0.5 * (np.trace(relative[:, :3, :3], axis1=1, axis2=2) - 1) > np.cos(GROUP_ANGLE_RAD)
-        members = near & (groups < 0)
+        cosine = 0.5 * (np.trace(relative[..., :3, :3], axis1=-2, axis2=-1) - 1)
+        near = np.linalg.norm(relative[..., :3, 3], axis=-1) < GROUP_SHIFT_M
+        near &= cosine > np.cos(GROUP_ANGLE_RAD)
+        members = near.reshape(len(poses), -1).all(axis=1) & (groups < 0)
         members[leader] = True
         negligible = weights[members].sum() < LEAST_GROUP_WEIGHT or count == MOST_GROUPS
         groups[members] = 0 if count and negligible else count

@@ -1,4 +1,4 @@
-"""The keyframe pose graph: its Newton step, and draws from the Gaussian that it implies.
+"""The keyframe pose graph: its Newton step, and draws and marginals of the Gaussian that it implies.
 
 Quadratic terms over pairs of keyframes, in displacements xi of both (Grisetti et al. 2010, "A tutorial on
 graph-based SLAM"), the first keyframe being fixed:
@@ -14,9 +14,13 @@ import jax
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from slam.alignment import STIFFNESS
+
+MARGINAL_COLUMNS = 600
+"""Of the inverse, at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +68,27 @@ def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
     right += np.sqrt(STIFFNESS) * noise[:, 12 * len(graph) :]
     drawn = _normal_equations(graph, STIFFNESS).solve(np.ascontiguousarray(right[:, 6:].T)).T
     return np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
+
+
+def marginals(graph: PoseGraph) -> NDArray[np.float64]:
+    """Covariances (N, 6, 6) of the displacements under the same Gaussian, zero for the first keyframe."""
+    solve = _normal_equations(graph, STIFFNESS).solve
+    size = 6 * (graph.keyframes - 1)
+    covariances = np.zeros((graph.keyframes, 6, 6))
+    for first in range(0, size, MARGINAL_COLUMNS):
+        columns = np.arange(first, min(first + MARGINAL_COLUMNS, size))
+        solved = solve(np.eye(size, len(columns), -first)).reshape(-1, 6, len(columns) // 6, 6)
+        keyframes = columns[::6] // 6
+        covariances[keyframes + 1] = solved[keyframes, :, np.arange(len(keyframes))]
+    return covariances
+
+
+def tied_to_first(graph: PoseGraph) -> NDArray[np.bool_]:
+    """Which keyframes (N,) the terms tie to the first one, directly or through others."""
+    ends = (graph.pairs[:, 0], graph.pairs[:, 1])
+    adjacency = scipy.sparse.coo_array((np.ones(len(graph)), ends), shape=(graph.keyframes, graph.keyframes))
+    _, component = connected_components(adjacency, directed=False)
+    return component == component[0]
 
 
 def _summed(graph: PoseGraph, of_terms: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from shapes.archive import load_fields, save_fields
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,6 +24,7 @@ class SlamResult:
         mean: (T, 4, 4) float64 marginal posterior mean of every frame, given all frames.
         covariance: (T, 6, 6) marginal covariance in the right tangent at the mean: translation in
             metres, then rotation in radians, both in the camera's own axes.
+        degrees_of_freedom: () of the marginals, which are Student-t: heavier tails than a Gaussian's.
         ess: (T,) effective sample size after each frame.
         log_evidence: (T,) increments; their sum estimates log p(I_1..T) with the image density tempered.
         resampled: (T,) bool.
@@ -36,6 +37,7 @@ class SlamResult:
     log_weights: NDArray[np.float64]
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    degrees_of_freedom: NDArray[np.float64]
     ess: NDArray[np.float64]
     log_evidence: NDArray[np.float64]
     resampled: NDArray[np.bool_]
@@ -50,6 +52,7 @@ class SlamResult:
             "log_weights": (particles,),
             "mean": (frames, 4, 4),
             "covariance": (frames, 6, 6),
+            "degrees_of_freedom": (),
             **dict.fromkeys(("ess", "log_evidence", "resampled", "lost", "explained"), (frames,)),
         }
         for name, shape in expected.items():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam import filter as camera_filter
 from slam.config import SlamConfig
-from slam.depth_view import FINE_CANVAS, view_of_frame
+from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
 from slam.filter_state import FilterState, FrameInfo
 from slam.history import History
 from slam.joint_refinement import Detail, detail_of, refined
@@ -45,9 +46,8 @@ def track(
     details: list[Detail] = []
     full_detail_noise = config.noise or DepthNoise()
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
-    for index, frame in enumerate(frames):
+    for index, (frame, view) in enumerate(_views_ahead(frames, intrinsics)):
         has_return = has_return or bool(np.any(frame.depth_m != NO_RETURN))
-        view = view_of_frame(frame, intrinsics)
         motion = odometry.register(frame) if odometry else None
         if state is None:
             state, info = camera_filter.init(view, frame.time_ns, config)
@@ -64,5 +64,20 @@ def track(
     if not has_return:
         raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
     refinement_key = jax.random.fold_in(key, len(history.frames))
-    state = refined(refinement_key, state, details, full_detail_noise)
-    return history.result(state)
+    state, placed = refined(refinement_key, state, details, full_detail_noise)
+    return history.result(state, placed)
+
+
+def _views_ahead(frames: Iterable[Frame], intrinsics: CameraIntrinsics) -> Iterator[tuple[Frame, DepthView]]:
+    """Frames with their views; the next one is read and decoded while the present one is tracked."""
+    remaining = iter(frames)
+
+    def fetch() -> tuple[Frame, DepthView] | None:
+        frame = next(remaining, None)
+        return None if frame is None else (frame, view_of_frame(frame, intrinsics))
+
+    with ThreadPoolExecutor(1) as reader:
+        ahead = reader.submit(fetch)
+        while (current := ahead.result()) is not None:
+            ahead = reader.submit(fetch)
+            yield current

@@ -95,9 +95,30 @@ def squared_distances(
     return (tangent * solved).sum(1)
 
 
-def coverage(squared: NDArray[np.float64], levels: Sequence[float] = LEVELS) -> dict[float, float]:
-    """Share of distances squared (T,) inside the regions of each nominal level (chi-square, 6 degrees)."""
-    return {level: float((squared <= stats.chi2.ppf(level, 6)).mean()) for level in levels}
+def largest_squared_distance(level: float, degrees_of_freedom: float, dimensions: int = 6) -> float:
+    """Mahalanobis distance squared at the edge of a multivariate Student-t's region of that level.
+
+    For t = N(0, S) / sqrt(chi2_nu / nu) in d dimensions, t^T S^-1 t / d is F(d, nu) and the covariance is
+    S nu / (nu - 2) (Kotz and Nadarajah 2004, section 1.2), nu > 2.
+    """
+    edge = float(stats.f.ppf(level, dimensions, degrees_of_freedom))
+    return dimensions * (1.0 - 2.0 / degrees_of_freedom) * edge
+
+
+def level_of(squared_distance: float, degrees_of_freedom: float) -> float:
+    """The level of the region that a pose at this Mahalanobis distance squared is on the edge of."""
+    ratio = squared_distance / (6 * (1.0 - 2.0 / degrees_of_freedom))
+    return float(stats.f.cdf(ratio, 6, degrees_of_freedom))
+
+
+def coverage(
+    squared: NDArray[np.float64], degrees_of_freedom: float, levels: Sequence[float] = LEVELS
+) -> dict[float, float]:
+    """Share of distances squared (T,) inside the regions of each nominal level."""
+    return {
+        level: float((squared <= largest_squared_distance(level, degrees_of_freedom)).mean())
+        for level in levels
+    }
 
 
 def _steps(poses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -74,7 +74,7 @@ def _ours(row: Row, case: Case, config: SlamConfig, number: int) -> Errors:
         "frames_per_second": len(case.frames) / timing.seconds,
         "compile_s": timing.compile_s,
         "lost_frames": int(result.lost.sum()),
-        "coverage_95": coverage(truth)[0.95],
+        "coverage_95": coverage(truth, float(result.degrees_of_freedom))[0.95],
         "modes_hold_truth": float(_holds_truth(result, case)),
     }
 

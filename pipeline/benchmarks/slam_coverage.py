@@ -16,7 +16,7 @@ from scipy import stats
 from pipeline.benchmarks.slam_cases import Case, short_walk
 from slam.config import SlamConfig
 from slam.tracking import track
-from slam.trajectory_errors import coverage, squared_distances
+from slam.trajectory_errors import LEVELS, level_of, squared_distances
 
 ROW = "coverage, short runs"
 INTERVAL = 0.999
@@ -34,35 +34,34 @@ def coverage_row(
         report: is told how many of how many are done.
         case: the recording of a number.
     """
-    squared = []
+    depths = []
     for run in range(runs):
-        squared.append(_squared_distance(case, seed * 10_000 + run))
+        depths.append(_level(case, seed * 10_000 + run))
         report(run + 1, runs)
-    return {"row": ROW, "unit": "share of true poses inside", "runs": runs, **summary(np.asarray(squared))}
+    return {"row": ROW, "unit": "share of true poses inside", "runs": runs, **summary(np.asarray(depths))}
 
 
-def _squared_distance(case: Callable[[int], Case], number: int) -> float:
+def _level(case: Callable[[int], Case], number: int) -> float:
+    """The level of the region on whose edge the true pose of one random frame lies."""
     recording = case(number)
     result = track(jax.random.key(number), recording.frames, recording.intrinsics, SlamConfig())
     frame = int(np.random.default_rng([number, 2]).integers(1, len(result)))
     chosen = slice(frame, frame + 1)
-    return float(
-        squared_distances(result.mean[chosen], result.covariance[chosen], recording.poses[chosen])[0]
-    )
+    squared = squared_distances(result.mean[chosen], result.covariance[chosen], recording.poses[chosen])
+    return level_of(float(squared[0]), float(result.degrees_of_freedom))
 
 
-def summary(squared: NDArray[np.float64] | Sequence[float]) -> dict[str, Any]:
-    """Shares of squared Mahalanobis distances (n,) inside, and their median over that of chi-square."""
-    squared = np.asarray(squared)
-    shares = coverage(squared)
+def summary(levels_of_truth: NDArray[np.float64] | Sequence[float]) -> dict[str, Any]:
+    """Shares of true poses inside regions, given the levels (n,) of those on whose edge they lie."""
+    levels_of_truth = np.asarray(levels_of_truth)
     levels = {}
-    for level, share in shares.items():
-        inside = round(share * len(squared))
-        interval = stats.binomtest(inside, len(squared)).proportion_ci(INTERVAL, method="exact")
+    for level in LEVELS:
+        inside = int((levels_of_truth <= level).sum())
+        interval = stats.binomtest(inside, len(levels_of_truth)).proportion_ci(INTERVAL, method="exact")
         levels[f"{level:.2f}"] = {
-            "share": share,
+            "share": inside / len(levels_of_truth),
             "least": float(interval.low),
             "most": float(interval.high),
             "holds": bool(interval.low <= level <= interval.high),
         }
-    return {"coverage": levels, "median_ratio": float(np.median(squared) / stats.chi2.median(6))}
+    return {"coverage": levels, "median_level": float(np.median(levels_of_truth))}

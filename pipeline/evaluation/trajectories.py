@@ -68,7 +68,10 @@ def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:
     return {
         **asdict(errors),
         "lost_frames": int(result.lost.sum()),
-        "coverage": {f"{level:g}": share for level, share in coverage(squared).items()},
+        "coverage": {
+            f"{level:g}": share
+            for level, share in coverage(squared, float(result.degrees_of_freedom)).items()
+        },
     }
 
 

@@ -42,6 +42,7 @@ _FRAME_SCHEMA = json_schema(
             "resampled": {"type": "boolean"},
             "lost": {"type": "boolean"},
             "covariance": {"description": "6x6 by rows, translation first, camera axes", **_NUMBERS},
+            "degrees_of_freedom": {"description": "of a Student-t with this covariance", "type": "number"},
         },
     },
 )
@@ -106,6 +107,7 @@ def _frame_posterior(result: SlamResult, frame: int) -> dict[str, Any]:
         "resampled": bool(result.resampled[frame]),
         "lost": bool(result.lost[frame]),
         "covariance": result.covariance[frame].ravel().tolist(),
+        "degrees_of_freedom": float(result.degrees_of_freedom),
     }
 
 

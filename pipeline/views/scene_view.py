@@ -9,7 +9,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from pipeline.surfaces import Surface
-from pipeline.views.trajectory_view import CHI_95, ENLARGED, quaternions_xyzw
+from pipeline.views.trajectory_view import ENLARGED, quaternions_xyzw
 from scene.result import TABLE, SceneResult
 
 OBJECT_COLOURS = (
@@ -19,6 +19,8 @@ OBJECT_COLOURS = (
 LIKELY = 0.2
 """Edges at least as probable are drawn."""
 TABLE_COLOUR = (150, 160, 175)
+CHI_95 = 2.796
+"""Radius of the 95% region of a normal distribution in three dimensions, in standard deviations."""
 
 
 def log_scene(

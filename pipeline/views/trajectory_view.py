@@ -9,13 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.room import RoomView
 from slam.result import SlamResult
+from slam.trajectory_errors import largest_squared_distance
 
 ENLARGED = 10.0
 """Ellipsoids of uncertainty are drawn this much larger than they are."""
 ELLIPSOIDS = 40
 FRUSTA = 12
-CHI_95 = 2.796
-"""Radius of the 95% region of a normal distribution in three dimensions, in standard deviations."""
 
 PATH_COLOUR = (255, 196, 64)
 LOST_COLOUR = (235, 64, 52)
@@ -101,7 +100,8 @@ def _log_ellipsoids(recording: rr.RecordingStream, result: SlamResult) -> None:
     variances, axes = np.linalg.eigh(result.covariance[chosen, :3, :3])
     axes *= np.sign(np.linalg.det(axes))[:, None, None]
     turns = result.mean[chosen, :3, :3] @ axes
-    half_sizes = ENLARGED * CHI_95 * np.sqrt(np.maximum(variances, 0))
+    radius = np.sqrt(largest_squared_distance(0.95, float(result.degrees_of_freedom), dimensions=3))
+    half_sizes = ENLARGED * radius * np.sqrt(np.maximum(variances, 0))
     recording.log(
         "world/path/uncertainty",
         rr.Ellipsoids3D(

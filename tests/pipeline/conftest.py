@@ -51,6 +51,7 @@ def true_trajectory(filmed_mug: SyntheticRecording) -> SlamResult:
         log_weights=np.log([0.5, 0.3, 0.2]),
         mean=mean,
         covariance=np.tile(1e-6 * np.eye(6), (frames, 1, 1)),
+        degrees_of_freedom=np.asarray(8.0),
         ess=np.linspace(3.0, 2.0, frames),
         log_evidence=np.full(frames, 10.0),
         resampled=np.zeros(frames, bool),

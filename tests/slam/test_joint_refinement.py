@@ -65,7 +65,7 @@ def test_drift_is_undone(key, tracked):
     assert len(tracked.keyframe_map) == len(POSES)
     drifted = _drifted(tracked)
 
-    after = refined(key, drifted, DETAILS, NOISE)
+    after, _ = refined(key, drifted, DETAILS, NOISE)
 
     assert _errors_m(after)[0] == 0.0
     assert _errors_m(after).max() < 0.65 * _errors_m(drifted).max()
@@ -74,7 +74,7 @@ def test_drift_is_undone(key, tracked):
 
 def test_equal_keys_give_equal_poses(key, tracked):
     """Repair draws from its key alone."""
-    first, second = (refined(jax.random.clone(key), tracked, DETAILS, NOISE) for _ in range(2))
+    first, second = (refined(jax.random.clone(key), tracked, DETAILS, NOISE)[0] for _ in range(2))
     np.testing.assert_array_equal(
         np.asarray(first.population.particles.keyframe_poses),
         np.asarray(second.population.particles.keyframe_poses),
@@ -85,7 +85,9 @@ def test_a_lone_keyframe_stays(key):
     """Without overlaps there is nothing to repair."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     state, _ = camera_filter.init(view, 0, CONFIG)
-    after = refined(key, state, DETAILS[:1], NOISE)
+    after, placed = refined(key, state, DETAILS[:1], NOISE)
+
+    assert placed is None
     assert jnp.array_equal(
         after.population.particles.keyframe_poses, state.population.particles.keyframe_poses
     )

@@ -1,9 +1,13 @@
 """The pose graph against dense linear algebra."""
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from slam import pose_graph
 from slam.alignment import STIFFNESS
-from slam.pose_graph import PoseGraph, damped_step, draws
+from slam.pose_graph import PoseGraph, damped_step, draws, marginals, tied_to_first
 from tests.statistical import assert_mean
 
 RING = np.asarray([(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2)])
@@ -55,3 +59,25 @@ def test_draws_have_the_covariance_of_dense_algebra(key, seed):
     whitened = drawn[:, 1:].reshape(4000, 24) @ np.linalg.cholesky(precision)
     products = np.einsum("kn,km->knm", whitened, whitened)
     assert_mean(products, np.eye(24), detectable=0.2)
+
+
+@pytest.mark.parametrize("columns", [12, 600])
+def test_marginals_are_blocks_of_the_dense_inverse(seed, columns, monkeypatch):
+    """The first keyframe is certain, however many columns are solved at once. Limit: rounding."""
+    monkeypatch.setattr(pose_graph, "MARGINAL_COLUMNS", columns)
+    graph = _graph(np.random.default_rng(seed))
+    inverse = np.linalg.inv(_dense(graph)[0] + STIFFNESS * np.eye(24)).reshape(4, 6, 4, 6)
+
+    covariances = marginals(graph)
+
+    np.testing.assert_array_equal(covariances[0], 0.0)
+    np.testing.assert_allclose(covariances[1:], inverse[range(4), :, range(4)], rtol=1e-7, atol=1e-12)
+
+
+def test_keyframes_apart_are_not_tied_to_the_first(seed):
+    """A pair of their own, or no term at all: only the first ring's keyframes are tied."""
+    graph = replace(_graph(np.random.default_rng(seed)), keyframes=8)
+    split = replace(graph, pairs=np.asarray([(0, 1), (1, 2), (0, 2), (5, 6), (6, 5), (2, 1)]))
+
+    assert tied_to_first(graph).tolist() == [True] * 5 + [False] * 3
+    assert tied_to_first(split).tolist() == [True] * 3 + [False] * 5

@@ -6,8 +6,17 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from recordings.types import Trajectory
-from slam.trajectory_errors import coverage, matched, squared_distances, trajectory_errors
+from slam.trajectory_errors import (
+    coverage,
+    largest_squared_distance,
+    level_of,
+    matched,
+    squared_distances,
+    trajectory_errors,
+)
 from tests.statistical import assert_coverage
+
+DEGREES = 7.0
 
 
 def _poses(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -52,21 +61,33 @@ def test_a_constant_drift_shows_in_relative_errors():
     assert errors.ate_first_pose_m == pytest.approx(0.01 * np.sqrt((np.arange(10) ** 2).mean()), rel=1e-6)
 
 
-def test_regions_of_a_known_gaussian_cover_at_their_level(seed):
-    """Truths drawn from the marginal lie in its regions at the nominal rates."""
+def test_regions_of_a_known_student_cover_at_their_level(seed):
+    """Truths drawn from a multivariate Student-t lie in its regions at the nominal rates."""
     rng = np.random.default_rng(seed)
     factor = 0.01 * rng.normal(size=(6, 6))
     mean = _poses(rng, 2000)
-    tangent = rng.normal(size=(2000, 6)) @ factor.T
+    scale = np.sqrt(rng.chisquare(DEGREES, 2000) / DEGREES)
+    tangent = rng.normal(size=(2000, 6)) @ factor.T / scale[:, None]
     moved = np.tile(np.eye(4), (2000, 1, 1))
     moved[:, :3, 3] = tangent[:, :3]
     moved[:, :3, :3] = Rotation.from_rotvec(tangent[:, 3:]).as_matrix()
+    covariance = factor @ factor.T * DEGREES / (DEGREES - 2)
 
-    squared = squared_distances(mean, np.tile(factor @ factor.T, (2000, 1, 1)), mean @ moved)
+    squared = squared_distances(mean, np.tile(covariance, (2000, 1, 1)), mean @ moved)
 
-    for level, share in coverage(squared).items():
+    for level, share in coverage(squared, DEGREES).items():
         assert_coverage(round(share * 2000), 2000, level)
-    assert stats.kstest(squared, stats.chi2(6).cdf).pvalue > 1e-6
+    levels = [level_of(one, DEGREES) for one in squared]
+    assert stats.kstest(levels, "uniform").pvalue > 1e-6
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_many_degrees_of_freedom_are_a_gaussian(level: float):
+    """The region's edge is that of chi-square, and lies on its own level."""
+    edge = largest_squared_distance(level, 1e6)
+
+    assert edge == pytest.approx(stats.chi2.ppf(level, 6), rel=1e-4)
+    assert level_of(edge, 1e6) == pytest.approx(level, rel=1e-9)
 
 
 def test_frames_are_matched_to_the_nearest_stamp_within_tolerance():

@@ -69,20 +69,20 @@ def test_cases_are_seeded_and_start_at_the_identity(name: str):
 
 
 def test_coverage_holds_for_the_stated_spread_alone(monkeypatch: pytest.MonkeyPatch):
-    """Distances at chi-square's own quantiles lie inside at every level; those of half the spread do not."""
+    """Truths on evenly spread levels lie inside at every level; those of half the spread do not."""
     runs = 400
-    exact = stats.chi2.ppf((np.arange(runs) + 0.5) / runs, 6)
+    exact = (np.arange(runs) + 0.5) / runs
     told = Mock()
-    monkeypatch.setattr(slam_coverage, "_squared_distance", lambda _, number: exact[number - 10_000])
+    monkeypatch.setattr(slam_coverage, "_level", lambda _, number: exact[number - 10_000])
 
     row = slam_coverage.coverage_row(runs, 1, told)
-    narrow = slam_coverage.summary(4 * exact)
+    narrow = slam_coverage.summary(stats.chi2.cdf(4 * stats.chi2.ppf(exact, 6), 6))
 
     assert told.call_count == row["runs"] == runs
-    assert row["median_ratio"] == pytest.approx(1.0, abs=0.01)
+    assert row["median_level"] == pytest.approx(0.5, abs=0.01)
     assert all(figures["holds"] for figures in row["coverage"].values())
     assert not any(figures["holds"] for figures in narrow["coverage"].values())
-    assert narrow["median_ratio"] == pytest.approx(4.0, abs=0.04)
+    assert narrow["median_level"] > 0.9
 
 
 def test_short_walks_are_seeded_and_differ():

@@ -1,0 +1,49 @@
+"""What is told of frames: the spread of the keyframe that carries a frame is part of the frame's."""
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+
+from slam import pose_gaussian
+from slam.history import _with_placed
+from slam.joint_refinement import Placed
+from slam.particles import IDENTITY
+
+
+def _pose(*tangent: float) -> jax.Array:
+    return jaxlie.SE3.exp(jnp.asarray(tangent, jnp.float32)).wxyz_xyz
+
+
+ANCHOR, DRAWN = _pose(0.3, 0.2, -0.1, 0.5, 0.2, -0.4), _pose(0.1, 0.0, 0.0, 0.0, 0.1, 0.0)
+RELATIVE = _pose(0.1, 0.7, 0.3, -0.3, 0.6, 0.2)
+
+
+def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
+    """As by autodiff; particles of no mode, and keyframes that nothing holds, stay as they were."""
+    factor = np.random.default_rng(seed).normal(size=(6, 6))
+    placed = Placed(
+        mode=jnp.asarray([0, -1], jnp.int32),
+        poses=jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR])[None],
+        covariances=jnp.asarray(np.stack([0 * factor, *[factor @ factor.T] * 2])[None], jnp.float32),
+        held=jnp.asarray([[True, True, False]]),
+    )
+    own = jnp.eye(6)
+    drawn, relative = (jnp.tile(pose, (2, 2, 1)) for pose in (DRAWN, RELATIVE))
+
+    known, spread = _with_placed(
+        drawn, relative, jnp.tile(own, (2, 2, 1, 1)), placed, jnp.asarray([1, 2], jnp.int32)
+    )
+
+    def moved(xi: jax.Array) -> jax.Array:
+        displaced = jaxlie.SE3(pose_gaussian.displaced(ANCHOR, xi)) @ jaxlie.SE3(RELATIVE)
+        camera = jaxlie.SE3(ANCHOR) @ jaxlie.SE3(RELATIVE)
+        return pose_gaussian.coordinates(camera.wxyz_xyz, displaced.wxyz_xyz)
+
+    jacobian = np.asarray(jax.jacfwd(moved)(jnp.full(6, 1e-4)))
+    expected = np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T
+    np.testing.assert_allclose(known[0, 0], ANCHOR)
+    np.testing.assert_allclose(spread[0, 0], expected, rtol=0.01, atol=0.01)
+    for particle, frame in ((0, 1), (1, 0), (1, 1)):
+        np.testing.assert_array_equal(known[particle, frame], DRAWN)
+        np.testing.assert_array_equal(spread[particle, frame], own)
