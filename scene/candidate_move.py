@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import jaxlie
 
 from scene.graph import SceneGraph
-from scene.involution import MoveInfo, choose_object
+from scene.involution import Proposal, choose_object
 from scene.model import ChainState, SceneModel
 from scene.pose_moves import MixtureMove, at_pose
 
@@ -46,8 +46,8 @@ class CandidateMove:
     near_share: jax.Array
     count: int = field(metadata={"static": True})
 
-    def advance(self, key: jax.Array, state: ChainState, model: SceneModel) -> tuple[ChainState, MoveInfo]:
-        """One move of one chain."""
+    def propose(self, key: jax.Array, model: SceneModel, state: ChainState) -> Proposal:
+        """The pose that was chosen; nothing is left to accept."""
         object_key, pose_key, draw_key, choice_key = jax.random.split(key, 4)
         scene = state.scene
         chosen = choose_object(object_key, scene.present & model.bodies.movable)
@@ -57,12 +57,9 @@ class CandidateMove:
         draw_keys = jax.random.split(draw_key, self.count)
         log_likelihoods = model.likelihood.of_candidates(draw_keys, scene, chosen, poses, state.estimate)
         place = jax.random.categorical(choice_key, log_priors + log_likelihoods - log_offered)
-        there = jax.tree.map(lambda leaf: leaf[place], scenes)
-        stays = place == 0
+        certain, no_error = jnp.full_like(state.log_prior, jnp.inf), jnp.zeros_like(state.log_prior)
         again = jax.random.clone(draw_keys)[place]
-        estimate = model.likelihood.taken(again, there, chosen, stays, state.estimate)
-        info = MoveInfo(~stays, jnp.zeros_like(state.log_prior))
-        return ChainState(there, log_priors[place], estimate), info
+        return Proposal(at_pose(scene, chosen, poses[place]), certain, again, no_error)
 
     def _poses(
         self, key: jax.Array, model: SceneModel, scene: SceneGraph, chosen: jax.Array

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeVar
 
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from scene.candidate_move import CandidateMove
-from scene.involution import Move, MoveInfo, accept, propose
+from scene.involution import Move, MoveInfo, Proposal, accept, propose
 from scene.model import ChainState, SceneModel
 from scene.pose_mixture import PoseMixture
 from scene.pose_moves import FlipMove, MixtureMove, WalkMove
@@ -20,12 +20,14 @@ from scene.structure_move import StructureMove
 Recorded = TypeVar("Recorded")
 
 REPEATS = 4
+_ANEW, _CANDIDATES, _OTHERS = range(3)
+"""Kinds of steps; the others by their place from the last on."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Kernel:
-    """A sweep: a new edge and a new pose, REPEATS times over, then one of the other moves, in turn.
+    """A sweep: a new edge and a new pose, REPEATS times over, then an edge and another move, in turn.
 
     Attributes:
         structure: the move of the graph; None keeps it fixed (the ablation 3DP3*).
@@ -42,22 +44,21 @@ class Kernel:
     @property
     def moves(self) -> int:
         """In a sweep."""
-        return self.repeats * (2 if self.structure else 1) + 1
+        return (self.repeats + 1) * (2 if self.structure else 1)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SweepInfo:
-    """What happened in a sweep: the moves of the graph and of poses (repeats,), and the other one."""
+    """What happened in a sweep (repeats + 1,): to the graph, and to poses, by one of the others last."""
 
     structure: MoveInfo | None
-    candidates: MoveInfo
-    other: MoveInfo
+    poses: MoveInfo
 
     @property
     def involution_error(self) -> jax.Array:
         """The largest of all that is in here."""
-        infos = [info for info in (self.structure, self.candidates, self.other) if info is not None]
+        infos = [info for info in (self.structure, self.poses) if info is not None]
         return jnp.max(jnp.stack([jnp.max(info.involution_error) for info in infos]))
 
 
@@ -98,46 +99,86 @@ def sweep(
     model: SceneModel,
     kernel: Kernel,
     turn: jax.Array,
+    anew: jax.Array,
     *,
     verify: bool = False,
 ) -> tuple[ChainState, SweepInfo]:
-    """One sweep of one chain; `turn` is a place among the other moves, the same for chains under `vmap`."""
-    often_key, other_key = jax.random.split(key)
+    """One sweep of one chain.
 
-    def often(state: ChainState, number: jax.Array) -> tuple[ChainState, tuple[MoveInfo | None, MoveInfo]]:
-        structure_key, candidates_key = jax.random.split(jax.random.fold_in(often_key, number))
+    Args:
+        key: random key.
+        state: the chain.
+        model: the target.
+        kernel: the moves.
+        turn: a place among the other moves, the same for chains under `vmap`.
+        anew: whether the estimate is to be computed once more first, in place of the first pose; likewise.
+        verify: apply every involution twice.
+    """
+    place = jnp.arange(kernel.repeats + 1)
+    kinds = jnp.where(place < kernel.repeats, _CANDIDATES, _OTHERS + turn)
+    kinds = jnp.where((place == 0) & anew, _ANEW, kinds)
+
+    def step(
+        state: ChainState, number_and_kind: tuple[jax.Array, jax.Array]
+    ) -> tuple[ChainState, tuple[MoveInfo | None, MoveInfo]]:
+        number, kind = number_and_kind
+        structure_key, pose_key = jax.random.split(jax.random.fold_in(key, number))
         info = None
         if kernel.structure:
-            state, info = _one_of(structure_key, state, model, (kernel.structure,), jnp.int32(0), verify)
-        state, candidates_info = kernel.candidates.advance(candidates_key, state, model)
-        return state, (info, candidates_info)
+            state, info = _grafted(structure_key, state, model, kernel.structure, verify)
+        state, pose_info = _posed(pose_key, state, model, kernel, kind, verify)
+        return state, (info, pose_info)
 
-    state, (structure, candidates) = jax.lax.scan(often, state, jnp.arange(kernel.repeats))
-    state, other = _one_of(other_key, state, model, kernel.others, turn, verify)
-    return state, SweepInfo(structure, candidates, other)
+    state, infos = jax.lax.scan(step, state, (place, kinds))
+    return state, SweepInfo(*infos)
 
 
-def _one_of(
-    key: jax.Array,
-    state: ChainState,
-    model: SceneModel,
-    moves: tuple[Move, ...],
-    index: jax.Array,
-    verify: bool,
+def _grafted(
+    key: jax.Array, state: ChainState, model: SceneModel, move: StructureMove, verify: bool
 ) -> tuple[ChainState, MoveInfo]:
-    """One proposal by one of the moves, accepted or not."""
-    move_key, likelihood_key, accept_key = jax.random.split(key, 3)
-    offers = [partial(propose, model=model, move=move, verify=verify) for move in moves]
-    offers = [lambda key, state, offer=offer: offer(key, state=state) for offer in offers]
-    proposal = jax.lax.switch(index, offers, move_key, state)
+    """Another edge, poses as they are."""
+    move_key, accept_key = jax.random.split(key)
+    proposal = propose(move_key, model, move, state, verify=verify)
     estimate = state.estimate
-    if model.likelihood.depends_on_graph or any(move.moves_bodies for move in moves):
-        moved = jnp.any(proposal.scene.poses != state.scene.poses, axis=1)
-        estimate = model.likelihood.update(likelihood_key, proposal.scene, moved, estimate)
+    if model.likelihood.depends_on_graph:
+        stand = jnp.zeros_like(proposal.scene.present)
+        estimate = model.likelihood.update(
+            proposal.estimate_key, proposal.scene, stand, estimate, anew=jnp.array(False)
+        )
     return accept(accept_key, model, state, proposal, estimate)
 
 
-@partial(jax.jit, static_argnames=("count", "record", "verify"))
+def _posed(
+    key: jax.Array, state: ChainState, model: SceneModel, kernel: Kernel, kind: jax.Array, verify: bool
+) -> tuple[ChainState, MoveInfo]:
+    """Another pose, by one of the moves; all meet the likelihood in one place, which is costly to compile."""
+    move_key, accept_key = jax.random.split(key)
+
+    def same(key: jax.Array, state: ChainState) -> Proposal:
+        certain, no_error = jnp.full_like(state.log_prior, jnp.inf), jnp.zeros_like(state.log_prior)
+        return Proposal(state.scene, certain, key, no_error)
+
+    def candidates(key: jax.Array, state: ChainState) -> Proposal:
+        return kernel.candidates.propose(key, model, state)
+
+    def by(move: Move) -> Callable[[jax.Array, ChainState], Proposal]:
+        return lambda key, state: propose(key, model, move, state, verify=verify)
+
+    offers = [same, candidates, *(by(move) for move in kernel.others)]
+    proposal = jax.lax.switch(kind, offers, move_key, state)
+    moved = jnp.any(proposal.scene.poses != state.scene.poses, axis=1)
+    estimate = model.likelihood.update(
+        proposal.estimate_key, proposal.scene, moved, state.estimate, anew=kind == _ANEW
+    )
+    state, info = accept(accept_key, model, state, proposal, estimate)
+    return state, replace(info, accepted=info.accepted & jnp.any(moved))
+
+
+@partial(
+    jax.jit,
+    static_argnames=("count", "record", "verify"),
+    compiler_options={"xla_backend_optimization_level": 1},  # compiled sooner, and not slower
+)
 def run_block(
     key: jax.Array,
     states: ChainState,
@@ -148,7 +189,7 @@ def run_block(
     *,
     verify: bool = False,
 ) -> tuple[ChainState, Recorded, SweepInfo]:
-    """`count` sweeps of every chain in a batch (B, ...).
+    """`count` sweeps of every chain in a batch (B, ...), whose estimates need not be up to date.
 
     Returns:
         The last states, `record(state)` after each sweep (count, B, ...), and Info (count, B, ...).
@@ -158,7 +199,7 @@ def run_block(
     def scan(states: ChainState, number: jax.Array) -> tuple[ChainState, tuple[Recorded, SweepInfo]]:
         keys = jax.random.split(jax.random.fold_in(key, number), batch)
         turn = number % len(kernel.others)
-        advance = partial(sweep, model=model, kernel=kernel, turn=turn, verify=verify)
+        advance = partial(sweep, model=model, kernel=kernel, turn=turn, anew=number == 0, verify=verify)
         states, info = jax.vmap(advance)(keys, states)
         return states, (jax.vmap(record)(states), info)
 

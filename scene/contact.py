@@ -133,7 +133,7 @@ def face_half_sizes(half_extents_m: jax.Array, face: jax.Array) -> jax.Array:
 
 def _axis_and_sign(face: jax.Array, dtype: jnp.dtype) -> tuple[jax.Array, jax.Array]:
     """One-hot axis (3,) and sign of a face; without look-ups, which vectorise badly."""
-    return (jnp.arange(3) == face // 2).astype(dtype), (2 * (face % 2) - 1).astype(dtype)
+    return (jnp.arange(3) == face >> 1).astype(dtype), (2 * (face & 1) - 1).astype(dtype)
 
 
 def _rotation_matrix(wxyz: jax.Array) -> jax.Array:

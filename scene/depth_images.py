@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.graph import SceneGraph
-from scene.model import Estimate
+from scene.model import MOST_MOVED, Estimate
 from scene.poses import pose_of
 from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
 from scene.scene_data import SceneData
@@ -125,21 +125,39 @@ class DepthImages:
         )
 
     def start(self, key: jax.Array, scene: SceneGraph) -> Estimate:
-        """Everything rendered."""
+        """Shapes are drawn, nothing is rendered."""
         tiles = len(self.observed_m)
         layers_m = jnp.full((self.draws, self.objects, tiles, TILE_PIXELS), jnp.inf, jnp.float32)
         log_tiles = jnp.zeros((self.draws, tiles), jnp.float32)
-        shapes = jnp.zeros((self.draws, self.objects), jnp.int32)
-        shown = self._moved(key, scene, scene.present, ShownScene(shapes, layers_m, log_tiles))
-        everywhere = jnp.ones((self.draws, tiles), bool)
-        return self._estimate(self._weighed(shown, scene.present, everywhere))
+        shown = ShownScene(self._fresh_shapes(key), layers_m, log_tiles)
+        return Estimate(jnp.zeros((), scene.poses.dtype), shown)
 
-    def update(self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate) -> Estimate:
-        """The layers of what moved rendered anew, the others kept."""
-        shown = self._moved(key, scene, moved, current.draws)
-        seen = jnp.isfinite(shown.layers_m) | jnp.isfinite(current.draws.layers_m)
-        changed = jnp.any(seen & moved[: self.objects][None, :, None, None], axis=(1, 3))
-        return self._estimate(self._weighed(shown, scene.present, changed))
+    def update(
+        self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+    ) -> Estimate:
+        """The layers of what moved, or all of them, rendered; the log densities of what changed."""
+        before: ShownScene = current.draws
+        moved, rendered = (mask[: self.objects] for mask in (moved, moved | anew))
+        shapes = jnp.where(moved[None], self._fresh_shapes(key), before.shapes)
+        seen = self._seen(scene.poses[: self.objects])
+        together = min(MOST_MOVED, self.objects)
+        turns = -(-self.objects // together)
+        order = jnp.nonzero(rendered, size=turns * together, fill_value=self.objects)[0]
+
+        def some(turn: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            layers_m, changed = state
+            which = jax.lax.dynamic_slice_in_dim(order, turn * together, together)
+            one = jnp.minimum(which, self.objects - 1)
+            aside = jnp.asarray(OUT_OF_SIGHT, jnp.float32)
+            there = jnp.where((which < self.objects)[:, None, None], seen[one], aside[None, None])
+            fresh_m = _layers(self, shapes[:, one] * self.objects + one[None], there)
+            changed |= jnp.any(_covered(fresh_m) | _covered(layers_m[:, one]), axis=1)
+            return layers_m.at[:, which].set(fresh_m, mode="drop"), changed
+
+        state = before.layers_m, jnp.broadcast_to(anew, before.log_tiles.shape)
+        layers_m, changed = jax.lax.fori_loop(0, jnp.where(anew, turns, 1), some, state)
+        shown = self._weighed(ShownScene(shapes, layers_m, before.log_tiles), scene.present, changed)
+        return Estimate(_log_mean_exp(self._log_each(shown.log_tiles)), shown)
 
     def of_candidates(
         self, keys: jax.Array, scene: SceneGraph, chosen: jax.Array, poses: jax.Array, current: Estimate
@@ -159,34 +177,6 @@ class DepthImages:
         )
         log_gains = jnp.sum(self.weights[None, None] * gains.astype(poses.dtype), axis=-1)
         return _log_mean_exp(self._log_each(rest.log_tiles)[None] + log_gains)
-
-    def taken(
-        self, key: jax.Array, scene: SceneGraph, chosen: jax.Array, stays: jax.Array, current: Estimate
-    ) -> Estimate:
-        """One layer rendered anew."""
-        shown: ShownScene = current.draws
-        shapes = jnp.where(stays, shown.shapes[:, chosen], self._fresh_shapes(key)[:, chosen])
-        seen = self._seen(scene.poses[chosen][None])
-        before_m = shown.layers_m[:, chosen]
-        layer_m = _layers(self, (shapes * self.objects + chosen)[:, None], seen)[:, 0]
-        changed = (_covered(before_m) | _covered(layer_m)) & ~stays
-        there = ShownScene(
-            shown.shapes.at[:, chosen].set(shapes),
-            shown.layers_m.at[:, chosen].set(jnp.where(stays, before_m, layer_m)),
-            shown.log_tiles,
-        )
-        return self._estimate(self._weighed(there, scene.present, changed))
-
-    def _moved(self, key: jax.Array, scene: SceneGraph, moved: jax.Array, shown: ShownScene) -> ShownScene:
-        """New shapes and layers of what moved; log densities are not up to date yet."""
-        moved = moved[: self.objects]
-        shapes = jnp.where(moved[None], self._fresh_shapes(key), shown.shapes)
-        seen = self._seen(scene.poses[: self.objects])
-        aside = jnp.asarray(OUT_OF_SIGHT, jnp.float32)
-        seen = jnp.where(moved[:, None, None], seen, aside[None, None])
-        rendered = _layers(self, shapes * self.objects + jnp.arange(self.objects)[None], seen)
-        layers_m = jnp.where(moved[None, :, None, None], rendered, shown.layers_m)
-        return ShownScene(shapes, layers_m, shown.log_tiles)
 
     def _fresh_shapes(self, key: jax.Array) -> jax.Array:
         known = len(self.renderer.library) // self.objects
@@ -220,9 +210,6 @@ class DepthImages:
         """Log likelihood (R,) under each draw."""
         by_frame = log_tiles.reshape(len(log_tiles), len(self.weights), -1)
         return jnp.sum(self.weights[None] * jnp.sum(by_frame, axis=2, dtype=self.weights.dtype), axis=1)
-
-    def _estimate(self, shown: ShownScene) -> Estimate:
-        return Estimate(_log_mean_exp(self._log_each(shown.log_tiles)), shown)
 
     def _seen(self, poses: jax.Array) -> jax.Array:
         """Poses (n, F, 7) float32 in every camera of poses (n, 7) in the world."""

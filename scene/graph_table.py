@@ -42,6 +42,14 @@ class GraphTable(BlindToPoses):
         """Log p(data | G)."""
         return Estimate(self.log_values[tree_code(scene.parents)], ())
 
-    def update(self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate) -> Estimate:  # noqa: ARG002
+    def update(
+        self,
+        key: jax.Array,
+        scene: SceneGraph,
+        moved: jax.Array,  # noqa: ARG002
+        current: Estimate,  # noqa: ARG002
+        *,
+        anew: jax.Array,  # noqa: ARG002
+    ) -> Estimate:
         """The same."""
         return self.start(key, scene)

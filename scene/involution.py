@@ -53,13 +53,16 @@ class Proposal:
 
     Attributes:
         scene: s'.
-        log_forward: log q(a' | context) - log q(a | context) + log |det Dh|.
+        log_forward: log q(a' | context) - log q(a | context) + log |det Dh|; +inf where the choice has
+            been made already.
+        estimate_key: makes the random numbers of the new likelihood's estimate.
         involution_error: largest difference between (s, a), the log weight's negation included, and what
             applying h twice returns; 0 where this was not asked for.
     """
 
     scene: SceneGraph
     log_forward: jax.Array
+    estimate_key: jax.Array
     involution_error: jax.Array
 
 
@@ -84,7 +87,7 @@ def propose(
         state: the chain.
         verify: apply the involution twice and report the difference.
     """
-    object_key, auxiliary_key = jax.random.split(key)
+    object_key, auxiliary_key, estimate_key = jax.random.split(key, 3)
     scene = state.scene
     chosen = choose_object(object_key, scene.present & model.bodies.movable)
     context = move.context(model, scene, chosen)
@@ -100,7 +103,7 @@ def propose(
         log_back = log_ratio_back + log_jacobian_back + model.log_prior(back) - state.log_prior
         asymmetry = jnp.where(jnp.isfinite(log_forward), jnp.abs(log_forward + log_back), 0)
         error = jnp.maximum(_difference(scene, back), asymmetry)
-    return Proposal(there, log_forward, error)
+    return Proposal(there, log_forward, estimate_key, error)
 
 
 def accept(

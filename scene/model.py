@@ -11,6 +11,9 @@ import jax.numpy as jnp
 from scene.graph import Bodies, SceneGraph
 from scene.prior import PosePrior, StructurePrior, log_prior
 
+MOST_MOVED = 3
+"""Objects of which a move changes the pose."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -37,11 +40,16 @@ class Likelihood(Protocol):
     depends_on_graph: ClassVar[bool]
 
     def start(self, key: jax.Array, scene: SceneGraph) -> Estimate:
-        """The estimate at a chain's first state."""
+        """An estimate with random numbers of its own, whose value `update` brings up to date."""
         ...
 
-    def update(self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate) -> Estimate:
-        """The estimate at a proposed scene, where the objects in the mask `moved` (C,) have moved."""
+    def update(
+        self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+    ) -> Estimate:
+        """The estimate at a proposed scene, where the objects in the mask `moved` (C,), few, have moved.
+
+        With `anew` all of it is computed once more, for what has not moved with the same random numbers.
+        """
         ...
 
     def of_candidates(
@@ -49,14 +57,8 @@ class Likelihood(Protocol):
     ) -> jax.Array:
         """Log likelihoods (K,) with the chosen object at poses (K, 7), the first of which is the present one.
 
-        That one keeps its stored estimate; each other has an estimate of its own, made from its key.
+        That one keeps its stored estimate; each other has the one that `update` would make from its key.
         """
-        ...
-
-    def taken(
-        self, key: jax.Array, scene: SceneGraph, chosen: jax.Array, stays: jax.Array, current: Estimate
-    ) -> Estimate:
-        """The estimate behind one of the candidates: the stored one, or that made from its key."""
         ...
 
 
@@ -73,17 +75,6 @@ class BlindToPoses:
     ) -> jax.Array:
         """All alike."""
         return jnp.broadcast_to(current.log_likelihood, len(poses))
-
-    def taken(
-        self,
-        key: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,  # noqa: ARG002
-        chosen: jax.Array,  # noqa: ARG002
-        stays: jax.Array,  # noqa: ARG002
-        current: Estimate,
-    ) -> Estimate:
-        """The same."""
-        return current
 
 
 @jax.tree_util.register_dataclass
@@ -103,6 +94,8 @@ class NoData(BlindToPoses):
         scene: SceneGraph,  # noqa: ARG002
         moved: jax.Array,  # noqa: ARG002
         current: Estimate,
+        *,
+        anew: jax.Array,  # noqa: ARG002
     ) -> Estimate:
         """The same."""
         return current
@@ -139,5 +132,5 @@ class ChainState:
 
 
 def start_chain(key: jax.Array, model: SceneModel, scene: SceneGraph) -> ChainState:
-    """The state of a chain that starts at a scene."""
+    """The state of a chain that starts at a scene; its first step brings the estimate up to date."""
     return ChainState(scene, model.log_prior(scene), model.likelihood.start(key, scene))

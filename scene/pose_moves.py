@@ -19,7 +19,7 @@ import numpy as np
 from scene import pose_mixture
 from scene.contact import FACE_AXES, Contact
 from scene.graph import ROOT, SceneGraph, subtree
-from scene.model import SceneModel
+from scene.model import MOST_MOVED, SceneModel
 from scene.pose_mixture import PoseMixture
 from scene.prior import contact_of, log_pose_given_faces, pose_in_contact, sample_pose
 
@@ -152,7 +152,7 @@ class FlipMove:
         )
         opposite = (jnp.asarray(FACE_AXES) != axis).astype(scene.child_faces.dtype)
         renamed = scene.parent_faces ^ opposite[scene.parent_faces]
-        left_behind = (scene.parents == chosen) & ~carry
+        left_behind = (scene.parents == chosen) & ~carried_along(scene, chosen, carry)
         child_face = scene.child_faces[chosen]
         child_face = jnp.where(scene.parents[chosen] == ROOT, child_face, child_face ^ opposite[child_face])
         there = replace(
@@ -243,8 +243,14 @@ def moved(scene: SceneGraph, chosen: jax.Array, pose: jax.Array, carry: jax.Arra
     pose = _normalised(pose)
     motion = jaxlie.SE3(pose) @ jaxlie.SE3(scene.poses[chosen]).inverse()
     carried = jax.vmap(lambda old: _normalised((motion @ jaxlie.SE3(old)).wxyz_xyz))(scene.poses)
-    along = subtree(scene.parents, chosen) & carry
+    along = carried_along(scene, chosen, carry)
     return replace(scene, poses=jnp.where(along[:, None], carried, scene.poses).at[chosen].set(pose))
+
+
+def carried_along(scene: SceneGraph, chosen: jax.Array, carry: jax.Array) -> jax.Array:
+    """The object and its descendants (C,) if they are to be carried and not more than MOST_MOVED."""
+    along = subtree(scene.parents, chosen)
+    return along & carry & (jnp.sum(along) <= MOST_MOVED)
 
 
 def _normalised(pose: jax.Array) -> jax.Array:

@@ -115,7 +115,7 @@ def log_contact(
     )
     supports = jnp.any(parent_supports & (jnp.arange(6) == parent_face))
     log_faces = -_LOG_CHILD_FACES - jnp.log(jnp.sum(parent_supports))
-    in_plane = jnp.arange(3) != parent_face // 2
+    in_plane = jnp.arange(3) != parent_face >> 1
     log_area = jnp.sum(jnp.where(in_plane, jnp.log(2 * parent_half_extents_m), 0.0))
     log_density = log_faces - log_area + log_gap(prior, gap_m) + log_eta(prior, eta_z) - _LOG_CIRCLE
     return jnp.where(on_face & supports, log_density, -jnp.inf)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
@@ -16,7 +15,7 @@ from scene.config import ParseConfig
 from scene.graph import floating_scene
 from scene.initialisation import Initialisation
 from scene.model import SceneModel
-from scene.poses import composed, matrices_of, pose_of
+from scene.poses import composed, matrices_of, motions_of, pose_of, poses_of, tangents_of
 from scene.refinement import Refinement
 from scene.result import SceneResult
 from scene.scene_object import SceneObject
@@ -66,64 +65,51 @@ def summarise(
     count = len(objects)
     kept, chains = samples.log_posterior.shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(kept * chains, *leaf.shape[2:]), samples)
-    offsets = np.stack([[1.0, 0, 0, 0, *(-one.centre_m)] for one in objects])
-    in_camera = _in_camera(flat.poses[:, :count], start.poses, offsets, np.linalg.inv(world_from_camera))
-    poses, best, means, covariances = (np.asarray(value) for value in in_camera)
+    box_from_object = matrices_of(np.stack([[1.0, 0, 0, 0, *(-one.centre_m)] for one in objects]))
+    in_world = matrices_of(np.asarray(flat.poses[:, :count]))
+    poses = np.linalg.inv(world_from_camera) @ in_world @ box_from_object
+    best = matrices_of(start.poses) @ box_from_object
+    moments = [_moments(poses[:, one], best[one]) for one in range(count)]
     modes = [_modes(poses[:, one]) for one in range(count)]
     edges, faces = _edges(flat, model, count)
     return SceneResult(
         names=np.array([one.name for one in objects]),
         frames=np.asarray(frames, np.int64),
-        camera_from_object=matrices_of(best),
-        mean=matrices_of(means),
-        covariance=covariances,
+        camera_from_object=best,
+        mean=np.stack([mean for mean, _ in moments]),
+        covariance=np.stack([covariance for _, covariance in moments]),
         presence=_presence(model, start, refined, world_from_camera, config),
         visible_fraction=refined.visible_fraction,
         mode_poses=np.stack([poses for poses, _ in modes]),
         mode_probabilities=np.stack([shares for _, shares in modes]),
         edge_probabilities=edges,
         edge_faces=faces,
-        sample_poses=poses,
+        sample_poses=poses_of(poses),
         sample_parents=np.asarray(flat.parents[:, :count], np.int32),
         sample_log_posteriors=np.asarray(flat.log_posterior),
         chain=np.tile(np.arange(chains, dtype=np.int32), kept),
     )
 
 
-@jax.jit
-def _in_camera(
-    samples: jax.Array, start: jax.Array, offsets: jax.Array, camera_from_world: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Samples (S, N, 7), best poses (N, 7), means (N, 7) and covariances (N, 6, 6): camera_from_object."""
-    camera = pose_of(camera_from_world)
-
-    def moved(pose: jax.Array, offset: jax.Array) -> jax.Array:
-        return composed(camera, composed(pose, offset))
-
-    poses = jax.vmap(jax.vmap(moved), in_axes=(0, None))(samples, offsets)
-    best = jax.vmap(composed)(start, offsets)
-    return poses, best, *jax.vmap(_moments, in_axes=(1, 0))(poses, best)
-
-
-def _moments(poses: jax.Array, best: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Mean (7,) and covariance (6, 6) in the right tangent of the samples (S, 7) in the mode of `best`."""
-    tangents = jax.vmap(lambda pose: (jaxlie.SE3(best).inverse() @ jaxlie.SE3(pose)).log())(poses)
-    near = (jnp.linalg.norm(tangents[:, :3], axis=1) < MODE_RADIUS_M) & (
-        jnp.linalg.norm(tangents[:, 3:], axis=1) < MODE_RADIUS_RAD
+def _moments(
+    poses: NDArray[np.float64], best: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean (4, 4) and right covariance (6, 6) of the samples (S, 4, 4) in the mode of `best`."""
+    tangents = tangents_of(np.linalg.inv(best) @ poses)
+    near = (np.linalg.norm(tangents[:, :3], axis=1) < MODE_RADIUS_M) & (
+        np.linalg.norm(tangents[:, 3:], axis=1) < MODE_RADIUS_RAD
     )
-    weights = near / jnp.maximum(jnp.sum(near), 1)
-    mean = jaxlie.SE3(best)
+    weights = near / max(near.sum(), 1)
+    mean = best
     for _ in range(MEAN_STEPS):
-        tangents = jax.vmap(lambda pose, mean=mean: (mean.inverse() @ jaxlie.SE3(pose)).log())(poses)
-        mean = mean @ jaxlie.SE3.exp(jnp.sum(weights[:, None] * tangents, axis=0))
-    tangents = jax.vmap(lambda pose: (mean.inverse() @ jaxlie.SE3(pose)).log())(poses)
-    return mean.wxyz_xyz, (weights[:, None] * tangents).T @ tangents
+        mean = mean @ motions_of(weights @ tangents_of(np.linalg.inv(mean) @ poses))
+    tangents = tangents_of(np.linalg.inv(mean) @ poses)
+    return mean, (weights[:, None] * tangents).T @ tangents
 
 
-def _modes(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Up to MODES poses (M, 4, 4) that the samples (S, 7) gather round, and their shares (M,)."""
-    left = np.ones(len(poses), bool)
-    matrices = matrices_of(poses)
+def _modes(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Up to MODES poses (M, 4, 4) that the samples (S, 4, 4) gather round, and their shares (M,)."""
+    left = np.ones(len(matrices), bool)
     centres, shares = np.tile(np.eye(4), (MODES, 1, 1)), np.zeros(MODES)
     for mode in range(MODES):
         if not left.any():

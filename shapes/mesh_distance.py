@@ -22,8 +22,11 @@ BAND = 1.0
 """Distance in voxels within which the nearest triangle is found exactly."""
 REACH = 5
 """Voxels per axis in which one triangle can be nearest: LONGEST_EDGE + 2 BAND, rounded outwards."""
+UNREACHED = 2**32 - 1
 CHUNK = 4096
 """Triangles per compiled call."""
+VOXELS = 2**16
+"""Voxels per compiled call, so that one kernel serves meshes of any size."""
 
 
 def signed_distance(
@@ -46,7 +49,7 @@ def signed_distance(
     features = np.zeros((3, *size), np.int32)
     ndimage.distance_transform_edt(unseen, return_distances=False, return_indices=True, indices=features)
     nearest = nearest[tuple(features)]
-    offset = np.stack(_offset_of_voxels(jnp.asarray(triangles), jnp.asarray(nearest)), axis=-1)
+    offset = _offset_of_voxels(triangles, nearest)
     distance = np.linalg.norm(offset, axis=-1)
     normal = _unit(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))
     touching = distance < 1e-3
@@ -75,11 +78,12 @@ def _nearest_triangle(triangles: NDArray[np.float32], size: tuple[int, int, int]
     """Index of the nearest triangle for voxels within 1.5 of the surface, -1 beyond; (size)."""
     padding = -len(triangles) % CHUNK
     padded = np.concatenate([triangles, np.full((padding, 3, 3), -1e3, np.float32)])
-    best = jnp.full((int(np.prod(size)),), -1, jnp.uint32)
+    count = int(np.prod(size))
+    best = jnp.asarray(np.full(1 << (count - 1).bit_length(), UNREACHED, np.uint32))
     for start in range(0, len(padded), CHUNK):
-        best = _lower(best, *_reached(padded[start : start + CHUNK], start, size))
-    best = np.asarray(best).reshape(size)
-    return np.where(best == 2**32 - 1, -1, best & (2**20 - 1)).astype(np.int32)
+        best = _lower(best, *_reached(padded[start : start + CHUNK], start, np.asarray(size, np.int32)))
+    best = np.asarray(best)[:count].reshape(size)
+    return np.where(best == UNREACHED, -1, best & (2**20 - 1)).astype(np.int32)
 
 
 @partial(jax.jit, donate_argnums=0)
@@ -87,9 +91,12 @@ def _lower(best, index, key):
     return best.at[index].min(key, mode="drop")
 
 
-@partial(jax.jit, static_argnames="size")
+@jax.jit
 def _reached(triangles, start, size):
-    """Flat indices (T, REACH^3) and squared distances of the voxels round triangles (T, 3, 3)."""
+    """Flat indices (T, REACH^3) and squared distances of the voxels round triangles (T, 3, 3).
+
+    Voxels that are not reached have an index past every grid's end.
+    """
     corner = jnp.floor(triangles.min(axis=1) - BAND).astype(jnp.int32)
     block = np.stack(np.meshgrid(*[np.arange(REACH)] * 3, indexing="ij")).reshape(3, -1)
     i, j, k = (corner[:, axis, None] + block[axis, None] for axis in range(3))
@@ -100,13 +107,24 @@ def _reached(triangles, start, size):
     )
     name = start + jnp.arange(len(triangles), dtype=jnp.uint32)[:, None]
     key = (jnp.sqrt(square) * 4095).astype(jnp.uint32) << 20 | name
-    return jnp.where(inside, (i * size[1] + j) * size[2] + k, np.prod(size)), key
+    return jnp.where(inside, (i * size[1] + j) * size[2] + k, np.iinfo(np.int32).max), key
+
+
+def _offset_of_voxels(triangles: NDArray[np.float32], nearest: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Vectors (size, 3) to voxel centres from the triangles (T, 3, 3) of the given numbers (size)."""
+    offset = np.empty((nearest.size, 3), np.float32)
+    for start in range(0, nearest.size, VOXELS):
+        which = nearest.ravel()[start : start + VOXELS]
+        centre = np.stack(np.unravel_index(start + np.arange(len(which)), nearest.shape)) + np.float32(0.5)
+        padding = VOXELS - len(which)
+        mine = _offset(np.pad(centre, ((0, 0), (0, padding))), triangles[np.pad(which, (0, padding))])
+        offset[start : start + VOXELS] = np.asarray(mine).T[: len(which)]
+    return offset.reshape(*nearest.shape, 3)
 
 
 @jax.jit
-def _offset_of_voxels(triangles, nearest):
-    centre = jnp.meshgrid(*[jnp.arange(n) + 0.5 for n in nearest.shape], indexing="ij")
-    return offset_from_triangle(centre, triangles[nearest])
+def _offset(centre, triangles):
+    return jnp.stack(offset_from_triangle(centre, triangles))
 
 
 def offset_from_triangle(point: Sequence[jax.Array], triangle: jax.Array) -> tuple[jax.Array, ...]:

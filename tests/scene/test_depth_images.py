@@ -11,6 +11,7 @@ import trimesh
 from recordings.types import DepthNoise
 from scene.depth_images import DepthImages
 from scene.graph import SceneGraph, floating_scene
+from scene.model import Estimate
 from scene.rendering import ObjectRenderer
 from scene.scene_object import SceneObject, scene_object
 from shapes import depth_noise
@@ -63,6 +64,22 @@ def images(
     )
 
 
+@jax.jit
+def started(likelihood: DepthImages, key: jax.Array, scene: SceneGraph) -> Estimate:
+    """The estimate of a scene from scratch."""
+    start_key, update_key = jax.random.split(key)
+    blank, stand = likelihood.start(start_key, scene), jnp.zeros_like(scene.present)
+    return likelihood.update(update_key, scene, stand, blank, anew=jnp.array(True))
+
+
+@jax.jit
+def updated(
+    likelihood: DepthImages, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate
+) -> Estimate:
+    """The estimate after a move."""
+    return likelihood.update(key, scene, moved, current, anew=jnp.array(False))
+
+
 def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:
     """The log likelihood by whole images."""
     total = 0.0
@@ -91,11 +108,10 @@ def test_every_way_to_a_scene_has_its_likelihood(
         [[0.0] * 7, [0, 0, 0, 0, 0.03, 0, 0], [0, 0, 0, 0, 0.4, 0, 0], [0, 0, 0, 0, 0, 0, -0.1]]
     )
     start_key, offer_key, update_key = jax.random.split(key, 3)
-    start = jax.jit(likelihood.start)(start_key, scene)
+    start = started(likelihood, start_key, scene)
     assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
     chains = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
     offer = jax.jit(jax.vmap(likelihood.of_candidates, in_axes=(None, None, None, None, 0)))
-    update, take = jax.jit(likelihood.update), jax.jit(likelihood.taken)
     keys = jax.random.split(offer_key, len(steps))
     for chosen in range(2):
         poses_there = scene.poses[chosen][None] + steps
@@ -103,16 +119,13 @@ def test_every_way_to_a_scene_has_its_likelihood(
         np.testing.assert_array_equal(offered[0], offered[1])
         for pose, log_likelihood in zip(poses_there, offered[0], strict=True):
             there = replace(scene, poses=scene.poses.at[chosen].set(pose))
-            updated = update(jax.random.clone(update_key), there, jnp.arange(2) == chosen, start)
+            moved = jnp.arange(2) == chosen
+            after = updated(likelihood, jax.random.clone(update_key), there, moved, start)
             expected = dense(likelihood, observed_m, there)
-            assert float(updated.log_likelihood) == pytest.approx(expected, abs=1e-2)
+            assert float(after.log_likelihood) == pytest.approx(expected, abs=1e-2)
             assert float(log_likelihood) == pytest.approx(expected, abs=1e-2)
-            for stays in (False, True):
-                one = take(
-                    jax.random.clone(update_key), there, jnp.asarray(chosen), jnp.asarray(stays), start
-                )
-                kept = start if stays else updated
-                jax.tree.map(np.testing.assert_array_equal, one, kept)
+    stays = updated(likelihood, jax.random.clone(update_key), scene, jnp.zeros(2, bool), start)
+    jax.tree.map(np.testing.assert_array_equal, stays, start)
 
 
 def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], poses: jax.Array) -> None:
@@ -120,7 +133,7 @@ def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], p
     observed_m = np.full((2, HEIGHT, WIDTH), 0.79, np.float32)
     likelihood = images(boxes, observed_m)
     scene = floating_scene(poses, jnp.asarray([True, False]))
-    start = jax.jit(likelihood.start)(key, scene)
+    start = started(likelihood, key, scene)
     assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
 
 
@@ -136,25 +149,22 @@ def test_the_estimate_over_shapes_is_unbiased(
     observed_m[:, :, :40] = 0.8
     scene = floating_scene(poses[:1])
     start_key, offer_key = jax.random.split(key)
-    start = jax.jit(lambda alone: alone.start(jax.random.clone(key), scene).log_likelihood)
-    exact = jnp.stack([start(images([one], observed_m, objects=1)) for one in shapes])
+    alone = [images([one], observed_m, objects=1) for one in shapes]
+    exact = jnp.stack([started(one, jax.random.clone(key), scene).log_likelihood for one in alone])
     assert float(jnp.std(exact)) > 0.5
     log_exact = jax.scipy.special.logsumexp(exact) - np.log(len(shapes))
     likelihood = images(shapes, observed_m, objects=1, draws=draws)
 
-    estimates = jax.jit(jax.vmap(lambda key: likelihood.start(key, scene).log_likelihood))(
-        jax.random.split(start_key, 800 // draws)
-    )
+    start = jax.vmap(started, in_axes=(None, 0, None))
+    estimates = start(likelihood, jax.random.split(start_key, 800 // draws), scene).log_likelihood
 
     assert_mean(jnp.exp(estimates - log_exact), 1.0, detectable=0.4)
     keys = jax.random.split(offer_key, 3)
     there = jnp.stack([poses[0], poses[0], poses[0].at[4].add(0.01)])
-    current = jax.jit(likelihood.start)(jax.random.clone(start_key), scene)
+    current = started(likelihood, jax.random.clone(start_key), scene)
     offered = jax.jit(likelihood.of_candidates)(keys, scene, jnp.array(0), there, current)
     assert float(offered[0]) == pytest.approx(float(current.log_likelihood), abs=1e-3)
     for place in (1, 2):
         at = floating_scene(there[place][None])
-        again = jax.jit(likelihood.taken)(
-            jax.random.clone(keys)[place], at, jnp.array(0), jnp.array(False), current
-        )
+        again = updated(likelihood, jax.random.clone(keys)[place], at, jnp.ones(1, bool), current)
         assert float(again.log_likelihood) == pytest.approx(float(offered[place]), abs=1e-3)
