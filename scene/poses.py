@@ -31,10 +31,10 @@ def matrices_of(poses: NDArray[np.floating]) -> NDArray[np.float64]:
     return matrices
 
 
-def poses_of(matrices: NDArray[np.floating]) -> NDArray[np.float64]:
+def poses_of(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Poses (..., 7) of rigid transforms (..., 4, 4), on the host."""
     turns = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3))
-    wxyz = turns.as_quat(scalar_first=True).reshape(*matrices.shape[:-2], 4)
+    wxyz = np.asarray(turns.as_quat(scalar_first=True)).reshape(*matrices.shape[:-2], 4)
     return np.concatenate([wxyz, matrices[..., :3, 3]], axis=-1)
 
 
