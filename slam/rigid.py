@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from shapes.poses import wxyz_from_xyzw, xyzw_from_wxyz
 
 
-def matrices_of(poses: jax.Array) -> NDArray[np.float64]:
+def matrices_of(poses: jax.Array | NDArray[np.floating]) -> NDArray[np.float64]:
     """(..., 4, 4) of poses (..., 7), rotations orthonormal to float64."""
     values = np.asarray(poses, np.float64)
     matrices = np.zeros((*values.shape[:-1], 4, 4))

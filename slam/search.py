@@ -159,12 +159,14 @@ class Searcher:
         return Located(optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group)
 
     def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
-        """Distinct optima anywhere in the map, best first."""
+        """Distinct optima anywhere in the map, best first; none where every climb leaves the numbers."""
         candidates = enumeration.anywhere(matrices_of(last), group.representative, distances_m)
         scores = self._map_scores(group, candidates, WIDE_BLUR)
         ranked = candidates[np.argsort(-scores, kind="stable")]
         starts = ranked[enumeration.distinct(ranked, WIDE_CLIMBED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
         places = self._climbed(group, starts)
+        if not len(places):
+            return []
         scores = self._map_scores(group, places, CLIMBED_BLUR)
         ranked = places[np.argsort(-scores, kind="stable")]
         best = enumeration.distinct(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
@@ -201,11 +203,11 @@ class Searcher:
         """Poses (S', 4, 4) uphill of the starts (S, 4, 4), in each neighbourhood; strays are dropped."""
         padded = poses_of(_padded(starts, WIDE_CLIMBED))
         climbs = [
-            np.asarray(matrices_of(climbed(local_map, self.view, self.noise, padded)))[: len(starts)]
+            np.asarray(climbed(local_map, self.view, self.noise, padded))[: len(starts)]
             for local_map in self._neighbourhoods(group)
         ]
         places = np.concatenate(climbs)
-        return places[np.isfinite(places).all(axis=(1, 2))]
+        return matrices_of(places[np.isfinite(places).all(axis=1)])
 
     def _neighbourhoods(self, group: GroupMap) -> Iterator[LocalMap]:
         """All keyframes, `WIDE_KEYFRAMES` at a time."""

@@ -1,0 +1,30 @@
+"""Looking for the camera everywhere, where nothing can be found."""
+
+from unittest.mock import Mock
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from recordings.types import DepthNoise
+from slam import search
+from slam.depth_view import view_of_frame
+from slam.keyframe_map import KeyframeMap
+from slam.keyframes import surface_of
+from slam.particles import IDENTITY
+from slam.search import GroupMap, Searcher
+from tests.slam import box_room
+
+NOISE = DepthNoise()
+HERE = jnp.asarray(IDENTITY, jnp.float32)
+
+
+def test_climbs_that_leave_the_numbers_find_nothing(monkeypatch: pytest.MonkeyPatch):
+    """No place, and no error."""
+    view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
+    keyframe_map = KeyframeMap().with_keyframe(surface_of(view, NOISE))
+    searcher = Searcher(keyframe_map, view, NOISE, compared=4)
+    group = GroupMap(HERE[None, None], jnp.ones(1), np.eye(4)[None], 0)
+    monkeypatch.setattr(search, "climbed", Mock(side_effect=lambda *given: jnp.full_like(given[-1], jnp.nan)))
+
+    assert searcher.anywhere(group, HERE, np.asarray([1.0])) == []
