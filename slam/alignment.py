@@ -15,6 +15,7 @@ from shapes.camera import Camera
 from slam import pose_gaussian
 from slam.components import cross, dot, moved, rotated
 from slam.depth_view import DepthView
+from slam.image_density import STRIDE_PX
 from slam.rendering import LEAST_INVERSE_DEPTH, pixels_of
 
 STIFFNESS = 10.0
@@ -165,6 +166,7 @@ def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: i
 def projected_scores(
     model: ModelImage,
     view: DepthView,
+    log_unknown: jax.Array,
     noise: DepthNoise,
     poses: jax.Array,
     stride_px: int,
@@ -174,14 +176,17 @@ def projected_scores(
 
     The reverse projection: a pixel is compared with the element that its own observed point falls on.
     Its log factor is the larger one of the surface's Normal, blurred by `surface_sigma_m` so that a
-    coarse grid of candidates cannot step over a mode, and of an outlier; or that of a miss. It ranks
-    candidates near one rendering; the proposal may use it, the weights never do.
+    coarse grid of candidates cannot step over a mode, and of an outlier; or, beside the rendering, that of an
+    unknown surface (on the lattice of the image density), without which candidates that fall on more of it
+    would win along a bare wall. It ranks candidates near one rendering; the proposal may use it, the weights
+    never do.
     """
     rays = view.rays[:, ::stride_px, ::stride_px].reshape(3, -1)
     observed = view.depth_m[::stride_px, ::stride_px].ravel()
     points = rays * observed[None]
     log_outlier = jnp.log(noise.outlier_probability / noise.max_range_m)
-    log_miss = jnp.log1p(-noise.none_miss_probability) - jnp.log(noise.max_range_m)
+    every = stride_px // STRIDE_PX
+    log_miss = log_unknown[::every, ::every].ravel()
     elements = jnp.concatenate([model.planes.reshape(3, -1), model.variance_m2.reshape(1, -1)]).T
 
     def score(pose: jax.Array) -> jax.Array:

@@ -20,7 +20,7 @@ from slam import pose_gaussian
 from slam.alignment import STIFFNESS
 from slam.components import cross, dot, moved, rotated
 from slam.depth_view import DepthView
-from slam.image_density import expected_from_the_left, log_unknown_factors
+from slam.image_density import expected_from_before, log_unknown_factors
 from slam.localisation import COARSE_STRIDE_PX, LocalMap
 from slam.rendering import pixels_of
 
@@ -89,7 +89,7 @@ def _points(view: DepthView, noise: DepthNoise) -> _Points:
         points=view.rays[:, every, every].reshape(3, -1) * depth[None],
         returned=depth > NO_RETURN,
         sigma_m=depth_noise.standard_deviation(noise, depth),
-        log_unknown=log_unknown_factors(observed, expected_from_the_left(observed), noise).ravel(),
+        log_unknown=log_unknown_factors(observed, expected_from_before(observed, noise), noise).ravel(),
         log_contradicted=jnp.log(noise.outlier_probability / noise.max_range_m),
     )
 
