@@ -17,8 +17,8 @@ from recordings.types import Damage
 if TYPE_CHECKING:
     import jax
 
-Stage = Literal["slam", "learn", "parse"]
-STAGES: tuple[Stage, ...] = ("slam", "learn", "parse")
+Stage = Literal["slam", "learn", "parse", "draws"]
+STAGES: tuple[Stage, ...] = ("slam", "learn", "parse", "draws")
 """In the order in which the root key is split; new stages go to the end."""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,10 @@ from pipeline.meshes import Units, load_meshes
 from pipeline.run_folder import file_hash
 from pipeline.surfaces import Surface
 from shapes.prior import ShapePrior
+from shapes.surface import level_surface
+
+if TYPE_CHECKING:
+    import jax
 
 
 def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, Surface]:
@@ -32,6 +37,28 @@ def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, Surface
             for name, mesh in meshes.items()
         }
     return {path.stem: _learned_surface(path) for path in learned}
+
+
+def drawn_surfaces(folder: Path, name: str, key: jax.Array, count: int) -> list[Surface]:
+    """Surfaces of as many random draws of a learned shape, in the frame of its surface.
+
+    Every voxel is there or not by its own probability; what is enclosed is filled, and what was never
+    seen is left out, as in the surface.
+
+    Raises:
+        PipelineError: the shape is a mesh, which has no uncertainty, or cannot be used.
+    """
+    path = _shapes_of(folder) / f"{name}.npz"
+    if not path.is_file():
+        raise PipelineError(f"shape samples need learned shapes, and {folder} holds no {name}.npz")
+    with usable(path):
+        shape = ShapePrior.load(path)
+        seen = shape.seen_free | shape.seen_occupied
+        voxels = np.asarray(shape.sample(key, count)) & seen[None] | shape.enclosed[None]
+        meshes = [level_surface(one.astype(np.float32), 0.5, shape.pitch_m) for one in voxels]
+    return [
+        Surface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64)) for mesh in meshes
+    ]
 
 
 def surface_hashes(folder: Path) -> dict[str, str]:

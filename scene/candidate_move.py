@@ -17,6 +17,7 @@ from scene.graph import SceneGraph
 from scene.involution import Proposal, choose_object
 from scene.model import ChainState, SceneModel
 from scene.pose_moves import MixtureMove, at_pose
+from scene.shape_choices import candidate_keys
 
 SMALLEST, LARGEST = 0.15, 1.2
 """Scales of near steps over the standard deviations of the pose, log-uniform between these."""
@@ -39,11 +40,14 @@ class CandidateMove:
     Attributes:
         offer: draws the far candidates; a near step has the covariance of its mixture's first component.
         near_share: how often near candidates are drawn.
+        axes: (C,) the box axis about which an object is round, or -1; half of the near steps spin it not: a
+            scan's little bumps make many narrow modes of a round object's spin.
         count: K.
     """
 
     offer: MixtureMove
     near_share: jax.Array
+    axes: jax.Array
     count: int = field(metadata={"static": True})
 
     def propose(self, key: jax.Array, model: SceneModel, state: ChainState) -> Proposal:
@@ -54,7 +58,7 @@ class CandidateMove:
         poses, log_offered = self._poses(pose_key, model, scene, chosen)
         scenes = jax.vmap(partial(at_pose, scene, chosen))(poses)
         log_priors = jax.vmap(model.log_prior)(scenes)
-        draw_keys = jax.random.split(draw_key, self.count)
+        draw_keys = candidate_keys(draw_key, self.count)
         log_likelihoods = model.likelihood.of_candidates(draw_keys, scene, chosen, poses, state.estimate)
         place = jax.random.categorical(choice_key, log_priors + log_likelihoods - log_offered)
         certain, no_error = jnp.full_like(state.log_prior, jnp.inf), jnp.zeros_like(state.log_prior)
@@ -70,9 +74,12 @@ class CandidateMove:
         present = scene.poses[chosen]
         context = self.offer.context(model, scene, chosen)
         far = jax.vmap(partial(self.offer.pose, context=context))(jax.random.split(far_key, self.count - 1))
-        scale = SMALLEST * (LARGEST / SMALLEST) ** jax.random.uniform(scale_key, dtype=dtype)
+        uniform = jax.random.uniform(scale_key, (2,), dtype)
+        scale = SMALLEST * (LARGEST / SMALLEST) ** uniform[0]
         normal = jax.random.normal(step_key, (self.count, 6), dtype)
         steps = scale * jnp.sum(context.mixture.choleskys[:1] * normal[:, None], axis=2)
+        still = (jnp.arange(6) == self.axes[chosen] + 3) & (self.axes[chosen] >= 0) & (uniform[1] < 0.5)
+        steps = jnp.where(still[None], 0.0, steps)
         turn = jaxlie.SO3(context.mixture.centres[0, :4]).as_matrix()
         steps = jnp.concatenate([steps[:, :3], steps[:, 3:] @ turn.T], axis=1)
         centre = stepped(present, steps[0])

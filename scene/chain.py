@@ -15,7 +15,6 @@ from scene.involution import Move, MoveInfo, Proposal, accept, propose
 from scene.model import ChainState, SceneModel
 from scene.pose_mixture import PoseMixture
 from scene.pose_moves import FlipMove, MixtureMove, WalkMove
-from scene.structure_move import StructureMove
 
 Recorded = TypeVar("Recorded")
 
@@ -36,7 +35,7 @@ class Kernel:
         repeats: of the first two in a sweep.
     """
 
-    structure: StructureMove | None
+    structure: Move | None
     candidates: CandidateMove
     others: tuple[Move, ...]
     repeats: int = field(default=REPEATS, metadata={"static": True})
@@ -68,10 +67,11 @@ def scene_kernel(
     prior_share: float,
     translation_m: jax.Array,
     rotation_rad: jax.Array,
+    axes: jax.Array,
     spread: float = 30.0,
     candidates: int = 6,
     near_share: float = 0.5,
-    structure: StructureMove | None = None,
+    structure: Move | None = None,
 ) -> Kernel:
     """The production kernel.
 
@@ -80,6 +80,7 @@ def scene_kernel(
         prior_share: weight of the prior in the mixture's draws.
         translation_m: (C,) largest standard deviations of a walk's step.
         rotation_rad: (C,) the same for angles.
+        axes: (C,) the box axis about which each object is round, or -1.
         spread: the largest scale over the smallest.
         candidates: poses that are weighed together, the present one among them.
         near_share: how often they are drawn near the present pose.
@@ -89,7 +90,9 @@ def scene_kernel(
     draw = MixtureMove(mixture, jnp.asarray(prior_share, dtype))
     walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
     return Kernel(
-        structure, CandidateMove(draw, jnp.asarray(near_share, dtype), candidates), (walk, draw, FlipMove())
+        structure,
+        CandidateMove(draw, jnp.asarray(near_share, dtype), axes, candidates),
+        (walk, draw, FlipMove()),
     )
 
 
@@ -134,7 +137,7 @@ def sweep(
 
 
 def _grafted(
-    key: jax.Array, state: ChainState, model: SceneModel, move: StructureMove, verify: bool
+    key: jax.Array, state: ChainState, model: SceneModel, move: Move, verify: bool
 ) -> tuple[ChainState, MoveInfo]:
     """Another edge, poses as they are."""
     move_key, accept_key = jax.random.split(key)
@@ -143,7 +146,7 @@ def _grafted(
     if model.likelihood.depends_on_graph:
         stand = jnp.zeros_like(proposal.scene.present)
         estimate = model.likelihood.update(
-            proposal.estimate_key, proposal.scene, stand, estimate, anew=jnp.array(False)
+            proposal.estimate_keys, proposal.scene, stand, estimate, anew=jnp.array(False)
         )
     return accept(accept_key, model, state, proposal, estimate)
 
@@ -156,7 +159,7 @@ def _posed(
 
     def same(key: jax.Array, state: ChainState) -> Proposal:
         certain, no_error = jnp.full_like(state.log_prior, jnp.inf), jnp.zeros_like(state.log_prior)
-        return Proposal(state.scene, certain, key, no_error)
+        return Proposal(state.scene, certain, jax.random.split(key), no_error)
 
     def candidates(key: jax.Array, state: ChainState) -> Proposal:
         return kernel.candidates.propose(key, model, state)
@@ -168,7 +171,7 @@ def _posed(
     proposal = jax.lax.switch(kind, offers, move_key, state)
     moved = jnp.any(proposal.scene.poses != state.scene.poses, axis=1)
     estimate = model.likelihood.update(
-        proposal.estimate_key, proposal.scene, moved, state.estimate, anew=kind == _ANEW
+        proposal.estimate_keys, proposal.scene, moved, state.estimate, anew=kind == _ANEW
     )
     state, info = accept(accept_key, model, state, proposal, estimate)
     return state, replace(info, accepted=info.accepted & jnp.any(moved))

@@ -17,6 +17,8 @@ class ParseConfig:
         presence: prior probability that an object is there.
         rounds: of renewed search on what is left unexplained.
         pool: poses an object and round that are compared jointly.
+        shape_samples: draws of each uncertain shape that the likelihood is averaged over; 0 takes every
+            shape for certain.
         chains: Markov chains.
         sweeps: of each chain, of which the first third teaches the proposals and is dropped.
         pixel_weight: effective over actual number of pixels in the likelihood (their errors are alike).
@@ -34,6 +36,7 @@ class ParseConfig:
     presence: float = 0.9
     rounds: int = 2
     pool: int = 48
+    shape_samples: int = 0
     chains: int = 4
     sweeps: int = 120
     pixel_weight: float = 0.25
@@ -51,8 +54,8 @@ class ParseConfig:
             raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")
         if not 0 < self.pixel_weight <= 1:
             raise ValueError(f"pixel_weight must lie in (0, 1], got {self.pixel_weight}")
-        if min(self.rounds + 1, self.pool, self.chains, self.sweeps) < 1:
-            raise ValueError("rounds must not be negative; pool, chains and sweeps at least 1")
+        if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
+            raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")
         if min(self.contact_sigma_m, self.contact_concentration, self.search_error_m) <= 0:
             raise ValueError("contact_sigma_m, contact_concentration and search_error_m must be positive")
         if not 0 <= self.slack_share < 1 or not 0 < self.outlier_probability < 1:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 import jax
@@ -19,6 +20,7 @@ from jax.custom_batching import custom_vmap
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from scene import shape_choices
 from scene.graph import SceneGraph
 from scene.model import MOST_MOVED, Estimate
 from scene.poses import pose_of
@@ -61,8 +63,8 @@ class DepthImages:
 
     Where an object's shape is not certain, `renderer` holds S draws of every object's shape, draw after
     draw, and the likelihood is the mean over R independent choices among them: an unbiased estimate of
-    the likelihood with the shapes summed out (supplement N). A moved object's choices are made anew, the
-    others' stay part of the chain's state (Tran et al. 2016, block pseudo-marginal).
+    the likelihood with the shapes summed out (supplement N). A moved object's choices, or a share of them,
+    are made anew, the others' stay part of the chain's state (Tran et al. 2016, block pseudo-marginal).
 
     Attributes:
         renderer: S N shapes.
@@ -74,6 +76,7 @@ class DepthImages:
         noise: of the sensor and the surfaces together.
         objects: N.
         height, width: of the windows.
+        fresh_share: how many of the choices a new estimate makes anew.
         draws: R.
     """
 
@@ -85,6 +88,7 @@ class DepthImages:
     rest_m: jax.Array
     weights: jax.Array
     noise: DepthNoise
+    fresh_share: jax.Array
     objects: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
     width: int = field(metadata={"static": True})
@@ -118,6 +122,7 @@ class DepthImages:
             rest_m=tiled(jnp.asarray(np.stack(rest_m), jnp.float32), 0.0),
             weights=pixel_weight * jnp.asarray(shares),
             noise=jax.tree.map(jnp.float32, noise),
+            fresh_share=jnp.ones(()),
             objects=objects,
             height=height,
             width=width,
@@ -129,16 +134,17 @@ class DepthImages:
         tiles = len(self.observed_m)
         layers_m = jnp.full((self.draws, self.objects, tiles, TILE_PIXELS), jnp.inf, jnp.float32)
         log_tiles = jnp.zeros((self.draws, tiles), jnp.float32)
-        shown = ShownScene(self._fresh_shapes(key), layers_m, log_tiles)
+        shapes = shape_choices.drawn(key, (self.draws, self.objects), self._known)
+        shown = ShownScene(shapes, layers_m, log_tiles)
         return Estimate(jnp.zeros((), scene.poses.dtype), shown)
 
     def update(
-        self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+        self, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
     ) -> Estimate:
         """The layers of what moved, or all of them, rendered; the log densities of what changed."""
         before: ShownScene = current.draws
         moved, rendered = (mask[: self.objects] for mask in (moved, moved | anew))
-        shapes = jnp.where(moved[None], self._fresh_shapes(key), before.shapes)
+        shapes = jnp.where(moved[None], self._redrawn(keys, before.shapes), before.shapes)
         seen = self._seen(scene.poses[: self.objects])
         together = min(MOST_MOVED, self.objects)
         turns = -(-self.objects // together)
@@ -166,7 +172,8 @@ class DepthImages:
         shown: ShownScene = current.draws
         others = scene.present & (jnp.arange(len(scene.present)) != chosen)
         rest = self._weighed(shown, others, _covered(shown.layers_m[:, chosen]))
-        shapes = jax.vmap(self._fresh_shapes)(keys)[:, :, chosen].at[0].set(shown.shapes[:, chosen])
+        shapes = jax.vmap(self._redrawn, in_axes=(0, None))(keys, shown.shapes)
+        shapes = shapes[:, :, chosen].at[0].set(shown.shapes[:, chosen])
         gains = _gains(
             self,
             shapes * self.objects + chosen,
@@ -178,9 +185,15 @@ class DepthImages:
         log_gains = jnp.sum(self.weights[None, None] * gains.astype(poses.dtype), axis=-1)
         return _log_mean_exp(self._log_each(rest.log_tiles)[None] + log_gains)
 
-    def _fresh_shapes(self, key: jax.Array) -> jax.Array:
-        known = len(self.renderer.library) // self.objects
-        return jax.random.randint(key, (self.draws, self.objects), 0, known, jnp.int32)
+    @property
+    def _known(self) -> int:
+        """S."""
+        return len(self.renderer.library) // self.objects
+
+    def _redrawn(self, keys: jax.Array, shapes: jax.Array) -> jax.Array:
+        if self._known == 1:
+            return shapes
+        return shape_choices.redrawn(keys, shapes, self._known, self.fresh_share)
 
     def _weighed(self, shown: ShownScene, present: jax.Array, changed: jax.Array) -> ShownScene:
         """The log densities of the changed tiles (R, X) brought up to date."""
@@ -219,6 +232,21 @@ class DepthImages:
 
         in_cameras = jax.vmap(jax.vmap(in_camera, in_axes=(0, None)), in_axes=(None, 0))
         return in_cameras(self.camera_from_world, poses).astype(jnp.float32)
+
+
+@partial(jax.jit, static_argnames="count")
+def log_estimates(key: jax.Array, likelihood: DepthImages, scenes: SceneGraph, count: int) -> jax.Array:
+    """Estimates (count, B) of the log likelihood of each of B scenes, all shapes drawn anew for each."""
+
+    def one(key: jax.Array, scene: SceneGraph) -> jax.Array:
+        start_key, update_key = jax.random.split(key)
+        blank, stand = likelihood.start(start_key, scene), jnp.zeros_like(scene.present)
+        keys = jax.random.split(update_key)
+        return likelihood.update(keys, scene, stand, blank, anew=jnp.array(True)).log_likelihood
+
+    batch = len(scenes.present)
+    keys = jax.random.split(key, (count, batch))
+    return jax.lax.map(lambda keys: jax.vmap(one)(keys, scenes), keys)
 
 
 def _covered(layers_m: jax.Array) -> jax.Array:

@@ -44,7 +44,7 @@ class GraphTable(BlindToPoses):
 
     def update(
         self,
-        key: jax.Array,
+        keys: jax.Array,  # noqa: ARG002
         scene: SceneGraph,
         moved: jax.Array,  # noqa: ARG002
         current: Estimate,  # noqa: ARG002
@@ -52,4 +52,4 @@ class GraphTable(BlindToPoses):
         anew: jax.Array,  # noqa: ARG002
     ) -> Estimate:
         """The same."""
-        return self.start(key, scene)
+        return Estimate(self.log_values[tree_code(scene.parents)], ())

@@ -55,14 +55,14 @@ class Proposal:
         scene: s'.
         log_forward: log q(a' | context) - log q(a | context) + log |det Dh|; +inf where the choice has
             been made already.
-        estimate_key: makes the random numbers of the new likelihood's estimate.
+        estimate_keys: (2,) that make the random numbers of the new likelihood's estimate.
         involution_error: largest difference between (s, a), the log weight's negation included, and what
             applying h twice returns; 0 where this was not asked for.
     """
 
     scene: SceneGraph
     log_forward: jax.Array
-    estimate_key: jax.Array
+    estimate_keys: jax.Array
     involution_error: jax.Array
 
 
@@ -103,7 +103,7 @@ def propose(
         log_back = log_ratio_back + log_jacobian_back + model.log_prior(back) - state.log_prior
         asymmetry = jnp.where(jnp.isfinite(log_forward), jnp.abs(log_forward + log_back), 0)
         error = jnp.maximum(_difference(scene, back), asymmetry)
-    return Proposal(there, log_forward, estimate_key, error)
+    return Proposal(there, log_forward, jax.random.split(estimate_key), error)
 
 
 def accept(

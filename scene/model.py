@@ -44,11 +44,12 @@ class Likelihood(Protocol):
         ...
 
     def update(
-        self, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+        self, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
     ) -> Estimate:
         """The estimate at a proposed scene, where the objects in the mask `moved` (C,), few, have moved.
 
-        With `anew` all of it is computed once more, for what has not moved with the same random numbers.
+        Random numbers are made from keys (2,). With `anew` all of it is computed once more, for what has
+        not moved with the same random numbers.
         """
         ...
 
@@ -57,7 +58,7 @@ class Likelihood(Protocol):
     ) -> jax.Array:
         """Log likelihoods (K,) with the chosen object at poses (K, 7), the first of which is the present one.
 
-        That one keeps its stored estimate; each other has the one that `update` would make from its key.
+        That one keeps its stored estimate; each other has the one that `update` makes from its keys (K, 2).
         """
         ...
 
@@ -90,7 +91,7 @@ class NoData(BlindToPoses):
 
     def update(
         self,
-        key: jax.Array,  # noqa: ARG002
+        keys: jax.Array,  # noqa: ARG002
         scene: SceneGraph,  # noqa: ARG002
         moved: jax.Array,  # noqa: ARG002
         current: Estimate,

@@ -42,6 +42,14 @@ class ObjectRenderer:
         centres = np.stack([one.centre_m for one in objects])
         return cls(joined([one.library for one in objects]), jnp.asarray(centres, jnp.float32))
 
+    @classmethod
+    def of_draws(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
+        """The renderer of all draws of these objects' shapes: the first of each object, the second, ..."""
+        draws = zip(*[one.draws or (one.library,) for one in objects], strict=True)
+        libraries = [library for draw in draws for library in draw]
+        centres = np.tile([one.centre_m for one in objects], (len(libraries) // len(objects), 1))
+        return cls(joined(libraries), jnp.asarray(centres, jnp.float32))
+
     def layers(
         self, indices: NDArray[np.integer], poses: NDArray[np.floating], window: PixelWindow
     ) -> NDArray[np.float32]:

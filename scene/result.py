@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.poses import matrices_of, poses_of
 from shapes.archive import load_fields, save_fields
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 TABLE = "table"
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 
@@ -28,7 +29,7 @@ class SceneResult:
         mean: (N, 4, 4) posterior mean within the mode of that scene.
         covariance: (N, 6, 6) in the right tangent at the mean, translation first, within that mode.
         presence: (N,) probability that the object is there.
-        visible_fraction: (N,) share of its pixels in the first frame that nothing hides.
+        visible_fraction: (N,) share of its pixels that nothing hides, in the frame that was searched.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.
         mode_probabilities: (N, M), 0 where there are fewer.
         edge_probabilities: (N, N + 1) of resting on each object, and on the table (last).
@@ -37,6 +38,9 @@ class SceneResult:
         sample_parents: (S, N) int32, -1 floating, N the table.
         sample_log_posteriors: (S,) not normalised.
         chain: (S,) int32 the chain of each sample.
+        acceptance: () share of the chains' moves of poses that were accepted.
+        log_estimate_variance: () of the log likelihood's estimate when all shapes are drawn anew, 0 where
+            they are certain.
     """
 
     names: NDArray[np.str_]
@@ -54,6 +58,8 @@ class SceneResult:
     sample_parents: NDArray[np.int32]
     sample_log_posteriors: NDArray[np.float64]
     chain: NDArray[np.int32]
+    acceptance: NDArray[np.float64]
+    log_estimate_variance: NDArray[np.float64]
 
     def __len__(self) -> int:
         """Number of objects looked for."""
@@ -78,6 +84,16 @@ class SceneResult:
     def rotation_std_rad(self) -> NDArray[np.float64]:
         """(N,) root mean square angle from the mean orientation."""
         return np.sqrt(np.trace(self.covariance[:, 3:, 3:], axis1=1, axis2=2))
+
+    def in_camera(self, camera_from_this: NDArray[np.float64]) -> SceneResult:
+        """The same in another camera, (4, 4) from this one's."""
+        return replace(
+            self,
+            camera_from_object=camera_from_this @ self.camera_from_object,
+            mean=camera_from_this @ self.mean,
+            mode_poses=camera_from_this @ self.mode_poses,
+            sample_poses=poses_of(camera_from_this @ matrices_of(self.sample_poses)),
+        )
 
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal results give equal bytes.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ class SceneObject:
         half_extents_m: (3,).
         rests: (R, 3) directions in the box frame that point down when the object lies still.
         library: its distance field, in the object's frame.
+        draws: libraries of as likely shapes, as many for each object of a scene; none where it is certain.
     """
 
     name: str
@@ -38,10 +40,22 @@ class SceneObject:
     half_extents_m: NDArray[np.float64]
     rests: NDArray[np.float64]
     library: ObjectLibrary
+    draws: tuple[ObjectLibrary, ...] = ()
 
 
-def scene_object(name: str, vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> SceneObject:
+def scene_object(
+    name: str,
+    vertices_m: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    draws: Sequence[tuple[NDArray[np.floating], NDArray[np.integer]]] = (),
+) -> SceneObject:
     """The object with this triangle surface.
+
+    Args:
+        name: of the object.
+        vertices_m: (V, 3).
+        faces: (F, 3) vertex indices.
+        draws: vertices and faces of as likely surfaces, where the shape is not certain.
 
     Raises:
         ValueError: the mesh has no face or no extent.
@@ -60,6 +74,7 @@ def scene_object(name: str, vertices_m: NDArray[np.floating], faces: NDArray[np.
         half_extents_m=half,
         rests=stable_rests(np.asarray(mesh.vertices, np.float64) - centre),
         library=library_of_mesh(vertices_m, faces, pitch),
+        draws=tuple(library_of_mesh(*draw, pitch) for draw in draws),
     )
 
 

@@ -56,10 +56,10 @@ class StructureMove:
         weights = jnp.exp(context - jnp.max(context))
         pairs = weights[1:].reshape(-1, 6, 6)
         faces = jnp.sum(pairs, axis=2)
-        parent = _inverse_cdf(jnp.concatenate([weights[:1], jnp.sum(faces, axis=1)]), uniform[0])
+        parent = inverse_cdf(jnp.concatenate([weights[:1], jnp.sum(faces, axis=1)]), uniform[0])
         above = jnp.maximum(parent - 1, 0)
-        parent_face = _inverse_cdf(faces[above], uniform[1])
-        child_face = _inverse_cdf(pairs[above, parent_face], uniform[2])
+        parent_face = inverse_cdf(faces[above], uniform[1])
+        child_face = inverse_cdf(pairs[above, parent_face], uniform[2])
         return jnp.where(parent == 0, 0, 1 + above * _FACE_PAIRS + parent_face * 6 + child_face)
 
     def log_density(self, context: jax.Array, auxiliary: jax.Array) -> jax.Array:
@@ -74,25 +74,41 @@ class StructureMove:
         auxiliary: jax.Array,
     ) -> tuple[SceneGraph, jax.Array, jax.Array]:
         """Graft, and remember the old place; floating to contact has |det| 8, the way back 1/8."""
-        old_parent = scene.parents[chosen]
-        floated = old_parent == ROOT
-        old_pair = scene.parent_faces[chosen] * 6 + scene.child_faces[chosen]
-        old_place = jnp.where(floated, 0, 1 + old_parent * _FACE_PAIRS + old_pair)
-        floats = auxiliary == 0
-        pair = jnp.where(floats, 0, auxiliary - 1)
-        parent = jnp.where(floats, ROOT, pair // _FACE_PAIRS).astype(scene.parents.dtype)
-        faces = (pair % _FACE_PAIRS).astype(scene.parents.dtype)
-        there = replace(
-            scene,
-            parents=scene.parents.at[chosen].set(parent),
-            parent_faces=scene.parent_faces.at[chosen].set(faces // 6),
-            child_faces=scene.child_faces.at[chosen].set(faces % 6),
+        old_place = place_of(scene, chosen)
+        gained = contacts_gained(old_place, auxiliary).astype(scene.poses.dtype)
+        return (
+            grafted(scene, chosen, auxiliary),
+            old_place.astype(auxiliary.dtype),
+            LOG_CONTACT_JACOBIAN * gained,
         )
-        contacts_gained = floated.astype(scene.poses.dtype) - floats.astype(scene.poses.dtype)
-        return there, old_place.astype(auxiliary.dtype), LOG_CONTACT_JACOBIAN * contacts_gained
 
 
-def _inverse_cdf(weights: jax.Array, uniform: jax.Array) -> jax.Array:
+def place_of(scene: SceneGraph, chosen: jax.Array) -> jax.Array:
+    """The place in the table of an object's edge."""
+    pair = scene.parent_faces[chosen] * 6 + scene.child_faces[chosen]
+    return jnp.where(scene.parents[chosen] == ROOT, 0, 1 + scene.parents[chosen] * _FACE_PAIRS + pair)
+
+
+def grafted(scene: SceneGraph, chosen: jax.Array, place: jax.Array) -> SceneGraph:
+    """The scene with the object's edge at another place of the table."""
+    floats = place == 0
+    pair = jnp.where(floats, 0, place - 1)
+    parent = jnp.where(floats, ROOT, pair // _FACE_PAIRS).astype(scene.parents.dtype)
+    faces = (pair % _FACE_PAIRS).astype(scene.parents.dtype)
+    return replace(
+        scene,
+        parents=scene.parents.at[chosen].set(parent),
+        parent_faces=scene.parent_faces.at[chosen].set(faces // 6),
+        child_faces=scene.child_faces.at[chosen].set(faces % 6),
+    )
+
+
+def contacts_gained(old_place: jax.Array, new_place: jax.Array) -> jax.Array:
+    """1 from floating to contact, -1 the way back, else 0."""
+    return (old_place == 0).astype(jnp.int32) - (new_place == 0).astype(jnp.int32)
+
+
+def inverse_cdf(weights: jax.Array, uniform: jax.Array) -> jax.Array:
     """Place in a short table (n,) of weights; the last place with a weight ends the table."""
     cumulative = jnp.cumsum(weights)
     place = jnp.sum(cumulative <= uniform * cumulative[-1])

@@ -37,6 +37,7 @@ class Samples:
         parent_faces: (..., C).
         child_faces: (..., C).
         log_posterior: (...).
+        accepted: (...) share of the moves of poses before it that were accepted.
     """
 
     poses: jax.Array
@@ -44,6 +45,7 @@ class Samples:
     parent_faces: jax.Array
     child_faces: jax.Array
     log_posterior: jax.Array
+    accepted: jax.Array
 
     @classmethod
     def joined(cls, blocks: Sequence[Samples]) -> Samples:
@@ -60,6 +62,7 @@ def summarise(
     objects: Sequence[SceneObject],
     frames: NDArray[np.int64],
     config: ParseConfig,
+    log_estimate_variance: float,
 ) -> SceneResult:
     """The result in the first camera and in the objects' own frames."""
     count = len(objects)
@@ -88,6 +91,8 @@ def summarise(
         sample_parents=np.asarray(flat.parents[:, :count], np.int32),
         sample_log_posteriors=np.asarray(flat.log_posterior),
         chain=np.tile(np.arange(chains, dtype=np.int32), kept),
+        acceptance=np.asarray(np.mean(flat.accepted)),
+        log_estimate_variance=np.asarray(log_estimate_variance),
     )
 
 

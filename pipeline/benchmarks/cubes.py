@@ -9,10 +9,11 @@ import numpy as np
 
 from scene.chain import Kernel, run_block, scene_kernel
 from scene.graph import Bodies, SceneGraph, all_trees, floating_scene, tree_code
+from scene.involution import Move
 from scene.model import ChainState, Likelihood, NoData, SceneModel, start_chain
+from scene.pair_move import PairMove
 from scene.pose_mixture import PoseMixture
 from scene.prior import PosePrior, StructurePrior, UniformTrees, sample_pose
-from scene.structure_move import StructureMove
 
 
 def cube_model(
@@ -33,8 +34,8 @@ def cube_model(
     return SceneModel(bodies, prior, structure or UniformTrees(), likelihood or NoData())
 
 
-def cube_kernel(count: int, proposal: str = "posterior", *, prior_share: float = 0.6) -> Kernel:
-    """The production kernel with walks as wide as the cubes and one wide component each."""
+def cube_kernel(count: int, structure: Move | None = None, *, prior_share: float = 0.6) -> Kernel:
+    """The production kernel, or another move of the graph, with walks as wide as the cubes."""
     centres = jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0]), (count, 1, 1))
     covariances = jnp.tile(jnp.diag(jnp.array([0.3, 0.3, 0.3, 0.8, 0.8, 0.8]) ** 2), (count, 1, 1, 1))
     mixture = PoseMixture.build(jnp.zeros((count, 1)), centres, covariances)
@@ -44,8 +45,9 @@ def cube_kernel(count: int, proposal: str = "posterior", *, prior_share: float =
         prior_share=prior_share,
         translation_m=scale,
         rotation_rad=2 * scale,
+        axes=jnp.full(count, -1),
         candidates=2,
-        structure=StructureMove(proposal),  # pyright: ignore[reportArgumentType]
+        structure=structure or PairMove(),
     )
 
 

@@ -48,6 +48,12 @@ class FrameNumbers(click.ParamType):
 @click.option(
     "--graph", type=click.Choice(["infer", "fixed"]), help="Infer what rests on what, or let all float."
 )
+@click.option(
+    "--shape-samples",
+    type=click.IntRange(min=1),
+    metavar="R",
+    help="Average the likelihood over R random draws of each learned shape; its surface alone by default.",
+)
 @click.option("--presence", type=float, metavar="P", help="Prior probability that an object is there.")
 @recording_options
 @common_options("recording", "parse", "slam")
@@ -63,6 +69,7 @@ def command(
     objects: str | None,
     frames: tuple[int, ...] | None,
     graph: str | None,
+    shape_samples: int | None,
     presence: float | None,
 ) -> None:
     """Find the objects in REC, with their poses, what rests on what, and the uncertainty of both."""
@@ -70,7 +77,13 @@ def command(
     from pipeline.session import open_session
     from pipeline.stages.parse import parse_stage
 
-    options = {"objects": _names(objects), "frames": frames, "graph": graph, "presence": presence}
+    options = {
+        "objects": _names(objects),
+        "frames": frames,
+        "graph": graph,
+        "shape_samples": shape_samples,
+        "presence": presence,
+    }
     with open_session(common, source, run_path, force=force) as session:
         parse_stage(session, shapes, units, options)
         damage = session.damage
@@ -81,8 +94,10 @@ def command(
         rate = document["effective_samples"] / max(document["seconds"], 1e-3)
         lines.append(
             f"R-hat {document['r_hat']:.2f}, {document['effective_samples']:.0f} effective samples"
-            f" of {document['samples']} ({rate:.1f}/s)"
+            f" of {document['samples']} ({rate:.1f}/s), {document['acceptance']:.0%} of moves accepted"
         )
+    if shape_samples:
+        lines.append(f"variance of the log likelihood's estimate {document['log_estimate_variance']:.2f}")
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))
 

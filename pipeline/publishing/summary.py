@@ -76,6 +76,8 @@ def _scene(scene: SceneResult) -> dict[str, Any]:
         "effective_samples": agreement.effective_samples
         if np.isfinite(agreement.effective_samples)
         else None,
+        "acceptance": float(scene.acceptance),
+        "log_estimate_variance": float(scene.log_estimate_variance),
         "objects": [
             {
                 "name": names[one],

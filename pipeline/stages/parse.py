@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
 from pipeline.meshes import Units
 from pipeline.session import Session
-from pipeline.shape_folder import chosen, load_surfaces, surface_hashes
+from pipeline.shape_folder import chosen, drawn_surfaces, load_surfaces, surface_hashes
 from pipeline.stages.room import view_stage
 from pipeline.stages.slam import slam_stage
 from pipeline.surfaces import Surfaces
@@ -22,6 +23,9 @@ from scene.config import ParseConfig
 from scene.parsing import parse_scene
 from scene.result import SceneResult
 from scene.scene_object import scene_object
+
+SHAPE_DRAWS = 16
+"""Draws of a learned shape among which the likelihood's estimates choose."""
 
 
 def parse_stage(
@@ -48,11 +52,17 @@ def parse_stage(
         poses = _relative_poses(trajectory.mean, config.frames)
 
     def compute() -> SceneResult:
-        objects = [scene_object(name, one.vertices_m, one.faces) for name, one in surfaces.by_name.items()]
+        key, draw_key = session.key("parse"), session.key("draws")
+        objects = [
+            scene_object(name, one.vertices_m, one.faces, draws)
+            for (name, one), draws in zip(
+                surfaces.by_name.items(), _draws(shapes, surfaces, draw_key, config), strict=True
+            )
+        ]
         with session.common.progress("parse", "blocks") as progress:
             try:
                 return parse_scene(
-                    session.key("parse"),
+                    key,
                     _frames(session, config.frames),
                     config.frames,
                     poses,
@@ -78,6 +88,20 @@ def _surfaces(session: Session, shapes: Path, units: Units | None, names: tuple[
     return session.stage(
         "objects", Surfaces.load, lambda: Surfaces(chosen(load_surfaces(shapes, units), names)), {}, inputs
     )
+
+
+def _draws(
+    folder: Path, surfaces: Surfaces, key: jax.Array, config: ParseConfig
+) -> list[list[tuple[NDArray[np.float64], NDArray[np.int64]]]]:
+    """Vertices and faces of random draws of every shape, none where shapes count as certain."""
+    if not config.shape_samples:
+        return [[] for _ in surfaces.by_name]
+    keys = jax.random.split(key, len(surfaces.by_name))
+    drawn = [
+        drawn_surfaces(folder, name, key, SHAPE_DRAWS)
+        for name, key in zip(surfaces.by_name, keys, strict=True)
+    ]
+    return [[(one.vertices_m, one.faces) for one in draws] for draws in drawn]
 
 
 def _frames(session: Session, numbers: tuple[int, ...]) -> list[Frame]:

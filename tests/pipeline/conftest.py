@@ -85,6 +85,8 @@ def parsed_run(true_trajectory: SlamResult) -> RunValues:
         sample_parents=np.tile(np.array([1, 3, -1], np.int32), (5, 1)),
         sample_log_posteriors=np.arange(5.0),
         chain=np.zeros(5, np.int32),
+        acceptance=np.array(0.5),
+        log_estimate_variance=np.array(0.0),
     )
     surfaces = Surfaces(dict.fromkeys(("mug", "box", "can"), surface))
     return RunValues(slam=true_trajectory, room=None, shapes={}, surfaces=surfaces, scene=scene)

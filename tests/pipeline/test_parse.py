@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from click.testing import CliRunner, Result
+from scipy.special import expit
 
 from pipeline.cli import voxscene
 from pipeline.evaluation.object_poses import add_s_m, model_points
@@ -16,9 +17,11 @@ from pipeline.synthesis.paths import PathConfig
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
+from pipeline.synthesis.world import Part, RayCaster
 from pipeline.synthesis.writing import write_recording
 from recordings.writer import RecordingWriter
 from scene.result import SceneResult
+from shapes.prior import ShapePrior
 
 SHAPES = ("box", "mug")
 SHORT = ("-s", "parse.rounds=0", "-s", "parse.sweeps=18", "-s", "parse.chains=2")
@@ -116,3 +119,55 @@ def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Pat
         assert result.exit_code == 1
         assert told in result.output
         assert "Traceback" not in result.output
+
+
+def voxel_shape(name: str) -> ShapePrior:
+    """The shape of an object as it might be learned: sure inside and outside, a coin at the surface."""
+    mesh, pitch = built_in_object(name), 0.006
+    low, high = mesh.bounds
+    shape = tuple(int(n) for n in np.ceil((high - low) / pitch) + 4)
+    centres = low - 2 * pitch + (np.moveaxis(np.indices(shape), 0, -1) + 0.5) * pitch
+    caster = RayCaster([Part(name=name, mesh=mesh, world_from_part=np.eye(4))])
+    points = centres.reshape(-1, 3)
+    inward_m = (caster.clearance_m(points) * np.where(caster.holds(points), 1, -1)).reshape(shape)
+    return ShapePrior(
+        phi=expit(inward_m / 0.0006).astype(np.float32),
+        pitch_m=pitch,
+        reference_from_grid=np.eye(4),
+        seen_free=inward_m <= 0,
+        seen_occupied=inward_m > 0,
+        enclosed=np.zeros(shape, bool),
+    )
+
+
+@pytest.mark.slow
+def test_learned_shapes_are_averaged_over_their_draws(
+    table: SyntheticRecording, parsed: Path, tmp_path: Path
+) -> None:
+    """The box from its voxels, within 6 mm; how much the estimate varies, which meshes cannot tell."""
+    (tmp_path / "shapes").mkdir()
+    shape = voxel_shape("box")
+    shape.save(tmp_path / "shapes" / "box.npz")
+    recording = parsed.parent / "table.mcap"
+    result = parse(recording, tmp_path / "shapes", tmp_path / "run", "--shape-samples", "2")
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "run" / "summary.json").read_text())["parse"]
+    assert document["log_estimate_variance"] > 0
+    assert 0 < document["acceptance"] < 1
+    camera_from_world = np.linalg.inv(table.trajectory.reference_from_camera[0])
+    true = next(one for one in table.truth.objects if one.shape == "box")
+    mesh = built_in_object("box")
+    camera_from_grid = np.array(document["objects"][0]["camera_from_object"])
+    camera_from_mesh = camera_from_grid @ trimesh.transformations.translation_matrix(
+        2 * shape.pitch_m - mesh.bounds[0]
+    )
+    points = model_points(mesh)
+    assert add_s_m(points, camera_from_world @ true.world_from_object, camera_from_mesh) < 0.006
+
+
+def test_meshes_have_no_shape_samples(parsed: Path, meshes: Path, tmp_path: Path) -> None:
+    """One line says that they need learned shapes."""
+    result = parse(parsed.parent / "table.mcap", meshes, tmp_path / "run", "--shape-samples", "2")
+    assert result.exit_code == 1
+    assert "shape samples need learned shapes" in result.output
+    assert "Traceback" not in result.output

@@ -30,4 +30,6 @@ def scene_result(names: Sequence[str], poses: ArrayLike, parents: Sequence[int])
         sample_parents=np.asarray([parents], np.int32),
         sample_log_posteriors=np.zeros(1),
         chain=np.zeros(1, np.int32),
+        acceptance=np.array(0.5),
+        log_estimate_variance=np.array(0.0),
     )

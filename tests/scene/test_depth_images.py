@@ -14,6 +14,7 @@ from scene.graph import SceneGraph, floating_scene
 from scene.model import Estimate
 from scene.rendering import ObjectRenderer
 from scene.scene_object import SceneObject, scene_object
+from scene.shape_choices import candidate_keys
 from shapes import depth_noise
 from shapes.camera import Camera
 from shapes.depth_rendering import render_layers
@@ -57,6 +58,7 @@ def images(
         rest_m=tiled(jnp.asarray(rest_m), 0.0),
         weights=jnp.asarray([WEIGHT, WEIGHT / 2]),
         noise=jax.tree.map(jnp.float32, NOISE),
+        fresh_share=jnp.ones(()),
         objects=objects,
         height=HEIGHT,
         width=WIDTH,
@@ -69,15 +71,15 @@ def started(likelihood: DepthImages, key: jax.Array, scene: SceneGraph) -> Estim
     """The estimate of a scene from scratch."""
     start_key, update_key = jax.random.split(key)
     blank, stand = likelihood.start(start_key, scene), jnp.zeros_like(scene.present)
-    return likelihood.update(update_key, scene, stand, blank, anew=jnp.array(True))
+    return likelihood.update(jax.random.split(update_key), scene, stand, blank, anew=jnp.array(True))
 
 
 @jax.jit
 def updated(
-    likelihood: DepthImages, key: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate
+    likelihood: DepthImages, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate
 ) -> Estimate:
     """The estimate after a move."""
-    return likelihood.update(key, scene, moved, current, anew=jnp.array(False))
+    return likelihood.update(keys, scene, moved, current, anew=jnp.array(False))
 
 
 def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:
@@ -112,7 +114,7 @@ def test_every_way_to_a_scene_has_its_likelihood(
     assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
     chains = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
     offer = jax.jit(jax.vmap(likelihood.of_candidates, in_axes=(None, None, None, None, 0)))
-    keys = jax.random.split(offer_key, len(steps))
+    keys, update_keys = candidate_keys(offer_key, len(steps)), jax.random.split(update_key)
     for chosen in range(2):
         poses_there = scene.poses[chosen][None] + steps
         offered = offer(jax.random.clone(keys), scene, jnp.asarray(chosen), poses_there, chains)
@@ -120,12 +122,39 @@ def test_every_way_to_a_scene_has_its_likelihood(
         for pose, log_likelihood in zip(poses_there, offered[0], strict=True):
             there = replace(scene, poses=scene.poses.at[chosen].set(pose))
             moved = jnp.arange(2) == chosen
-            after = updated(likelihood, jax.random.clone(update_key), there, moved, start)
+            after = updated(likelihood, jax.random.clone(update_keys), there, moved, start)
             expected = dense(likelihood, observed_m, there)
             assert float(after.log_likelihood) == pytest.approx(expected, abs=1e-2)
             assert float(log_likelihood) == pytest.approx(expected, abs=1e-2)
-    stays = updated(likelihood, jax.random.clone(update_key), scene, jnp.zeros(2, bool), start)
+    stays = updated(likelihood, jax.random.clone(update_keys), scene, jnp.zeros(2, bool), start)
     jax.tree.map(np.testing.assert_array_equal, stays, start)
+
+
+def test_the_likelihood_of_frames_is_their_product(
+    key: jax.Array, seed: int, boxes: list[SceneObject], poses: jax.Array
+) -> None:
+    """The log likelihood of two frames is the sum of those of each alone, to float32."""
+    observed_m = np.random.default_rng(seed).uniform(0.45, 0.85, (2, HEIGHT, WIDTH)).astype(np.float32)
+    both, scene = images(boxes, observed_m), floating_scene(poses)
+    tiles = len(both.observed_m) // 2
+
+    def alone(frame: int) -> DepthImages:
+        mine = slice(frame * tiles, (frame + 1) * tiles)
+        one = slice(frame, frame + 1)
+        return replace(
+            both,
+            cameras=jax.tree.map(lambda leaf: leaf[one], both.cameras),
+            camera_from_world=both.camera_from_world[one],
+            observed_m=both.observed_m[mine],
+            rest_m=both.rest_m[mine],
+            weights=both.weights[one],
+        )
+
+    keys = jax.random.split(key, 3)
+    total = float(started(both, keys[0], scene).log_likelihood)
+    parts = [float(started(alone(frame), keys[1 + frame], scene).log_likelihood) for frame in range(2)]
+    assert total == pytest.approx(sum(parts), abs=1e-3)
+    assert abs(parts[0] - parts[1]) > 1
 
 
 def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], poses: jax.Array) -> None:
@@ -159,7 +188,7 @@ def test_the_estimate_over_shapes_is_unbiased(
     estimates = start(likelihood, jax.random.split(start_key, 800 // draws), scene).log_likelihood
 
     assert_mean(jnp.exp(estimates - log_exact), 1.0, detectable=0.4)
-    keys = jax.random.split(offer_key, 3)
+    keys = candidate_keys(offer_key, 3)
     there = jnp.stack([poses[0], poses[0], poses[0].at[4].add(0.01)])
     current = started(likelihood, jax.random.clone(start_key), scene)
     offered = jax.jit(likelihood.of_candidates)(keys, scene, jnp.array(0), there, current)

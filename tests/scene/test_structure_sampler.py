@@ -1,6 +1,7 @@
 """The sampler of scene graphs against enumeration (MATH.md section O)."""
 
 from dataclasses import replace
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -8,11 +9,12 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import code_of, cube_kernel, cube_model, start_chains, tree_frequencies
-from scene import structure_move
+from scene import pair_move
 from scene.chain import run_block
 from scene.graph import ROOT, all_trees
 from scene.graph_table import GraphTable
 from scene.model import SceneModel
+from scene.structure_move import StructureMove
 from tests.statistical import assert_mean
 
 CHAINS = 256
@@ -62,10 +64,11 @@ def test_no_data_returns_the_uniform_prior_with_a_table(key: jax.Array) -> None:
     assert_mean(frequencies, np.full(8, 1 / 8), detectable=0.06)
 
 
-def test_uniform_proposal_is_exact_too(key: jax.Array) -> None:
-    """The reference q, uniform over parents and faces, has the same target."""
+@pytest.mark.parametrize("proposal", ["uniform", pytest.param("posterior", marks=pytest.mark.slow)])
+def test_single_edges_are_exact_too(key: jax.Array, proposal: Literal["uniform", "posterior"]) -> None:
+    """One edge at a time, uniform over parents and faces for reference or not, has the same target."""
     model, probabilities = weighted(2)
-    kernel = cube_kernel(2, "uniform")
+    kernel = cube_kernel(2, StructureMove(proposal))
 
     frequencies, _ = tree_frequencies(key, model, kernel, chains=CHAINS, sweeps=600, burn_in=150)
 
@@ -78,7 +81,7 @@ def test_the_factor_eight_is_seen(
 ) -> None:
     """P(all floating) of two objects is 1/3; without the 8, or with it twice, it is not."""
     model = cube_model(2)
-    monkeypatch.setattr(structure_move, "LOG_CONTACT_JACOBIAN", np.log(factor))
+    monkeypatch.setattr(pair_move, "LOG_CONTACT_JACOBIAN", np.log(factor))
     jax.clear_caches()
 
     frequencies, trees = tree_frequencies(key, model, cube_kernel(2), chains=CHAINS, sweeps=200, burn_in=60)
