@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.pose_choice import PoseLayers
 from scene.scene_data import SceneData
+from scene.unknown_things import log_density_without_objects
 from shapes import depth_noise
 
 FOREGROUND_PIXELS = 1024
 LOWEST_LOG_DENSITY = -20.0
+RIM_MISSED = 0.5
+"""Probability that a pixel at an object's outline shows what is beside it: cameras shift outlines."""
 
 
 @jax.tree_util.register_dataclass
@@ -26,24 +29,33 @@ class ComparedPixels:
     Attributes:
         noise: of the sensor.
         surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
+        log_odds: of an object in one pose against its absence, before the image is seen.
         observed_m: (pixels,) of the window.
         rest_m: (pixels,) of the background.
         uncontested: (pixels,) bool, where no object is seen: a pose that covers them has to pay.
         places: (X,) the compared ones among the pixels.
         weight: (X,) how many pixels each of them stands for.
+        shape: (H, W) of the window.
     """
 
     noise: DepthNoise
     surface_sigma_m: jax.Array
+    log_odds: jax.Array
     observed_m: jax.Array
     rest_m: jax.Array
     uncontested: jax.Array
     places: jax.Array
     weight: jax.Array
+    shape: tuple[int, int] = field(metadata={"static": True})
 
     @classmethod
     def of(
-        cls, data: SceneData, noise: DepthNoise, surface_sigma_m: float, rng: np.random.Generator
+        cls,
+        data: SceneData,
+        noise: DepthNoise,
+        surface_sigma_m: float,
+        log_odds: float,
+        rng: np.random.Generator,
     ) -> ComparedPixels:
         """Pixels of a frame, drawn at random where there are too many."""
         near, inside = data.window_foreground.ravel(), data.window.inside.ravel()
@@ -54,20 +66,24 @@ class ComparedPixels:
         return cls(
             noise,
             jnp.asarray(surface_sigma_m, jnp.float32),
+            jnp.asarray(log_odds, jnp.float32),
             jnp.asarray(data.window.depth_m.ravel()),
             jnp.asarray(data.rest_m.ravel()),
             jnp.asarray(inside & ~near),
             jnp.asarray(np.resize(places, FOREGROUND_PIXELS)),
             jnp.asarray(weight),
+            data.window.inside.shape,
         )
 
     def no_layers(self, objects: int, poses: int) -> PoseLayers:
         """Layers of `poses` poses an object of which none shows anything, and of the absent object, last."""
         shape = objects, poses + 1
+        log_alone = np.full(shape, self.log_odds, np.float32)
+        log_alone[:, -1] = 0.0
         return PoseLayers(
             depth_m=jnp.asarray(np.full((*shape, FOREGROUND_PIXELS), np.inf, np.float32)),
             log_density=jnp.asarray(np.zeros((*shape, FOREGROUND_PIXELS), np.float32)),
-            log_alone=jnp.asarray(np.zeros(shape, np.float32)),
+            log_alone=jnp.asarray(log_alone),
             rest_m=self.rest_m[self.places],
             rest_log_density=_rest_log_density(self),
         )
@@ -89,7 +105,7 @@ class ComparedPixels:
 
 @jax.jit
 def _rest_log_density(pixels: ComparedPixels) -> jax.Array:
-    return _log_density(pixels, pixels.observed_m, pixels.rest_m)[pixels.places] * pixels.weight
+    return _without_objects(pixels)[pixels.places] * pixels.weight
 
 
 @jax.jit
@@ -97,27 +113,44 @@ def _with_layers(
     pixels: ComparedPixels, layers: PoseLayers, depth_m: jax.Array, first: jax.Array
 ) -> PoseLayers:
     """The layers with depth (N, n, pixels) put in from `first` on."""
-    rest = _log_density(pixels, pixels.observed_m, pixels.rest_m)
+    rest = _without_objects(pixels)
 
-    def alone(layer_m: jax.Array) -> jax.Array:
-        gain = _log_density(pixels, pixels.observed_m, layer_m) - rest
-        return jnp.sum(jnp.where(pixels.uncontested & (layer_m < pixels.rest_m), gain, 0.0))
+    def shown(layer_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        density = _log_density(pixels, layer_m, rest)
+        seen = pixels.uncontested & (layer_m < pixels.rest_m)
+        alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - rest, 0.0))
+        return layer_m[pixels.places], density[pixels.places] * pixels.weight, alone
 
     count, poses, size = depth_m.shape
-    log_alone = jax.lax.map(alone, depth_m.reshape(-1, size)).reshape(count, poses)
-    shown_m = depth_m[:, :, pixels.places]
-    density = _log_density(pixels, pixels.observed_m[pixels.places][None, None], shown_m)
+    by_pose = jax.lax.map(shown, depth_m.reshape(-1, size))
+    shown_m, density, log_alone = (leaf.reshape(count, poses, *leaf.shape[1:]) for leaf in by_pose)
     put = jax.lax.dynamic_update_slice_in_dim
     return PoseLayers(
         depth_m=put(layers.depth_m, shown_m, first, 1),
-        log_density=put(layers.log_density, density * pixels.weight[None, None], first, 1),
+        log_density=put(layers.log_density, density, first, 1),
         log_alone=put(layers.log_alone, log_alone, first, 1),
         rest_m=layers.rest_m,
         rest_log_density=layers.rest_log_density,
     )
 
 
-def _log_density(pixels: ComparedPixels, observed_m: jax.Array, depth_m: jax.Array) -> jax.Array:
-    observed_m = jnp.broadcast_to(observed_m, depth_m.shape)
-    density = depth_noise.log_density(pixels.noise, observed_m, depth_m, pixels.surface_sigma_m)
+def _without_objects(pixels: ComparedPixels) -> jax.Array:
+    """Log density (pixels,) where no object is."""
+    density = log_density_without_objects(
+        pixels.noise,
+        pixels.observed_m,
+        pixels.rest_m,
+        ~pixels.uncontested,
+        pixels.surface_sigma_m,
+    )
     return jnp.maximum(density, LOWEST_LOG_DENSITY)
+
+
+def _log_density(pixels: ComparedPixels, layer_m: jax.Array, rest: jax.Array) -> jax.Array:
+    """Log density (pixels,) where one layer is what they show, which its rim may miss."""
+    density = depth_noise.log_density(pixels.noise, pixels.observed_m, layer_m, pixels.surface_sigma_m)
+    density = jnp.maximum(density, LOWEST_LOG_DENSITY)
+    uncovered = ~jnp.isfinite(layer_m.reshape(pixels.shape))
+    beside = jax.lax.reduce_window(uncovered, False, jax.lax.bitwise_or, (3, 3), (1, 1), "SAME").ravel()
+    missed = jnp.logaddexp(jnp.log1p(-RIM_MISSED) + density, jnp.log(RIM_MISSED) + rest)
+    return jnp.where(beside, missed, density)

@@ -41,7 +41,7 @@ class ParseConfig:
     sweeps: int = 120
     pixel_weight: float = 0.25
     model_error_m: float = 0.002
-    search_error_m: float = 0.005
+    search_error_m: float = 0.003
     outlier_probability: float = 0.1
     contact_sigma_m: float = 0.005
     contact_concentration: float = 500.0

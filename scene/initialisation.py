@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from recordings.types import NO_RETURN, DepthNoise
 from scene.compared_pixels import ComparedPixels
 from scene.detection import SupportPlane, clusters
+from scene.existence import best_scene, rivals
 from scene.observation import unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.polishing import polished
-from scene.pose_choice import PoseLayers, choose, improve_pairs, log_conditional
+from scene.pose_choice import PoseLayers, choose, log_conditional
 from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
@@ -40,6 +41,8 @@ UNEXPLAINED_M = 0.012
 AGREE_M, FITTING = 0.006, 0.85
 """Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
 PAIRED = 32
+RIVALS = 6
+"""Scenes beside the best one that get a polish before they are compared for good."""
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
 
 
@@ -50,6 +53,7 @@ class Initialisation:
     Attributes:
         poses: (N, 7) camera_from_box, wxyz_xyz; meaningless where not found.
         found: (N,) bool.
+        log_odds: (N,) of each object being there against not, with the likelihood's exponent 1.
         pools: (N, K, 7).
         log_gains: (N, K) log density of the scene with each pose of the pool in place of the best one,
             less that of the best scene; the last column is without the object.
@@ -57,6 +61,7 @@ class Initialisation:
 
     poses: NDArray[np.float64]
     found: NDArray[np.bool_]
+    log_odds: NDArray[np.float64]
     pools: NDArray[np.float64]
     log_gains: NDArray[np.float64]
 
@@ -69,6 +74,7 @@ def initialise(
     noise: DepthNoise,
     surface_sigma_m: float,
     *,
+    log_odds: float,
     rounds: int,
     pool: int,
 ) -> Initialisation:
@@ -81,36 +87,72 @@ def initialise(
         renderer: of the same objects.
         noise: of the sensor.
         surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
+        log_odds: of an object in one pose against its absence, over the likelihood's exponent.
         rounds: of renewed search on what is left unexplained.
         pool: poses an object and round.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    pixels = ComparedPixels.of(data, noise, surface_sigma_m, rng)
+    pixels = ComparedPixels.of(data, noise, surface_sigma_m, log_odds, rng)
     rotations = [_orientations(one, data.table) for one in objects]
     unexplained = [data.foreground] * len(objects)
-    everywhere = pool * (rounds + 1)
+    searched = pool * (rounds + 1)
+    everywhere = searched + 1 + RIVALS
     pools = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), everywhere, 1))
     layers = pixels.no_layers(len(objects), everywhere)
     chosen = np.full(len(objects), everywhere)
+
+    def put(found: NDArray[np.float32], first: int) -> PoseLayers:
+        pools[:, first : first + found.shape[1]] = found
+        drawn = renderer.layers(
+            np.repeat(np.arange(len(objects)), found.shape[1]), found.reshape(-1, 7), data.window
+        )
+        return pixels.with_layers(layers, drawn, len(objects), first)
+
     for turn, round_key in enumerate(jax.random.split(key, rounds + 1)):
         found = _hypotheses(data, objects, rotations, unexplained, rng, pool)
-        pools[:, turn * pool : (turn + 1) * pool] = found
-        depth = renderer.layers(np.repeat(np.arange(len(objects)), pool), found.reshape(-1, 7), data.window)
-        layers = pixels.with_layers(layers, depth, len(objects), turn * pool)
+        layers = put(found, turn * pool)
         choices, log_densities = choose(round_key, layers, HOT, COLD, PARTICLES, SWEEPS)
-        chosen = np.asarray(improve_pairs(layers, choices[jnp.argmax(log_densities)], PAIRED))
+        starts = jnp.stack([choices[jnp.argmax(log_densities)], jnp.asarray(chosen)])
+        chosen = np.asarray(best_scene(layers, starts, PAIRED))
         shown = _shown(renderer, data, pools, chosen)
         shown[_fit(data, shown) < FITTING] = np.inf
         unexplained = [_unexplained(data, np.delete(shown, one, axis=0)) for one in range(len(objects))]
-    present = chosen < everywhere
-    poses = pools[np.arange(len(objects)), np.minimum(chosen, everywhere - 1)]
-    poses = polished(data, objects, renderer, poses, present)
+    layers = put(_polished_rivals(data, objects, renderer, layers, pools, chosen), searched)
+    chosen = np.asarray(best_scene(layers, jnp.asarray(chosen)[None], PAIRED))
+    _, log_odds = rivals(layers, jnp.asarray(chosen))
     return Initialisation(
-        poses=poses.astype(np.float64),
-        found=present,
+        poses=_placed(pools, chosen).astype(np.float64),
+        found=chosen < everywhere,
+        log_odds=np.asarray(log_odds, np.float64),
         pools=pools.astype(np.float64),
         log_gains=np.asarray(_gains(layers, chosen), np.float64),
     )
+
+
+def _polished_rivals(
+    data: SceneData,
+    objects: Sequence[SceneObject],
+    renderer: ObjectRenderer,
+    layers: PoseLayers,
+    pools: NDArray[np.float32],
+    chosen: NDArray[np.int64],
+) -> NDArray[np.float32]:
+    """Poses (N, 1 + RIVALS, 7) polished in the scene and in those that come next, where fits are compared."""
+    scenes, log_odds = rivals(layers, jnp.asarray(chosen))
+    closest = np.argsort(np.abs(np.asarray(log_odds)), kind="stable")
+    scenes = [chosen, *np.asarray(scenes)[np.resize(closest, RIVALS)]]
+    return np.stack(
+        [
+            polished(data, objects, renderer, _placed(pools, scene), scene < pools.shape[1])
+            for scene in scenes
+        ],
+        axis=1,
+    )
+
+
+def _placed(pools: NDArray[np.float32], chosen: NDArray[np.int64]) -> NDArray[np.float32]:
+    """The chosen poses (N, 7), of the absent ones any."""
+    return pools[np.arange(len(pools)), np.minimum(chosen, pools.shape[1] - 1)]
 
 
 def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
@@ -162,8 +204,7 @@ def _shown(
 ) -> NDArray[np.float32]:
     """Depth (N, H, W) of every object's chosen pose alone in the window, +inf for absent ones."""
     count, poses = pools.shape[:2]
-    placed = pools[np.arange(count), np.minimum(chosen, poses - 1)]
-    depth = renderer.layers(np.arange(count), placed, data.window)
+    depth = renderer.layers(np.arange(count), _placed(pools, chosen), data.window)
     return np.where((chosen < poses)[:, None, None], depth, np.float32(np.inf))
 
 

@@ -19,6 +19,7 @@ from scene.config import ParseConfig
 from scene.contact import TOP_FACE
 from scene.depth_images import DepthImages, log_estimates
 from scene.detection import SupportPlane
+from scene.existence import log_prior_odds
 from scene.foreground import frame_data, scene_data
 from scene.graph import Bodies, SceneGraph, floating_scene
 from scene.initialisation import Initialisation, initialise
@@ -103,8 +104,17 @@ def parse_scene(
     )
 
     def search(key: jax.Array, view: SceneData) -> Initialisation:
-        pools = {"rounds": config.rounds, "pool": config.pool}
-        return initialise(key, view, objects, renderer, noise, config.search_error_m, **pools)
+        return initialise(
+            key,
+            view,
+            objects,
+            renderer,
+            noise,
+            config.search_error_m,
+            log_odds=log_prior_odds(config.presence) / config.pixel_weight,
+            rounds=config.rounds,
+            pool=config.pool,
+        )
 
     data, start, first_from_searched = first, search(search_key, first), np.eye(4)
     if len(views) > 1:

@@ -22,7 +22,8 @@ class PoseLayers:
     Attributes:
         depth_m: (N, K, X), +inf where a pose does not cover a pixel.
         log_density: (N, K, X) of the pixel if that pose is what it shows.
-        log_alone: (N, K) what a pose adds outside these pixels, where nothing else competes.
+        log_alone: (N, K) what a pose adds outside these pixels, where nothing else competes, and the log
+            odds of its object being there at all; 0 for the absent object.
         rest_m: (X,) depth of the background.
         rest_log_density: (X,).
     """
@@ -63,7 +64,7 @@ def choose(
 
 @partial(jax.jit, static_argnames="candidates")
 def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax.Array:
-    """The choice (N,) after every two objects got the best joint poses given the others.
+    """The choice (N,) after every two objects, one of them there, got the best joint poses given the others.
 
     Two that took each other's places cannot leave them one by one. The joint is exact over the
     `candidates` best poses of each, given the others without the two, and what they have.
@@ -71,12 +72,17 @@ def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax
     objects = jnp.arange(len(layers.log_alone))
 
     def improve(choice: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        a, b = pair
-        others = _front(layers, choice, (objects != a) & (objects != b))
+        return jax.lax.cond(jnp.all(choice[jnp.stack(pair)] == none(layers)), keep, put, choice, *pair), None
+
+    def keep(choice: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:  # noqa: ARG001
+        return choice
+
+    def put(choice: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+        others = front(layers, choice, (objects != a) & (objects != b))
         places = [_best_given(layers, others, choice, one, candidates) for one in (a, b)]
         joint = _joint_log_density(layers, others, (a, places[0]), (b, places[1]))
         best = jnp.unravel_index(jnp.argmax(joint), joint.shape)
-        return choice.at[a].set(places[0][best[0]]).at[b].set(places[1][best[1]]), None
+        return choice.at[a].set(places[0][best[0]]).at[b].set(places[1][best[1]])
 
     return jax.lax.scan(improve, choice, jnp.triu_indices(len(objects), 1))[0]
 
@@ -85,12 +91,12 @@ def _best_given(
     layers: PoseLayers, others: tuple[jax.Array, jax.Array], choice: jax.Array, one: jax.Array, count: int
 ) -> jax.Array:
     """Places (at most `count`) of an object's best poses before a front, the chosen one first, none last."""
-    front_m, front = others
+    front_m, shown = others
     nearer = layers.depth_m[one] < front_m[None]
-    log_given = jnp.sum(jnp.where(nearer, layers.log_density[one] - front[None], 0.0), axis=1)
-    none = layers.log_alone.shape[1] - 1
-    _, best = jax.lax.top_k(log_given + layers.log_alone[one], min(count - 2, none))
-    return jnp.concatenate([choice[one][None], best, jnp.full(1, none)])
+    log_given = jnp.sum(jnp.where(nearer, layers.log_density[one] - shown[None], 0.0), axis=1)
+    absent = none(layers)
+    _, best = jax.lax.top_k(log_given + layers.log_alone[one], min(count - 2, absent))
+    return jnp.concatenate([choice[one][None], best, jnp.full(1, absent)])
 
 
 def _joint_log_density(
@@ -116,19 +122,24 @@ def _joint_log_density(
 
 def log_density_of_choice(layers: PoseLayers, choice: jax.Array) -> jax.Array:
     """Log density of the observation under one choice (N,)."""
-    _, shown = _front(layers, choice, jnp.ones(len(choice), bool))
+    _, shown = front(layers, choice, jnp.ones(len(choice), bool))
     return jnp.sum(shown) + jnp.sum(layers.log_alone[jnp.arange(len(choice)), choice])
 
 
 def log_conditional(layers: PoseLayers, choice: jax.Array, index: jax.Array) -> jax.Array:
     """Log density (K,) of each pose of one object given the others' choice."""
-    others_m, others = _front(layers, choice, jnp.arange(len(choice)) != index)
+    others_m, others = front(layers, choice, jnp.arange(len(choice)) != index)
     nearer = layers.depth_m[index] < others_m[None]
     shown = jnp.where(nearer, layers.log_density[index], others[None])
     return jnp.sum(shown, axis=1) + layers.log_alone[index]
 
 
-def _front(layers: PoseLayers, choice: jax.Array, use: jax.Array) -> tuple[jax.Array, jax.Array]:
+def none(layers: PoseLayers) -> int:
+    """The place of the absent object in every pool, the last."""
+    return layers.log_alone.shape[1] - 1
+
+
+def front(layers: PoseLayers, choice: jax.Array, use: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Depth and log density (X,) of the nearest layer of the objects in use, background included."""
     objects = jnp.arange(len(choice))
     depths = jnp.where(use[:, None], layers.depth_m[objects, choice], jnp.inf)

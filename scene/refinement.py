@@ -1,9 +1,8 @@
-"""How well an object's pose is known given the rest of the scene, and how much it is needed.
+"""How well an object's pose is known given the rest of the scene.
 
 Adaptive importance sampling (population Monte Carlo, Cappe et al. 2004): a Gaussian round each pose of the
 best scene is drawn from, weighted by the likelihood at a temperature that keeps enough draws alive, and
-fitted anew, for all objects side by side. It gives the chains' proposals; and the mean weight of the last
-draws is the evidence for the object, integrated over its pose.
+fitted anew, for all objects side by side. It gives the chains' proposals.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 
 from recordings.types import DepthNoise
 from scene.initialisation import Initialisation
@@ -42,15 +41,12 @@ class Refinement:
         poses: (N, 7) camera_from_box, the best seen.
         means: (N, 7) camera_from_box.
         covariances: (N, 6, 6).
-        log_volume: (N,) log of the integral over poses of p(image | pose) / p(image | without the object),
-            in the measure Lebesgue x rotations of mass pi^2; add the log prior density of the pose.
         visible_fraction: (N,) share of the object's pixels that nothing hides.
     """
 
     poses: NDArray[np.float64]
     means: NDArray[np.float64]
     covariances: NDArray[np.float64]
-    log_volume: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]
 
 
@@ -76,7 +72,6 @@ def refine(
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     means = start.poses
     factors = np.tile(np.diag(FIRST_SIGMA), (count, 1, 1))
-    log_volume = np.zeros(count)
     best, visible = start.poses, np.zeros(count)
     for _ in range(TURNS):
         rest_m, visible = _without_each(data, renderer, means, start.found)
@@ -85,11 +80,7 @@ def refine(
         tangents = np.einsum("nij,nsj->nsi", factors, normal)
         poses = np.asarray(_moved(means, tangents), np.float64)
         log_ratio = pixel_weight * _log_ratio(data, renderer, poses, rest_m, noise)
-        log_draw = (
-            -0.5 * (normal**2).sum(axis=-1) - np.linalg.slogdet(factors)[1][:, None] - 3 * np.log(2 * np.pi)
-        )
-        log_weights = log_ratio - log_draw
-        log_volume = logsumexp(log_weights, axis=1) - np.log(DRAWS) - np.log(8.0)
+        log_weights = log_ratio + 0.5 * (normal**2).sum(axis=-1)
         weights = np.stack([_tempered(one) for one in log_weights])
         top = log_ratio.argmax(axis=1)
         best = poses[np.arange(count), top]
@@ -102,7 +93,6 @@ def refine(
         poses=best,
         means=means,
         covariances=factors @ np.swapaxes(factors, 1, 2),
-        log_volume=log_volume,
         visible_fraction=visible,
     )
 

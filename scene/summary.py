@@ -9,17 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logit
+from scipy.special import expit
 
 from scene.config import ParseConfig
-from scene.graph import floating_scene
 from scene.initialisation import Initialisation
 from scene.model import SceneModel
-from scene.poses import composed, matrices_of, motions_of, pose_of, poses_of, tangents_of
+from scene.poses import matrices_of, motions_of, poses_of, tangents_of
 from scene.refinement import Refinement
 from scene.result import SceneResult
 from scene.scene_object import SceneObject
-from scene.structure_move import StructureMove
 
 MODES = 4
 MODE_RADIUS_M, MODE_RADIUS_RAD = 0.02, 0.5
@@ -81,7 +79,7 @@ def summarise(
         camera_from_object=best,
         mean=np.stack([mean for mean, _ in moments]),
         covariance=np.stack([covariance for _, covariance in moments]),
-        presence=_presence(model, start, refined, world_from_camera, config),
+        presence=expit(config.pixel_weight * start.log_odds),
         visible_fraction=refined.visible_fraction,
         mode_poses=np.stack([poses for poses, _ in modes]),
         mode_probabilities=np.stack([shares for _, shares in modes]),
@@ -146,38 +144,3 @@ def _edges(flat: Samples, model: SceneModel, count: int) -> tuple[NDArray[np.flo
             if on.any():
                 faces[child, parent] = np.divmod(np.bincount(pairs[on, child]).argmax(), 6)
     return probabilities, faces
-
-
-def _presence(
-    model: SceneModel,
-    start: Initialisation,
-    refined: Refinement,
-    world_from_camera: NDArray[np.float64],
-    config: ParseConfig,
-) -> NDArray[np.float64]:
-    """Probability (N,) of each object being there, given that the others are where they were found.
-
-    Prior odds times the evidence for the object over that for the scene without it, its pose integrated
-    out: a fit that only one of very many poses would give by chance does not count for much.
-    """
-    count = len(start.poses)
-    log_prior = _log_pose_priors(model, refined.means, start.found, pose_of(jnp.asarray(world_from_camera)))
-    log_odds = logit(config.presence) + refined.log_volume + np.asarray(log_prior)[:count]
-    return np.where(start.found, expit(log_odds), 0.0)
-
-
-@jax.jit
-def _log_pose_priors(model: SceneModel, poses: jax.Array, found: jax.Array, world: jax.Array) -> jax.Array:
-    """Log prior density (C,) of each pose, anywhere and on any of the others, in the measure of poses."""
-    spare = len(model.bodies.movable) - len(poses)
-    poses = jax.vmap(lambda pose: composed(world, pose))(poses)
-    table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -model.bodies.half_extents_m[-1, 2]]]), (spare, 1))
-    scene = floating_scene(jnp.concatenate([poses, table]), jnp.concatenate([found, jnp.ones(spare, bool)]))
-
-    def log_density(chosen: jax.Array) -> jax.Array:
-        others = jnp.sum(scene.present & (jnp.arange(len(scene.present)) != chosen))
-        log_tree = model.structure.log_density(scene.parents, scene.present, model.bodies.movable)
-        log_places = StructureMove().context(model, scene, chosen)
-        return jax.scipy.special.logsumexp(log_places) - log_tree - jnp.log(1.0 + others)
-
-    return jax.vmap(log_density)(jnp.arange(len(scene.present)))

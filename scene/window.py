@@ -52,9 +52,8 @@ def window_over(
     detail: int = 1,
 ) -> PixelWindow:
     """The finest window that holds the foreground pixels, `detail` times WINDOW_HEIGHT x WINDOW_WIDTH."""
-    rows, columns = np.nonzero(foreground)
-    low = np.array([rows.min(initial=0), columns.min(initial=0)])
-    high = np.array([rows.max(initial=0), columns.max(initial=0)]) + 1
+    places = np.argwhere(foreground) if foreground.any() else np.zeros((1, 2), np.int64)
+    low, high = places.min(axis=0), places.max(axis=0) + 1
     size = detail * np.array([WINDOW_HEIGHT, WINDOW_WIDTH])
     stride = max(1, int(np.ceil(((high - low) / (size - 2 * MARGIN_PX)).max())))
     first = (low + high - stride * size) // 2

@@ -74,7 +74,7 @@ def object_errors(
 
 
 def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str, bool]:
-    """Whether the most probable parent of each object is the true one, where the truth tells it.
+    """Whether the most probable parent of each object is the true one, where the truth tells it of `objects`.
 
     Objects of one shape stand for each other as parents.
     """
@@ -82,7 +82,7 @@ def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str
     names = [*scene.names.tolist(), TABLE]
     right: dict[str, bool] = {}
     for one in objects:
-        if one.parent is None:
+        if one.parent not in shapes:
             continue
         edges = np.zeros(len(names))
         if one.shape in names and scene.found[names.index(one.shape)]:

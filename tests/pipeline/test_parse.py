@@ -24,6 +24,7 @@ from scene.result import SceneResult
 from shapes.prior import ShapePrior
 
 SHAPES = ("box", "mug")
+ABSENT = ("can",)
 SHORT = ("-s", "parse.rounds=0", "-s", "parse.sweeps=18", "-s", "parse.chains=2")
 
 
@@ -36,9 +37,9 @@ def table() -> SyntheticRecording:
 
 @pytest.fixture(scope="module")
 def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same objects as files."""
+    """The same objects as files, and others that are not on the table."""
     folder = tmp_path_factory.mktemp("meshes")
-    for name in SHAPES:
+    for name in SHAPES + ABSENT:
         built_in_object(name).export(folder / f"{name}.ply")
     return folder
 
@@ -60,9 +61,10 @@ def parse(recording: Path, shapes: Path, run: Path, *more: str) -> Result:
 
 
 def test_objects_stand_where_they_are(table: SyntheticRecording, parsed: Path) -> None:
-    """Both within 5 mm ADD-S, on the table."""
+    """Both within 5 mm ADD-S, on the table; what is not there is not found."""
     document = json.loads((parsed / "summary.json").read_text())["parse"]
     found = {one["name"]: np.array(one["camera_from_object"]) for one in document["objects"]}
+    assert set(found) == set(SHAPES)
     camera_from_world = np.linalg.inv(table.trajectory.reference_from_camera[0])
     for true in table.truth.objects:
         points = model_points(trimesh.Trimesh(true.vertices_m, true.faces))
@@ -91,6 +93,19 @@ def test_eval_poses_tells_the_same_errors(table: SyntheticRecording, parsed: Pat
     assert {one["name"] for one in document["objects"] if one["parent_right"]} >= {"box"}
 
 
+def test_eval_poses_leaves_out_what_was_not_looked_for(parsed: Path, tmp_path: Path) -> None:
+    """Truth of another table, which has a bowl too: it is named, the others are judged."""
+    scene = TableScene(room=RoomConfig(kind="none"), path=PathConfig(frames=1, radius_m=0.8), objects=3)
+    meshes = {name: built_in_object(name) for name in (*SHAPES, "bowl")}
+    write_recording(film_table(meshes, scene, 4), tmp_path / "other.mcap")
+    command = ["eval", "poses", str(parsed), "--truth", str(tmp_path / "other.mcap")]
+    result = CliRunner().invoke(voxscene, command, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert "not looked for, and left out: bowl" in result.output
+    document = json.loads(CliRunner().invoke(voxscene, [*command, "--json"]).stdout)
+    assert sorted(one["name"] for one in document["objects"]) == sorted(SHAPES)
+
+
 def test_truth_and_recorded_poses_are_not_used(
     table: SyntheticRecording, meshes: Path, parsed: Path, tmp_path: Path
 ) -> None:
@@ -110,7 +125,7 @@ def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Pat
     recording = parsed.parent / "table.mcap"
     (tmp_path / "empty").mkdir()
     for shapes, more, told in [
-        (meshes, ("--objects", "cup"), "no shape 'cup'; there are box, mug"),
+        (meshes, ("--objects", "cup"), "no shape 'cup'; there are box, can, mug"),
         (meshes, ("--frames", "7"), "no depth frame 7"),
         (tmp_path / "empty", (), "holds no meshes"),
         (tmp_path / "nowhere", (), "no folder of shapes"),

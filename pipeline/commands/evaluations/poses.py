@@ -30,6 +30,7 @@ def command(common: Common, run: Path, truth: Path) -> None:
     """ADD-S of each object in RUN, which was parsed with the objects' own meshes.
 
     ADD-S is the mean distance from points of the object at its true pose to its surface at the pose found.
+    Objects of the truth that RUN did not look for are named and left out; so are false finds.
     """
     from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
     from pipeline.evaluation.truth import RecordedTruth
@@ -41,7 +42,11 @@ def command(common: Common, run: Path, truth: Path) -> None:
     if scene is None or values.surfaces is None:
         raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
     known = RecordedTruth(truth)
-    objects, times = known.scene.objects, known.trajectory.times_ns
+    times = known.trajectory.times_ns
+    objects = [one for one in known.scene.objects if one.shape in values.surfaces.by_name]
+    left_out = [one.name for one in known.scene.objects if one.shape not in values.surfaces.by_name]
+    if not objects:
+        raise PipelineError(f"{run} looked for none of the objects of {truth}: {', '.join(left_out)}")
     first = int(scene.frames[0])
     if first >= len(times):
         raise PipelineError(f"{truth} has no true camera for frame {first}: is it the recording of {run}?")
@@ -51,7 +56,10 @@ def command(common: Common, run: Path, truth: Path) -> None:
         known.camera_from_world(int(times[first])),
         scene.found_poses,
     )
-    document = summary_of_errors(errors, parents_right(scene, objects))
+    document = summary_of_errors(errors, parents_right(scene, objects)) | {
+        "not_looked_for": left_out,
+        "not_there": [name for name, _ in scene.found_poses if name not in {one.shape for one in objects}],
+    }
     common.report(document, _lines(document))
 
 
@@ -61,9 +69,7 @@ def _mesh(one: TrueObject, surfaces: Surfaces) -> trimesh.Trimesh:
 
     from pipeline.evaluation.truth import true_mesh
 
-    kept = surfaces.by_name.get(one.shape)
-    if kept is None:
-        return true_mesh(one)
+    kept = surfaces.by_name[one.shape]
     looked_for = trimesh.Trimesh(kept.vertices_m, kept.faces, process=False)
     if one.vertices_m is None:
         return looked_for
@@ -84,5 +90,9 @@ def _lines(document: dict[str, Any]) -> list[str]:
         f"{share:.0%} under {1000 * float(level):g} mm" for level, share in document["accuracy"].items()
     )
     largest = f"largest {1000 * document['largest_m']:.1f} mm"
+    if document["not_looked_for"]:
+        lines.append(f"not looked for, and left out: {', '.join(document['not_looked_for'])}")
+    if document["not_there"]:
+        lines.append(f"found, but not there: {', '.join(document['not_there'])}")
     lines.append(f"median {1000 * document['median_m']:.1f} mm, {largest}; {shares}")
     return lines
