@@ -89,7 +89,10 @@ def _lines(document: dict[str, Any]) -> list[str]:
     shares = ", ".join(
         f"{share:.0%} under {1000 * float(level):g} mm" for level, share in document["accuracy"].items()
     )
-    largest = f"largest {1000 * document['largest_m']:.1f} mm"
+    found = [one["add_s_m"] for one in document["objects"] if one["found"]]
+    missing = len(document["objects"]) - len(found)
+    largest = f"largest {1000 * max(found):.1f} mm" if found else "none found"
+    largest += f", {missing} missing" if missing else ""
     if document["not_looked_for"]:
         lines.append(f"not looked for, and left out: {', '.join(document['not_looked_for'])}")
     if document["not_there"]:
