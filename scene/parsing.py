@@ -27,7 +27,7 @@ from scene.model import ChainState, SceneModel, start_chain
 from scene.observation import unprojected
 from scene.pair_move import PairMove
 from scene.pose_moves import MixtureMove
-from scene.poses import composed, matrices_of, pose_of, poses_of
+from scene.poses import composed, pose_of
 from scene.prior import PosePrior, UniformTrees
 from scene.proposals import pose_proposals, round_axis
 from scene.refinement import refine
@@ -36,6 +36,7 @@ from scene.result import SceneResult
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.summary import Samples, summarise
+from shapes.poses import matrices_of, poses_of
 
 HEIGHT_M = 0.6
 """Floating objects are up to this far over the table."""

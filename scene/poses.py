@@ -21,23 +21,6 @@ def composed(first: jax.Array, second: jax.Array) -> jax.Array:
     return jnp.concatenate([product[:4] / jnp.linalg.norm(product[:4]), product[4:]])
 
 
-def matrices_of(poses: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Rigid transforms (..., 4, 4) of poses (..., 7), on the host."""
-    matrices = np.zeros((*poses.shape[:-1], 4, 4))
-    turns = Rotation.from_quat(np.asarray(poses, np.float64)[..., :4].reshape(-1, 4), scalar_first=True)
-    matrices[..., :3, :3] = turns.as_matrix().reshape(*poses.shape[:-1], 3, 3)
-    matrices[..., :3, 3] = poses[..., 4:]
-    matrices[..., 3, 3] = 1
-    return matrices
-
-
-def poses_of(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (..., 7) of rigid transforms (..., 4, 4), on the host."""
-    turns = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3))
-    wxyz = np.asarray(turns.as_quat(scalar_first=True)).reshape(*matrices.shape[:-2], 4)
-    return np.concatenate([wxyz, matrices[..., :3, 3]], axis=-1)
-
-
 def tangents_of(matrices: NDArray[np.floating]) -> NDArray[np.float64]:
     """Logarithms (..., 6) of rigid transforms (..., 4, 4), translation first as in jaxlie, on the host."""
     turns = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3)).as_rotvec()

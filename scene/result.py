@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.poses import matrices_of, poses_of
 from shapes.archive import load_fields, save_fields
+from shapes.poses import matrices_of, poses_of
 
 FORMAT_VERSION = 2
 TABLE = "table"

@@ -14,10 +14,11 @@ from scipy.special import expit
 from scene.config import ParseConfig
 from scene.initialisation import Initialisation
 from scene.model import SceneModel
-from scene.poses import matrices_of, motions_of, poses_of, tangents_of
+from scene.poses import motions_of, tangents_of
 from scene.refinement import Refinement
 from scene.result import SceneResult
 from scene.scene_object import SceneObject
+from shapes.poses import matrices_of, poses_of
 
 MODES = 4
 MODE_RADIUS_M, MODE_RADIUS_RAD = 0.02, 0.5

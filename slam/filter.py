@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from shapes.poses import matrices_of
 from slam import enumeration, pose_gaussian, smc
 from slam.calibration import Calibration
 from slam.config import SlamConfig
@@ -34,7 +35,7 @@ from slam.particles import (
     mean_and_covariance,
 )
 from slam.proposal import Component, Proposed, component_at, propose_all
-from slam.rigid import matrices_of, poses_of
+from slam.rigid import single_precision_poses
 from slam.search import GroupMap, Located, Searcher, distinct_places, worth_keeping
 
 COMPONENT_BUCKETS = (1, 2, 4, 8)
@@ -182,7 +183,7 @@ def _found(
     for group in range(0 if state.was_lost else groups.max() + 1):
         group_map = _group_map(state, np.where(groups == group, weights, 0.0), group)
         last = _mean(particles.pose, group_map.weights)[0]
-        starts = [] if odometry is None else [poses_of(matrices_of(last) @ odometry)]
+        starts = [] if odometry is None else [single_precision_poses(matrices_of(last) @ odometry)]
         if config.proposal != "kiss" or odometry is None:
             starts = [_mean(predicted, group_map.weights)[0], last, *starts]
         found.append(searcher.near(group_map, starts, hold if len(starts) > 1 else 0.0))

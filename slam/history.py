@@ -10,11 +10,11 @@ import jaxlie
 import numpy as np
 from scipy.special import logsumexp
 
+from shapes.poses import matrices_of
 from slam.filter_state import FilterState, FrameInfo
 from slam.joint_refinement import Placed
 from slam.particles import IDENTITY, CameraParticles, mean_and_covariance
 from slam.result import SlamResult
-from slam.rigid import matrices_of
 
 UNDERSTATED, DEGREES_OF_FREEDOM = 1.62, 9.0
 """By how much the curvature, tempered as the spread of the blocks' scores says, understates the variance of

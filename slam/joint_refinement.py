@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from shapes.poses import matrices_of
 from slam import pose_gaussian, pose_graph
 from slam.depth_view import DepthView, framing
 from slam.filter_state import FilterState
@@ -39,7 +40,6 @@ from slam.overlap import (
 from slam.particles import CameraParticles, grouped, mean_keyframes
 from slam.plane_fitting import region_planes
 from slam.pose_graph import PoseGraph
-from slam.rigid import matrices_of
 
 OVERLAPS = 6
 """Earlier keyframes with which each one is compared, both ways round."""

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from shapes.poses import matrices_of
 from slam import enumeration
 from slam.depth_view import DepthView, framing
 from slam.keyframe_map import KeyframeMap, selected_keyframes
 from slam.localisation import LocalMap, Optimum, local_optimum, optimum_at
 from slam.map_scores import climbed, log_map_scores
 from slam.particles import mean_keyframes
-from slam.rigid import matrices_of, poses_of
+from slam.rigid import single_precision_poses
 
 CONVINCING_EXPLAINED = 0.75
 CONVINCING_COVERED = 0.2
@@ -170,7 +171,7 @@ class Searcher:
         scores = self._map_scores(group, places, CLIMBED_BLUR)
         ranked = places[np.argsort(-scores, kind="stable")]
         best = enumeration.distinct(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
-        rendered = distinct_places([self._at(group, poses_of(pose)) for pose in ranked[best]])
+        rendered = distinct_places([self._at(group, single_precision_poses(pose)) for pose in ranked[best]])
         found = [self.near(group, [located.optimum.pose]) for located in rendered[:WIDE_REFINED]]
         return distinct_places(found)
 
@@ -192,7 +193,7 @@ class Searcher:
         self, group: GroupMap, candidates: NDArray[np.float64], blur: float
     ) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
-        padded = poses_of(_padded(candidates, 256))
+        padded = single_precision_poses(_padded(candidates, 256))
         scores = [
             np.asarray(log_map_scores(local_map, self.view, self.noise, padded, blur))
             for local_map in self._neighbourhoods(group)
@@ -201,7 +202,7 @@ class Searcher:
 
     def _climbed(self, group: GroupMap, starts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses (S', 4, 4) uphill of the starts (S, 4, 4), in each neighbourhood; strays are dropped."""
-        padded = poses_of(_padded(starts, WIDE_CLIMBED))
+        padded = single_precision_poses(_padded(starts, WIDE_CLIMBED))
         climbs = [
             np.asarray(climbed(local_map, self.view, self.noise, padded))[: len(starts)]
             for local_map in self._neighbourhoods(group)

@@ -1,8 +1,8 @@
 """Hypotheses rendered and scored a second, beside Embree with NumPy on the same poses.
 
 Every call gets poses that were never seen before, results reach the host, and compile time is apart. What is
-called is what `parse` calls: refinement and presence score poses by `log_likelihood_ratio`; the search asks
-for layers by `render_layers`, and the chains keep the same in tiles.
+called is what `parse` calls: refinement scores poses by `log_likelihood_ratio`; the search asks for layers by
+`render_layers`, and the chains keep the same in tiles.
 """
 
 from __future__ import annotations

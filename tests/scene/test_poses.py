@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.linalg import expm
 
-from scene.poses import matrices_of, motions_of, poses_of, tangents_of
+from scene.poses import motions_of, tangents_of
+from shapes.poses import matrices_of, poses_of
 
 
 def test_exponentials_and_logarithms_are_those_of_matrices(seed: int) -> None:

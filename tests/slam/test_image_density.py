@@ -22,7 +22,7 @@ from slam.keyframes import surface_of
 from slam.localisation import LocalMap, optimum_at
 from slam.plane_fitting import tangent_planes
 from slam.rendering import depth_on_rays, fused_planes, planes_in_frame, render
-from slam.rigid import poses_of
+from slam.rigid import single_precision_poses
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -175,7 +175,7 @@ def _local_map(keyframe_poses: np.ndarray) -> LocalMap:
     views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(keyframe_poses, seed=1)]
     surfaces = [surface_of(view, NOISE) for view in views]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *surfaces)
-    return LocalMap(stacked, jnp.ones(len(views), bool), poses_of(keyframe_poses))
+    return LocalMap(stacked, jnp.ones(len(views), bool), single_precision_poses(keyframe_poses))
 
 
 def test_rendering_shows_what_the_camera_would_see():
@@ -183,9 +183,9 @@ def test_rendering_shows_what_the_camera_would_see():
     local_map = _local_map(np.stack([box_room.pose(0, 0, 0), box_room.pose(0.2, 0, 0, 0.2)]))
     target = box_room.pose(0.1, 0.05, 0.1, 0.1)
     view = view_of_frame(box_room.frames(target[None])[0], box_room.INTRINSICS)
-    keyframes_from_camera = local_map.keyframes_from_camera(poses_of(target))
+    keyframes_from_camera = local_map.keyframes_from_camera(single_precision_poses(target))
 
-    image = _rendered(local_map, poses_of(target), view)
+    image = _rendered(local_map, single_precision_poses(target), view)
     planes, _ = jax.jit(fused_planes)(image, keyframes_from_camera)
     rendered = np.asarray(depth_on_rays(planes, view.rays))
 
@@ -198,7 +198,7 @@ def test_compiled_fusion_equals_plain_numpy():
     """XLA's CPU backend has miscompiled sums over layers; the fused planes must not be among them."""
     local_map = _local_map(np.stack([box_room.pose(0.05 * i, 0, 0, 0.05 * i) for i in range(4)]))
     view = view_of_frame(box_room.frames(box_room.pose(0.1, 0, 0)[None])[0], box_room.INTRINSICS)
-    poses = local_map.keyframes_from_camera(poses_of(box_room.pose(0.1, 0, 0)))
+    poses = local_map.keyframes_from_camera(single_precision_poses(box_room.pose(0.1, 0, 0)))
     image = render(local_map.surfaces, local_map.present, poses, view.rays, view.camera)
 
     fused, _ = jax.jit(fused_planes)(image, poses)
@@ -217,7 +217,7 @@ def test_candidates_compare_alike_under_either_of_two_renderings():
     truth = box_room.pose(0.08, 0.02, 0.05, 0.06)
     local_map = _local_map(np.stack([box_room.pose(0, 0, 0), box_room.pose(0.2, 0, 0, 0.15)]))
     view = view_of_frame(box_room.frames(truth[None], seed=3)[0], box_room.INTRINSICS)
-    optimum = jax.jit(optimum_at)(local_map, view, NOISE, poses_of(truth))
+    optimum = jax.jit(optimum_at)(local_map, view, NOISE, single_precision_poses(truth))
     exponent = 0.05
     spread = jnp.linalg.cholesky(jnp.linalg.inv(exponent * optimum.layer_precisions.sum(0)))
     candidates = [pose_gaussian.displaced(optimum.pose, spread[:, i]) for i in range(6)]
@@ -238,7 +238,7 @@ def test_float32_differences_of_log_densities_are_those_of_float64():
     truth = box_room.pose(0.08, 0.02, 0.05, 0.06)
     local_map = _local_map(np.stack([box_room.pose(0, 0, 0)]))
     view = view_of_frame(box_room.frames(truth[None], seed=3)[0], box_room.INTRINSICS)
-    near = local_map.keyframes_from_camera(poses_of(truth))
+    near = local_map.keyframes_from_camera(single_precision_poses(truth))
     pixels = scored_pixels(
         view, render(local_map.surfaces, local_map.present, near, view.rays, view.camera), NOISE
     )
@@ -273,7 +273,7 @@ def test_lattice_sees_planes_of_pixels():
     """Rendered depth of the lattice at the rendering's own pose is the rendering's."""
     local_map = _local_map(np.stack([box_room.pose(0, 0, 0)]))
     view = view_of_frame(box_room.frames(box_room.pose(0.05, 0, 0)[None])[0], box_room.INTRINSICS)
-    poses = local_map.keyframes_from_camera(poses_of(box_room.pose(0.05, 0, 0)))
+    poses = local_map.keyframes_from_camera(single_precision_poses(box_room.pose(0.05, 0, 0)))
     image = render(local_map.surfaces, local_map.present, poses, view.rays, view.camera)
 
     depth, _ = rendered_depth(scored_pixels(view, image, NOISE), poses)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from recordings.types import DepthNoise
+from shapes.poses import matrices_of
 from slam import filter as camera_filter
 from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, view_of_frame
 from slam.filter_state import FilterState
 from slam.joint_refinement import detail_of, refined
-from slam.rigid import matrices_of, poses_of
+from slam.rigid import single_precision_poses
 from tests.slam import box_room
 
 CONFIG = SlamConfig(particles=8)
@@ -45,7 +46,7 @@ def _drifted(state: FilterState) -> FilterState:
     used = len(state.keyframe_map)
     matrices = matrices_of(particles.keyframe_poses)
     matrices[:, :used, 0, 3] += DRIFT_M * np.arange(used)
-    particles = replace(particles, keyframe_poses=poses_of(matrices))
+    particles = replace(particles, keyframe_poses=single_precision_poses(matrices))
     return replace(state, population=replace(state.population, particles=particles))
 
 

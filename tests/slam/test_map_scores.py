@@ -10,7 +10,7 @@ from slam.depth_view import view_of_frame
 from slam.keyframes import surface_of
 from slam.localisation import LocalMap
 from slam.map_scores import climbed, log_map_scores
-from slam.rigid import poses_of
+from slam.rigid import single_precision_poses
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -22,13 +22,13 @@ OFFSETS = [[0.1, -0.05, 0.08, 0, 0, 0], [0, 0, 0, 0.1, -0.1, 0.08], [-0.08, 0.06
 def _local_map() -> LocalMap:
     views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(KEYFRAMES, seed=1)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(surface_of(view, NOISE) for view in views))
-    return LocalMap(stacked, jnp.ones(len(views), bool), poses_of(KEYFRAMES))
+    return LocalMap(stacked, jnp.ones(len(views), bool), single_precision_poses(KEYFRAMES))
 
 
 def test_neighbours_climb_to_the_mode_and_score_as_it_does():
     """From a tenth of a metre and of a radian away to a fifth of that, where a rendering goes on."""
     view = view_of_frame(box_room.frames(TRUTH[None], seed=2)[0], box_room.INTRINSICS)
-    true = poses_of(TRUTH[None])[0]
+    true = single_precision_poses(TRUTH[None])[0]
     starts = jax.vmap(lambda xi: pose_gaussian.displaced(true, xi))(jnp.asarray(OFFSETS, jnp.float32))
     local_map = _local_map()
 

@@ -10,7 +10,7 @@ from slam import pose_gaussian
 from slam.depth_view import FINE_CANVAS, view_of_frame
 from slam.overlap import LOG_OUTLIER, OUTLIER_SHARE, PlaneImage, PointSample, overlap_terms, sampled
 from slam.plane_fitting import region_planes
-from slam.rigid import poses_of
+from slam.rigid import single_precision_poses
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -61,7 +61,7 @@ def test_terms_of_an_overlap_are_those_of_autodiff():
     surface, _ = _keyframe(SURFACE, 1)
     _, sample = _keyframe(IMAGE, 2)
     off = pose_gaussian.displaced(
-        poses_of((np.linalg.inv(SURFACE) @ IMAGE)[None])[0], jnp.asarray(OFF, jnp.float32)
+        single_precision_poses((np.linalg.inv(SURFACE) @ IMAGE)[None])[0], jnp.asarray(OFF, jnp.float32)
     )
 
     terms = overlap_terms(surface, jax.tree.map(lambda leaf: leaf[None], sample), off[None], NOISE, 1.0)
