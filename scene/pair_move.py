@@ -12,12 +12,12 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
+from scene.edges import contacts_gained, grafted, inverse_cdf, place_of
 from scene.graph import ROOT, SceneGraph, subtree
 from scene.involution import choose_object
 from scene.model import SceneModel
 from scene.prior import log_contacts_of, log_floating
 from scene.rotation_densities import LOG_CONTACT_JACOBIAN
-from scene.structure_move import contacts_gained, grafted, inverse_cdf, place_of
 
 Auxiliary = tuple[jax.Array, jax.Array]
 """The other object, and the places (2,) of both in their tables."""

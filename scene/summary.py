@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
 from scene.config import ParseConfig
+from scene.found_objects import FoundObjects
+from scene.graph import ROOT
 from scene.initialisation import Initialisation
-from scene.model import SceneModel
 from scene.poses import motions_of, tangents_of
-from scene.refinement import Refinement
 from scene.result import SceneResult
 from scene.scene_object import SceneObject
 from shapes.poses import matrices_of, poses_of
@@ -39,41 +38,56 @@ class Samples:
         accepted: (...) share of the moves of poses before it that were accepted.
     """
 
-    poses: jax.Array
-    parents: jax.Array
-    parent_faces: jax.Array
-    child_faces: jax.Array
-    log_posterior: jax.Array
-    accepted: jax.Array
+    poses: NDArray[np.float64]
+    parents: NDArray[np.int32]
+    parent_faces: NDArray[np.int32]
+    child_faces: NDArray[np.int32]
+    log_posterior: NDArray[np.float64]
+    accepted: NDArray[np.float64]
 
     @classmethod
     def joined(cls, blocks: Sequence[Samples]) -> Samples:
         """Blocks (count, chains, ...) after one another."""
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *blocks)
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *blocks)
 
 
 def summarise(
     samples: Samples,
-    model: SceneModel,
+    chosen: FoundObjects,
     start: Initialisation,
-    refined: Refinement,
+    visible_fraction: NDArray[np.float64],
     world_from_camera: NDArray[np.float64],
     objects: Sequence[SceneObject],
     frames: NDArray[np.int64],
     config: ParseConfig,
     log_estimate_variance: float,
 ) -> SceneResult:
-    """The result in the first camera and in the objects' own frames."""
+    """The result in the first camera and in the objects' own frames; what was not found stands still.
+
+    Args:
+        samples: of the chosen objects.
+        chosen: which of all these are.
+        start: the best scene of all objects.
+        visible_fraction: (N,).
+        world_from_camera: (4, 4).
+        objects: all N.
+        frames: numbers of the frames used.
+        config: settings.
+        log_estimate_variance: of the log likelihood's estimate.
+    """
     count = len(objects)
     kept, chains = samples.log_posterior.shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(kept * chains, *leaf.shape[2:]), samples)
+    flat = _of_all(flat, chosen)
     box_from_object = matrices_of(np.stack([[1.0, 0, 0, 0, *(-one.centre_m)] for one in objects]))
-    in_world = matrices_of(np.asarray(flat.poses[:, :count]))
-    poses = np.linalg.inv(world_from_camera) @ in_world @ box_from_object
-    best = matrices_of(start.poses) @ box_from_object
+    starts, in_world = matrices_of(start.poses), matrices_of(flat.poses)
+    in_camera = np.where(
+        start.found[:, None, None], np.linalg.inv(world_from_camera) @ in_world, starts[None]
+    )
+    poses, best = in_camera @ box_from_object, starts @ box_from_object
     moments = [_moments(poses[:, one], best[one]) for one in range(count)]
     modes = [_modes(poses[:, one]) for one in range(count)]
-    edges, faces = _edges(flat, model, count)
+    edges, faces = _edges(flat, count)
     return SceneResult(
         names=np.array([one.name for one in objects]),
         frames=np.asarray(frames, np.int64),
@@ -81,17 +95,33 @@ def summarise(
         mean=np.stack([mean for mean, _ in moments]),
         covariance=np.stack([covariance for _, covariance in moments]),
         presence=expit(config.pixel_weight * start.log_odds),
-        visible_fraction=refined.visible_fraction,
+        visible_fraction=visible_fraction,
         mode_poses=np.stack([poses for poses, _ in modes]),
         mode_probabilities=np.stack([shares for _, shares in modes]),
         edge_probabilities=edges,
         edge_faces=faces,
         sample_poses=poses_of(poses),
-        sample_parents=np.asarray(flat.parents[:, :count], np.int32),
-        sample_log_posteriors=np.asarray(flat.log_posterior),
+        sample_parents=flat.parents,
+        sample_log_posteriors=flat.log_posterior,
         chain=np.tile(np.arange(chains, dtype=np.int32), kept),
-        acceptance=np.asarray(np.mean(flat.accepted)),
+        acceptance=np.asarray(np.mean(flat.accepted), np.float64),
         log_estimate_variance=np.asarray(log_estimate_variance),
+    )
+
+
+def _of_all(flat: Samples, chosen: FoundObjects) -> Samples:
+    """Samples (S, ...) of slots as those of all objects; what was not found floats nowhere."""
+    kept = len(flat.log_posterior)
+    parents = chosen.parents(flat.parents)
+    nowhere = np.tile([1.0, 0, 0, 0, 0, 0, 0], (kept, chosen.count, 1))
+    none = np.zeros((kept, chosen.count), np.int32)
+    return Samples(
+        chosen.spread(flat.poses, nowhere),
+        chosen.spread(parents, none + ROOT),
+        chosen.spread(flat.parent_faces, none),
+        chosen.spread(flat.child_faces, none),
+        flat.log_posterior,
+        flat.accepted,
     )
 
 
@@ -132,16 +162,14 @@ def _near(matrices: NDArray[np.float64], centre: NDArray[np.float64]) -> NDArray
     return (distance < MODE_RADIUS_M) & (cosine > np.cos(MODE_RADIUS_RAD))
 
 
-def _edges(flat: Samples, model: SceneModel, count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _edges(flat: Samples, count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Probability (N, N + 1) of every edge, and its most frequent faces (N, N + 1, 2)."""
-    parents = np.asarray(flat.parents)[:, :count]
-    pairs = np.asarray(flat.child_faces)[:, :count] * 6 + np.asarray(flat.parent_faces)[:, :count]
+    pairs = flat.child_faces * 6 + flat.parent_faces
     probabilities = np.zeros((count, count + 1))
     faces = np.full((count, count + 1, 2), -1, np.int32)
     for child in range(count):
-        for parent in range(len(model.bodies.movable)):
-            on = parents[:, child] == parent
+        for parent in np.unique(flat.parents[:, child][flat.parents[:, child] != ROOT]):
+            on = flat.parents[:, child] == parent
             probabilities[child, parent] = on.mean()
-            if on.any():
-                faces[child, parent] = np.divmod(np.bincount(pairs[on, child]).argmax(), 6)
+            faces[child, parent] = np.divmod(np.bincount(pairs[on, child]).argmax(), 6)
     return probabilities, faces

@@ -3,7 +3,7 @@
 import numpy as np
 
 from scene.detection import SupportPlane
-from scene.parsing import space_of
+from scene.sampling import space_of
 
 
 def test_chains_start_where_objects_can_be() -> None:

@@ -1,0 +1,246 @@
+"""The chains of a parse: their target, their kernel, and how they are run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.adaptation import adapted
+from scene.chain import Kernel, run_block, scene_kernel
+from scene.config import ParseConfig
+from scene.contact import TOP_FACE
+from scene.depth_images import DepthImages, log_estimates
+from scene.detection import SupportPlane
+from scene.graph import Bodies, SceneGraph, floating_scene
+from scene.initialisation import Initialisation
+from scene.model import ChainState, SceneModel, start_chain
+from scene.pair_move import PairMove
+from scene.pose_moves import MixtureMove
+from scene.poses import composed, pose_of
+from scene.prior import PosePrior, UniformTrees
+from scene.proposals import pose_proposals, round_axis
+from scene.refinement import Refinement
+from scene.rendering import ObjectRenderer
+from scene.scene_data import SceneData
+from scene.scene_object import SceneObject
+from scene.summary import Samples
+
+HEIGHT_M = 0.6
+"""Floating objects are up to this far over the table."""
+TABLE_HALF_THICKNESS_M = 0.01
+FREE_HALF_SIZE_M = 1.5
+"""Of the cuboid in front of the camera that holds objects where there is no table."""
+SPACE_MARGIN_M = 0.05
+"""Of that cuboid round the places where chains start."""
+WALK_M, WALK_RAD = 0.004, 0.05
+PRIOR_SHARE = 0.05
+LARGEST_VARIANCE = 3.0
+"""Of the log likelihood's estimate; above it only a share of the shapes is drawn anew with a pose."""
+CORRELATED_SHARE = 0.2
+ESTIMATES = 16
+BURN_IN_BLOCKS = 2
+"""Parts of the run after each of which proposals are fitted anew; as many again, twice, are kept."""
+TOGETHER = 2
+"""Chains in a kernel; kernels run side by side, each on a core."""
+
+
+def sampled(
+    key: jax.Array,
+    views: Sequence[SceneData],
+    camera_from_world: NDArray[np.float64],
+    world_from_camera: NDArray[np.float64],
+    table: SupportPlane | None,
+    objects: Sequence[SceneObject],
+    start: Initialisation,
+    refined: Refinement,
+    noise: DepthNoise,
+    config: ParseConfig,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Samples, float]:
+    """Samples of the scenes that the views show, and the variance of the log likelihood's estimate.
+
+    Args:
+        key: random key.
+        views: one a frame.
+        camera_from_world: (F, 4, 4) of the frames; the world is the table's frame.
+        world_from_camera: (4, 4) of the frame that was searched.
+        table: in that frame's camera.
+        objects: that a scene may hold.
+        start: the best scene of these objects, in the searched frame's camera.
+        refined: Gaussians on their poses.
+        noise: of the sensor and the surfaces together.
+        config: settings.
+        progress: called with blocks of moves done and in all.
+    """
+    likelihood = DepthImages.of(
+        views,
+        camera_from_world,
+        ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
+        noise,
+        config.pixel_weight,
+        objects=len(objects),
+        draws=max(config.shape_samples, 1),
+    )
+    starts = start.poses[start.found, 4:] @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
+    model = _model(table, objects, likelihood, space_of(table, starts), config)
+    world = pose_of(jnp.asarray(world_from_camera))
+    bodies = len(model.bodies.movable)
+    axes = jnp.asarray([round_axis(one) for one in objects] + [-1] * (bodies - len(objects)))
+    kernel = scene_kernel(
+        pose_proposals(start, refined, config.pixel_weight, world, axes),
+        prior_share=PRIOR_SHARE,
+        translation_m=jnp.full(bodies, WALK_M),
+        rotation_rad=jnp.full(bodies, WALK_RAD),
+        axes=axes,
+        structure=PairMove() if config.graph == "infer" else None,
+    )
+    return _sample(key, model, kernel, axes, start, world, config, progress)
+
+
+def space_of(
+    table: SupportPlane | None, starts_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of the cuboid that holds floating objects: over the table, or before the camera without one.
+
+    It is widened to hold the centres (N, 3) where chains start, so that none starts where it cannot be.
+    """
+    if table is None:
+        low = np.array([-FREE_HALF_SIZE_M, -FREE_HALF_SIZE_M, 0.0])
+        high = np.array([FREE_HALF_SIZE_M, FREE_HALF_SIZE_M, 2 * FREE_HALF_SIZE_M])
+    else:
+        low = np.append(-table.half_size_m, -TABLE_HALF_THICKNESS_M)
+        high = np.append(table.half_size_m, HEIGHT_M)
+    return (
+        np.minimum(low, np.min(starts_m - SPACE_MARGIN_M, axis=0, initial=np.inf)),
+        np.maximum(high, np.max(starts_m + SPACE_MARGIN_M, axis=0, initial=-np.inf)),
+    )
+
+
+def _model(
+    table: SupportPlane | None,
+    objects: Sequence[SceneObject],
+    likelihood: DepthImages,
+    space: tuple[NDArray[np.float64], NDArray[np.float64]],
+    config: ParseConfig,
+) -> SceneModel:
+    """The target in the table's frame; the table is the last body, a slab under z = 0."""
+    half_extents = [one.half_extents_m for one in objects]
+    movable = [True] * len(objects)
+    supporting = [[True] * 6 for _ in objects]
+    if table is not None:
+        half_extents.append(np.append(table.half_size_m, TABLE_HALF_THICKNESS_M))
+        movable.append(False)
+        supporting.append([face == TOP_FACE for face in range(6)])
+    bodies = Bodies(jnp.asarray(np.stack(half_extents)), jnp.asarray(movable), jnp.asarray(supporting))
+    prior = PosePrior(
+        low_m=jnp.asarray(space[0]),
+        high_m=jnp.asarray(space[1]),
+        contact_sigma_m=jnp.asarray(config.contact_sigma_m),
+        contact_concentration=jnp.asarray(config.contact_concentration),
+        slack_share=jnp.asarray(config.slack_share),
+    )
+    return SceneModel(bodies, prior, UniformTrees(), likelihood)
+
+
+def _sample(
+    key: jax.Array,
+    model: SceneModel,
+    kernel: Kernel,
+    axes: jax.Array,
+    start: Initialisation,
+    world: jax.Array,
+    config: ParseConfig,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Samples, float]:
+    """Chains from the best scene found; the first third of their sweeps teaches the proposals.
+
+    Then the variance of the log likelihood's estimate, which is returned too, tells whether all shapes are
+    drawn anew for a new pose, or a share of them.
+    """
+    start_key, run_key, variance_key = jax.random.split(key, 3)
+    spare = len(model.bodies.movable) - len(start.poses)
+    keys = jax.random.split(start_key, config.chains)
+    states = _start(keys, model, start.poses, start.found, world, spare)
+    if not start.found.any():
+        nothing = jnp.zeros_like(states.log_prior)
+        recorded = _samples(_scene_and_value(states), nothing)
+        return jax.tree.map(lambda leaf: leaf[None], recorded), 0.0
+    groups = [
+        jax.tree.map(lambda leaf, first=first: leaf[first : first + TOGETHER], states)
+        for first in range(0, config.chains, TOGETHER)
+    ]
+    blocks = BURN_IN_BLOCKS * 3
+    count = -(-config.sweeps // blocks)
+    kept: list[Samples] = []
+    variance = 0.0
+    for block in range(blocks):
+        block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
+        groups, samples = _advanced(block_keys, groups, model, kernel, count)
+        if block < BURN_IN_BLOCKS:
+            kernel = _taught(kernel, axes, samples)
+        else:
+            kept.append(samples)
+        if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
+            likelihood = model.likelihood
+            assert isinstance(likelihood, DepthImages)
+            spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
+            variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
+            share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
+            model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
+        if progress:
+            progress(block + 1, blocks)
+    return Samples.joined(kept), variance
+
+
+def _advanced(
+    keys: jax.Array, groups: Sequence[ChainState], model: SceneModel, kernel: Kernel, count: int
+) -> tuple[list[ChainState], Samples]:
+    """Groups of chains after `count` sweeps more, side by side on all cores, and the states of all chains."""
+
+    def run(key: jax.Array, states: ChainState) -> tuple[ChainState, Samples]:
+        with jax.enable_x64(True):  # of this thread
+            states, scenes, info = run_block(key, states, model, kernel, count, _scene_and_value)
+            return states, _samples(scenes, jnp.mean(info.poses.accepted, axis=-1))
+
+    with ThreadPoolExecutor(len(groups)) as cores:
+        states, samples = zip(*cores.map(run, keys, groups), strict=True)
+    return list(states), jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *samples)
+
+
+def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
+    """The kernel with proposals fitted to the states that its chains went through."""
+    states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
+    mixture = adapted(kernel.candidates.offer.mixture, axes, states.poses, states.log_posterior)
+    draw = replace(kernel.candidates.offer, mixture=mixture)
+    others = tuple(draw if isinstance(move, MixtureMove) else move for move in kernel.others)
+    return replace(kernel, candidates=replace(kernel.candidates, offer=draw), others=others)
+
+
+@partial(jax.jit, static_argnames="spare")
+def _start(
+    keys: jax.Array, model: SceneModel, poses: jax.Array, found: jax.Array, world: jax.Array, spare: int
+) -> ChainState:
+    """The states of chains that all start at these poses (N, 7) camera_from_box, everything floating."""
+    poses = jax.vmap(lambda pose: composed(world, pose))(poses)
+    table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]]), (spare, 1))
+    scene = floating_scene(jnp.concatenate([poses, table]), jnp.concatenate([found, jnp.ones(spare, bool)]))
+    return jax.vmap(lambda key: start_chain(key, model, scene))(keys)
+
+
+def _scene_and_value(state: ChainState) -> tuple[SceneGraph, jax.Array]:
+    return state.scene, state.log_posterior
+
+
+def _samples(recorded: tuple[SceneGraph, jax.Array], accepted: jax.Array) -> Samples:
+    scene, log_posterior = recorded
+    faces = scene.parent_faces, scene.child_faces
+    leaves = scene.poses, scene.parents, *faces, log_posterior, accepted
+    return Samples(*map(np.asarray, leaves))

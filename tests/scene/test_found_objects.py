@@ -1,0 +1,48 @@
+"""Chains carry the objects that were found, and what they say is told of all objects again."""
+
+import numpy as np
+import pytest
+
+from scene.found_objects import SLOTS, FoundObjects
+from scene.initialisation import Initialisation
+
+
+def beginning(found: np.ndarray, rng: np.random.Generator) -> Initialisation:
+    """A best scene in which these (N,) were found."""
+    count = len(found)
+    return Initialisation(
+        poses=rng.normal(size=(count, 7)),
+        found=found,
+        log_odds=rng.normal(size=count),
+        pools=rng.normal(size=(count, 4, 7)),
+        log_gains=rng.normal(size=(count, 5)),
+    )
+
+
+@pytest.mark.parametrize("count", [1, 4, 21, 40])
+def test_values_return_to_their_objects(count: int, seed: int) -> None:
+    """Poses and parents by slot are those of the objects that were found; the others keep what they had."""
+    rng = np.random.default_rng(seed)
+    start = beginning(rng.random(count) < 0.5, rng)
+    some = FoundObjects.of(start)
+
+    theirs = some.only(start)
+
+    indices = np.flatnonzero(start.found)
+    assert len(theirs.poses) == len(some.taken(range(count))) == some.slots >= max(len(indices), 1)
+    assert theirs.found.sum() == len(indices)
+    elsewhere = rng.normal(size=(1, count, 7))
+    everywhere = some.spread(theirs.poses[None], elsewhere)[0]
+    np.testing.assert_array_equal(everywhere, np.where(start.found[:, None], start.poses, elsewhere[0]))
+    table, slots = some.slots, np.arange(len(indices))
+    np.testing.assert_array_equal(some.parents(slots), indices)
+    np.testing.assert_array_equal(some.parents(np.array([table, -1])), [count, -1])
+
+
+def test_few_sizes_are_compiled(seed: int) -> None:
+    """Any number of objects found leads to one of few sizes, at most half as large again."""
+    rng = np.random.default_rng(seed)
+    sizes = {count: FoundObjects.of(beginning(np.ones(count, bool), rng)).slots for count in range(1, 55)}
+
+    assert set(sizes.values()) == {*SLOTS, 2 * SLOTS[-1]}
+    assert all(count <= size <= max(1.7 * count, count + 1) for count, size in sizes.items() if count <= 27)
