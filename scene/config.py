@@ -26,8 +26,12 @@ class ParseConfig:
         search_error_m: the same during the search, where poses are coarse.
         outlier_probability: share of pixels that show what nobody models.
         contact_sigma_m: standard deviation of the gap between faces in contact.
+        loose_sigma_m: the same of rests whose surfaces meet elsewhere than on the faces.
         contact_concentration: kappa of the direction of contact about flush.
         slack_share: weight of rests that are not flush with a face.
+        upward_concentration: kappa of the face that carries another about the one that points up; of
+            effect where there is a table, as `floating_weight`.
+        floating_weight: odds of an object that rests on nothing against one given supporter.
     """
 
     objects: tuple[str, ...] = ()
@@ -44,8 +48,11 @@ class ParseConfig:
     search_error_m: float = 0.003
     outlier_probability: float = 0.1
     contact_sigma_m: float = 0.005
+    loose_sigma_m: float = 0.02
     contact_concentration: float = 500.0
     slack_share: float = 0.1
+    upward_concentration: float = 10.0
+    floating_weight: float = 0.02
 
     def __post_init__(self) -> None:
         if not self.frames or min(self.frames) < 0 or list(self.frames) != sorted(set(self.frames)):
@@ -56,7 +63,8 @@ class ParseConfig:
             raise ValueError(f"pixel_weight must lie in (0, 1], got {self.pixel_weight}")
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
             raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")
-        if min(self.contact_sigma_m, self.contact_concentration, self.search_error_m) <= 0:
-            raise ValueError("contact_sigma_m, contact_concentration and search_error_m must be positive")
+        scales = self.contact_sigma_m, self.loose_sigma_m, self.contact_concentration, self.search_error_m
+        if min(*scales, self.floating_weight) <= 0 or self.upward_concentration < 0:
+            raise ValueError("sigmas, errors, concentrations and floating_weight must be positive")
         if not 0 <= self.slack_share < 1 or not 0 < self.outlier_probability < 1:
             raise ValueError("slack_share must lie in [0, 1), outlier_probability between 0 and 1")

@@ -38,6 +38,10 @@ class GraphTable(BlindToPoses):
         """Log p(G)."""
         return self.log_values[tree_code(parents)]
 
+    def log_floating_odds(self) -> jax.Array:
+        """None: acceptance alone knows the table."""
+        return jnp.zeros((), self.log_values.dtype)
+
     def start(self, key: jax.Array, scene: SceneGraph) -> Estimate:  # noqa: ARG002
         """Log p(data | G)."""
         return Estimate(self.log_values[tree_code(scene.parents)], ())

@@ -37,7 +37,8 @@ class PairMove:
     """New edges for the chosen object and another one, which is uniform among the rest.
 
     Both are drawn together from p(theta' | G') x (8 for each contact) over all pairs of edges without a
-    circle, given the graph without both: the same table both ways, and a Gibbs step where p(G) is uniform.
+    circle, given the graph without both: the same table both ways, and a Gibbs step where p(G) weighs
+    nothing but floating objects.
     A single object gets an edge alone.
     """
 
@@ -98,7 +99,8 @@ def _tables(context: _Context, other: jax.Array) -> tuple[jax.Array, jax.Array, 
 
     def log_weights(one: jax.Array) -> jax.Array:
         contacts = log_contacts_of(model.prior, model.bodies, scene.poses, one) + LOG_CONTACT_JACOBIAN
-        return jnp.concatenate([log_floating(model.prior, scene.poses[one, 4:])[None], contacts.ravel()])
+        floating = log_floating(model.prior, scene.poses[one, 4:]) + model.structure.log_floating_odds()
+        return jnp.concatenate([floating[None], contacts.ravel()])
 
     def over_places(parents: jax.Array, root: bool) -> jax.Array:
         return jnp.concatenate([jnp.full((2, 1), root), jnp.repeat(parents, 36, axis=1)], axis=1)

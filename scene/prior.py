@@ -46,17 +46,22 @@ class PosePrior:
 
     Attributes:
         low_m, high_m: (3,) corners of the cuboid in the world that holds the centres of floating objects.
-        contact_sigma_m: standard deviation of the gap z between two faces.
+        contact_sigma_m: standard deviation of the gap z between two faces that meet.
+        loose_sigma_m: the same where the surfaces meet elsewhere, as in a bowl or under a handle.
         contact_concentration: kappa of the von Mises-Fisher density of eta about flush contact.
-        slack_share: weight of the uniform hemisphere in eta's density, for rests that are not flush with
-            a face of the bounding box; the rest is von Mises-Fisher.
+        slack_share: weight of the loose gap in z's density, and of the uniform hemisphere in eta's, for rests
+            that are not flush with a face of the bounding box.
+        upward_concentration: kappa of the parent's face, p(f') in proportion to exp(kappa n_z) with the
+            upward part n_z of its normal: things rest on what points up. 0 is the supplement's uniform f'.
     """
 
     low_m: jax.Array
     high_m: jax.Array
     contact_sigma_m: jax.Array
+    loose_sigma_m: jax.Array
     contact_concentration: jax.Array
     slack_share: jax.Array
+    upward_concentration: jax.Array
 
 
 class StructurePrior(Protocol):
@@ -66,20 +71,42 @@ class StructurePrior(Protocol):
         """Log p of the tree with these parents (C,), over the present objects."""
         ...
 
+    def log_floating_odds(self) -> jax.Array:
+        """Log odds at which moves of the graph propose the root against any other parent."""
+        ...
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class UniformTrees:
-    """Every tree over the N present free objects alike: 1/(N+1)^(N-1), with the table 1/(2 (N+2)^(N-1))."""
+class WeightedTrees:
+    """Every floating object counts w, every supported one 1, so that w = 1 is uniform.
+
+    The weights of all trees over N present free objects sum to w (w + N)^(N-1), with the table to
+    (w + 1) (w + 1 + N)^(N-1) (Cayley's formula with weights).
+
+    Attributes:
+        floating_weight: w, the odds of floating against resting on one given supporter.
+    """
+
+    floating_weight: jax.Array
+
+    @classmethod
+    def uniform(cls) -> WeightedTrees:
+        """The supplement's p(G)."""
+        return cls(jnp.ones(()))
 
     def log_density(self, parents: jax.Array, present: jax.Array, movable: jax.Array) -> jax.Array:
-        """Log p(G), the same for every tree."""
+        """Log p(G)."""
         free = jnp.sum(present & movable)
-        fixed = jnp.sum(present & ~movable)
-        dtype = jnp.result_type(float)
-        log_base = jnp.log((free + fixed + 1).astype(dtype))
-        log_fixed = jnp.log((fixed + 1).astype(dtype))
-        return -(free - 1) * log_base - log_fixed + jnp.zeros(parents.shape[:-1], dtype)
+        weight = self.floating_weight
+        grounded = weight + jnp.sum(present & ~movable)
+        log_sum = jnp.log(grounded) + (free - 1) * jnp.log(grounded + free)
+        floating = jnp.sum((parents == ROOT) & present & movable, axis=-1)
+        return floating * jnp.log(weight) - jnp.where(free > 0, log_sum, 0.0)
+
+    def log_floating_odds(self) -> jax.Array:
+        """Log w, which makes a draw of edges in proportion to the prior."""
+        return jnp.log(self.floating_weight)
 
 
 def log_floating(prior: PosePrior, position_m: jax.Array) -> jax.Array:
@@ -94,7 +121,7 @@ def log_contact(
     prior: PosePrior,
     box: RelativeBox,
     parent_half_extents_m: jax.Array,
-    parent_supports: jax.Array,
+    log_parent_faces: jax.Array,
     child_half_extents_m: jax.Array,
     parent_face: jax.Array,
     child_face: jax.Array,
@@ -105,7 +132,7 @@ def log_contact(
         prior: parameters.
         box: the child as its parent sees it.
         parent_half_extents_m: (3,).
-        parent_supports: (6,) faces of the parent on which others may rest; its face is uniform over them.
+        log_parent_faces: (6,) log p(f'), `log_supporting_faces`.
         child_half_extents_m: (3,).
         parent_face: the parent's face.
         child_face: the child's.
@@ -113,17 +140,33 @@ def log_contact(
     on_face, gap_m, eta_z = face_contact(
         box, parent_half_extents_m, child_half_extents_m, parent_face, child_face
     )
-    supports = jnp.any(parent_supports & (jnp.arange(6) == parent_face))
-    log_faces = -_LOG_CHILD_FACES - jnp.log(jnp.sum(parent_supports))
+    log_faces = log_parent_faces[parent_face] - _LOG_CHILD_FACES
     in_plane = jnp.arange(3) != parent_face >> 1
     log_area = jnp.sum(jnp.where(in_plane, jnp.log(2 * parent_half_extents_m), 0.0))
     log_density = log_faces - log_area + log_gap(prior, gap_m) + log_eta(prior, eta_z) - _LOG_CIRCLE
-    return jnp.where(on_face & supports, log_density, -jnp.inf)
+    return jnp.where(on_face, log_density, -jnp.inf)
+
+
+def log_supporting_faces(prior: PosePrior, supporting: jax.Array, pose: jax.Array) -> jax.Array:
+    """Log probability (..., 6) that each face of an object at poses (..., 7) is the one that carries another.
+
+    Args:
+        prior: parameters.
+        supporting: (..., 6) bool, faces that can.
+        pose: world_from_object; the world's third axis points up.
+    """
+    w, x, y, z = jnp.moveaxis(pose[..., :4], -1, 0)
+    up = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    upward = jnp.stack([-up, up], axis=-1).reshape(supporting.shape)
+    weights = jnp.where(supporting, jnp.exp(prior.upward_concentration * (upward - 1)), 0.0)
+    return jnp.log(weights) - jnp.log(jnp.sum(weights, axis=-1, keepdims=True))
 
 
 def log_gap(prior: PosePrior, gap_m: jax.Array) -> jax.Array:
-    """Log density of the gap z between two faces, Normal(0, sigma_z)."""
-    return -0.5 * (gap_m / prior.contact_sigma_m) ** 2 - jnp.log(prior.contact_sigma_m) - _LOG_SQRT_2PI
+    """Log density of the gap z between two faces: two normals, of mean zero."""
+    sigmas = prior.contact_sigma_m, prior.loose_sigma_m
+    met, loose = (jnp.exp(-0.5 * (gap_m / sigma) ** 2) / sigma for sigma in sigmas)
+    return jnp.log((1 - prior.slack_share) * met + prior.slack_share * loose) - _LOG_SQRT_2PI
 
 
 def log_eta(prior: PosePrior, eta_z: jax.Array) -> jax.Array:
@@ -159,11 +202,9 @@ def log_contacts_of(prior: PosePrior, bodies: Bodies, poses: jax.Array, child: j
     log_etas = jnp.where(alike, log_eta_alike[:, :, None, :, None], log_eta_opposed[:, :, None, :, None])
     log_sizes = jnp.log(2 * half_extents)
     log_areas = jnp.sum(log_sizes, axis=1, keepdims=True) - log_sizes
-    log_faces = -_LOG_CHILD_FACES - jnp.log(jnp.sum(bodies.supporting_faces, axis=1))
-    log_face = jnp.where(
-        bodies.supporting_faces.reshape(-1, 3, 2), (log_faces[:, None] - log_areas)[..., None], -jnp.inf
-    )
-    log_density = log_gap(prior, gaps_m) + log_etas + (log_face - _LOG_CIRCLE)[:, :, :, None, None]
+    log_parent_faces = log_supporting_faces(prior, bodies.supporting_faces, poses).reshape(-1, 3, 2)
+    log_faces = log_parent_faces - log_areas[..., None] - _LOG_CHILD_FACES
+    log_density = log_gap(prior, gaps_m) + log_etas + (log_faces - _LOG_CIRCLE)[:, :, :, None, None]
     return jnp.where(beside_elsewhere[:, :, None] == 0, log_density, -jnp.inf).reshape(-1, 6, 6)
 
 
@@ -202,7 +243,7 @@ def log_parameters(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: j
         prior,
         relative_box(scene.poses[parent], scene.poses[child]),
         bodies.half_extents_m[parent],
-        bodies.supporting_faces[parent],
+        _log_faces_of_parent(prior, bodies, scene, child),
         bodies.half_extents_m[child],
         scene.parent_faces[child],
         scene.child_faces[child],
@@ -214,9 +255,14 @@ def log_parameters(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: j
 def log_pose_given_faces(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
     """Log p(x | parent, faces) of the child's absolute pose (Lebesgue x rotation measure), as sampled."""
     parent = scene.parents[child]
-    log_faces = -_LOG_CHILD_FACES - jnp.log(jnp.sum(bodies.supporting_faces[parent]))
-    conversion = jnp.where(parent == ROOT, 0.0, LOG_CONTACT_JACOBIAN - log_faces)
+    log_face = _log_faces_of_parent(prior, bodies, scene, child)[scene.parent_faces[child]]
+    conversion = jnp.where(parent == ROOT, 0.0, LOG_CONTACT_JACOBIAN + _LOG_CHILD_FACES - log_face)
     return log_parameters(prior, bodies, scene, child) + conversion
+
+
+def _log_faces_of_parent(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
+    parent = scene.parents[child]
+    return log_supporting_faces(prior, bodies.supporting_faces[parent], scene.poses[parent])
 
 
 def log_prior(prior: PosePrior, structure: StructurePrior, bodies: Bodies, scene: SceneGraph) -> jax.Array:
@@ -230,7 +276,7 @@ def sample_pose(
     key: jax.Array, prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array
 ) -> jax.Array:
     """Pose (7,) of a child drawn from its prior given its parent and faces."""
-    uniforms = jax.random.uniform(key, (8,), prior.low_m.dtype)
+    uniforms = jax.random.uniform(key, (9,), prior.low_m.dtype)
     parent = scene.parents[child]
     half_sizes = face_half_sizes(bodies.half_extents_m[parent], scene.parent_faces[child])
     contact = _contact_from_uniforms(prior, half_sizes, uniforms)
@@ -251,5 +297,6 @@ def _contact_from_uniforms(prior: PosePrior, half_sizes_m: jax.Array, uniforms: 
         hemisphere_direction(uniforms[5:7]),
         von_mises_fisher_direction(prior.contact_concentration, uniforms[5:7]),
     )
-    offset = jnp.concatenate([plane, prior.contact_sigma_m * normal[None]])
+    sigma_m = jnp.where(uniforms[8] < prior.slack_share, prior.loose_sigma_m, prior.contact_sigma_m)
+    offset = jnp.concatenate([plane, (sigma_m * normal)[None]])
     return Contact(offset, eta, 2 * jnp.pi * uniforms[7])

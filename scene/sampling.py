@@ -25,7 +25,7 @@ from scene.model import ChainState, SceneModel, start_chain
 from scene.pair_move import PairMove
 from scene.pose_moves import MixtureMove
 from scene.poses import composed, pose_of
-from scene.prior import PosePrior, UniformTrees
+from scene.prior import PosePrior, WeightedTrees
 from scene.proposals import pose_proposals, round_axis
 from scene.refinement import Refinement
 from scene.rendering import ObjectRenderer
@@ -144,10 +144,13 @@ def _model(
         low_m=jnp.asarray(space[0]),
         high_m=jnp.asarray(space[1]),
         contact_sigma_m=jnp.asarray(config.contact_sigma_m),
+        loose_sigma_m=jnp.asarray(config.loose_sigma_m),
         contact_concentration=jnp.asarray(config.contact_concentration),
         slack_share=jnp.asarray(config.slack_share),
+        upward_concentration=jnp.asarray(config.upward_concentration if data.table else 0.0),
     )
-    return SceneModel(bodies, prior, UniformTrees(), likelihood)
+    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if data.table else WeightedTrees.uniform()
+    return SceneModel(bodies, prior, trees, likelihood)
 
 
 def _sample(

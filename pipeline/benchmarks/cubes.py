@@ -13,7 +13,7 @@ from scene.involution import Move
 from scene.model import ChainState, Likelihood, NoData, SceneModel, start_chain
 from scene.pair_move import PairMove
 from scene.pose_mixture import PoseMixture
-from scene.prior import PosePrior, StructurePrior, UniformTrees, sample_pose
+from scene.prior import PosePrior, StructurePrior, WeightedTrees, sample_pose
 
 
 def cube_model(
@@ -23,6 +23,7 @@ def cube_model(
     structure: StructurePrior | None = None,
     likelihood: Likelihood | None = None,
     slack_share: float = 0.1,
+    upward_concentration: float = 0.0,
 ) -> SceneModel:
     """Cubes, with a fixed one whose top alone supports as the table."""
     count = free + table
@@ -30,8 +31,16 @@ def cube_model(
     supporting = movable[:, None] | (jnp.arange(6) == 5)[None]
     bodies = Bodies(jnp.full((count, 3), 0.5), movable, supporting)
     half = jnp.full(3, 0.75)
-    prior = PosePrior(-half, half, jnp.array(0.5), jnp.array(1.0), jnp.array(slack_share))
-    return SceneModel(bodies, prior, structure or UniformTrees(), likelihood or NoData())
+    prior = PosePrior(
+        low_m=-half,
+        high_m=half,
+        contact_sigma_m=jnp.array(0.5),
+        loose_sigma_m=jnp.array(0.7),
+        contact_concentration=jnp.array(1.0),
+        slack_share=jnp.array(slack_share),
+        upward_concentration=jnp.array(upward_concentration),
+    )
+    return SceneModel(bodies, prior, structure or WeightedTrees.uniform(), likelihood or NoData())
 
 
 def cube_kernel(count: int, structure: Move | None = None, *, prior_share: float = 0.6) -> Kernel:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,12 +9,13 @@ from pipeline.benchmarks.cubes import cube_model, floating_draw
 from scene.contact import relative_box
 from scene.graph import SceneGraph, all_trees, floating_scene
 from scene.prior import (
-    UniformTrees,
+    WeightedTrees,
     contact_of,
     log_contact,
     log_contacts_of,
     log_floating,
     log_parameters,
+    log_supporting_faces,
     sample_pose,
 )
 from scene.rotation_densities import LOG_CONTACT_JACOBIAN
@@ -20,21 +23,41 @@ from tests.scene.test_contact import random_poses
 from tests.statistical import assert_mean, assert_uniform
 
 
+@pytest.mark.parametrize("weight", [1.0, 0.02, 3.0])
 @pytest.mark.parametrize("table", [False, True])
 @pytest.mark.parametrize("free", [1, 2, 3])
-def test_uniform_trees_sum_to_one(free: int, table: bool) -> None:
-    """p(G) over every tree, with and without a table."""
+def test_tree_probabilities_sum_to_one(free: int, table: bool, weight: float) -> None:
+    """p(G) over every tree, with and without a table; each floating object counts its weight."""
     trees = jnp.asarray(all_trees(free, table=table))
     movable = cube_model(free, table=table).bodies.movable
     present = jnp.ones_like(movable)
-    log_p = jax.vmap(lambda parents: UniformTrees().log_density(parents, present, movable))(trees)
+    prior = WeightedTrees(jnp.asarray(weight))
+    log_p = jax.vmap(lambda parents: prior.log_density(parents, present, movable))(trees)
 
     np.testing.assert_allclose(jnp.sum(jnp.exp(log_p)), 1.0)
+    floating = (trees[:, :free] < 0).sum(axis=1)
+    np.testing.assert_allclose(log_p - log_p[0], (floating - floating[0]) * np.log(weight), atol=1e-12)
+
+
+def test_objects_rest_on_what_points_up() -> None:
+    """The parent's face by its normal: uniform without a preference, the top with a strong one."""
+    tilted = jnp.array([np.cos(0.1), np.sin(0.1), 0.0, 0.0, 0, 0, 0])
+    on_its_side = jnp.array([np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0, 0, 0, 0])  # -x points up
+    every = jnp.ones(6, bool)
+    uniform, upward = (cube_model(2, upward_concentration=kappa).prior for kappa in (0.0, 10.0))
+
+    np.testing.assert_allclose(log_supporting_faces(uniform, every, tilted), -np.log(6))
+    shares = jnp.exp(log_supporting_faces(upward, every, tilted))
+    normals = np.array([0, 0, -np.sin(0.2), np.sin(0.2), -np.cos(0.2), np.cos(0.2)])
+    np.testing.assert_allclose(shares, np.exp(10 * normals) / np.exp(10 * normals).sum())
+    assert int(jnp.argmax(log_supporting_faces(upward, every, on_its_side))) == 0
+    top_only = jnp.arange(6) == 5
+    np.testing.assert_allclose(jnp.exp(log_supporting_faces(upward, top_only, on_its_side)), top_only)
 
 
 def test_contact_table_is_the_contact_density(key: jax.Array) -> None:
     """The table of all parents and faces has the density of each contact in each place."""
-    model = cube_model(3, table=True)
+    model = cube_model(3, table=True, upward_concentration=2.0)
     poses = random_poses(key, 4)
     bodies = model.bodies
     child = 1
@@ -44,7 +67,7 @@ def test_contact_table_is_the_contact_density(key: jax.Array) -> None:
             model.prior,
             relative_box(poses[parent], poses[child]),
             bodies.half_extents_m[parent],
-            bodies.supporting_faces[parent],
+            log_supporting_faces(model.prior, bodies.supporting_faces[parent], poses[parent]),
             bodies.half_extents_m[child],
             parent_face,
             child_face,
@@ -65,9 +88,15 @@ def test_contact_measure_is_eight_times_the_pose_measure(key: jax.Array) -> None
 
     kappa = 10; with 8 and 1/8 swapped, or left out, it is 1/64 or 1/8.
     """
-    model = cube_model(2)
+    model = cube_model(2, upward_concentration=2.0)
     half = jnp.full(3, 4.0)
-    wide = type(model.prior)(-half, half, jnp.array(0.3), jnp.array(10.0), jnp.array(0.1))
+    wide = replace(
+        model.prior,
+        low_m=-half,
+        high_m=half,
+        contact_sigma_m=jnp.array(0.3),
+        contact_concentration=jnp.array(10.0),
+    )
     parent = jnp.array([1.0, 0, 0, 0, 0, 0, 0])
 
     def ratio(key: jax.Array) -> jax.Array:
@@ -105,7 +134,8 @@ def test_prior_samples_have_the_chart_of_their_density(key: jax.Array) -> None:
 
     assert_uniform(draws[:, 0], low=-0.5, high=0.5)
     assert_uniform(draws[:, 1], low=-0.5, high=0.5)
-    assert_uniform(jax.scipy.stats.norm.cdf(draws[:, 2] / 0.5))
+    norm = jax.scipy.stats.norm
+    assert_uniform(0.9 * norm.cdf(draws[:, 2] / 0.5) + 0.1 * norm.cdf(draws[:, 2] / 0.7))
     assert_uniform(draws[:, 3], low=-np.pi, high=np.pi)
     assert_uniform(draws[:, 4], low=0, high=2 * np.pi)
     assert np.isfinite(draws[:, 5]).all()

@@ -13,6 +13,7 @@ from scene.chain import run_block
 from scene.graph import ROOT, all_trees, tree_code
 from scene.graph_table import GraphTable
 from scene.model import SceneModel
+from scene.prior import WeightedTrees
 from tests.statistical import assert_mean
 
 CHAINS = 256
@@ -24,7 +25,7 @@ def weighted(free: int, *, table: bool = False) -> tuple[SceneModel, np.ndarray]
     log_p = 1.2 * np.sin(np.arange(len(trees)) * 1.7)
     probabilities = np.exp(log_p) / np.exp(log_p).sum()
     structure = GraphTable.build(trees, np.log(probabilities))
-    return cube_model(free, table=table, structure=structure), probabilities
+    return cube_model(free, table=table, structure=structure, upward_concentration=2.0), probabilities
 
 
 def test_every_involution_returns(key: jax.Array) -> None:
@@ -53,22 +54,28 @@ def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array, strength:
     assert_mean(frequencies, posterior / posterior.sum(), detectable=0.06)
 
 
-def test_no_data_returns_the_uniform_prior_beside_an_empty_slot(key: jax.Array) -> None:
-    """Likelihood constant, two objects, a table and a slot for one that is not there: 8 trees, 1/8 each."""
-    model = cube_model(3, table=True)
+@pytest.mark.parametrize("weight", [1.0, 0.3])
+def test_no_data_returns_the_prior_beside_an_empty_slot(key: jax.Array, weight: float) -> None:
+    """Likelihood constant, two objects, a table and a slot for one that is not there: 8 trees.
+
+    Each floating object counts its weight.
+    """
+    prior = WeightedTrees(jnp.asarray(weight))
+    model = cube_model(3, table=True, structure=prior, upward_concentration=2.0)
     start_key, run_key = jax.random.split(key)
     states = start_chains(start_key, model, CHAINS)
     scene = replace(states.scene, present=states.scene.present.at[:, 2].set(False))
     states = replace(states, scene=scene, log_prior=jax.vmap(model.log_prior)(scene))
     trees = np.insert(all_trees(2, table=True), 2, ROOT, axis=1)
     trees[trees == 2] = 3
+    weights = weight ** (trees[:, :2] == ROOT).sum(axis=1)
 
     _, codes, _ = run_block(run_key, states, model, cube_kernel(4), 300, code_of)
 
     tree_codes = np.asarray(jax.vmap(tree_code)(jnp.asarray(trees)))
     visited = np.asarray(codes)[50:]
     frequencies = np.stack([(visited == code).mean(axis=0) for code in tree_codes], axis=1)
-    assert_mean(frequencies, np.full(8, 1 / 8), detectable=0.06)
+    assert_mean(frequencies, weights / weights.sum(), detectable=0.06)
 
 
 @pytest.mark.parametrize(("factor", "right"), [(8.0, True), (1.0, False), (64.0, False)])
