@@ -18,14 +18,18 @@ from shapes.object_library import LEVELS, ObjectLibrary, level_of, unpacked
 from shapes.tiles import TILE, TILE_PIXELS
 
 ARRIVED = 0.15
-"""Voxels from the surface at which a ray has met it."""
+"""Voxels from the surface at which a ray's last look has met it."""
+MET = 0.1
+"""The same on the way, where most rays that come so near only graze it."""
 NEAR = 2.0
 """Voxels from the surface from which a ray steps onto the tangent plane."""
 SHALLOW = 0.3
 """Least cosine to the normal with which such a step reckons: no further than 1 / SHALLOW distances."""
 LONGEST = 1.5
-"""Longest step in distances to the surface; above 1 it may cross thin walls."""
-STEPS = (4, 6, 12)
+"""Longest step in distances to the surface."""
+UNSEEN = 0.5
+"""Voxels between the empty balls round both ends of a step from which on a thin wall may lie there."""
+STEPS = (4, 6, 12, 24)
 """After each of these the rays that are not done go on by themselves."""
 SHRINKING = 8
 """How many times fewer rays go on together."""
@@ -229,7 +233,8 @@ def advanced(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, 
 
     Sphere tracing with longer steps (Keinert et al. 2014, Enhanced Sphere Tracing): towards a plane at
     an angle with cosine a, the empty balls round both ends of a step of 2 / (1 + a) distances just touch.
-    Close to the surface the tangent plane is met itself; a ray that has met it stays there.
+    Close to the surface the tangent plane is met itself, and a ray that has met it stays there. Where the
+    balls do not touch, a thin wall may have been crossed: the ray goes back to the end of the first.
     """
     column, row = number % TILE, number // TILE
     direction = _direction(rays, column, row)
@@ -249,19 +254,27 @@ def advanced(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, 
         onto = distance / jnp.maximum(approach, SHALLOW)
         along = distance * jnp.clip(2.0 / jnp.maximum(1.0 + approach, 1e-3), 1.0, LONGEST)
         step = jnp.where(distance < NEAR, onto, along)
-        return distance, depth + step * voxel_m
+        return distance, jnp.maximum(depth + step * voxel_m, NEAREST_M)
 
-    def advance(_: jax.Array, march: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        _, depth = look(*march)
-        return depth, word_at(depth)
+    def advance(
+        _: jax.Array, march: tuple[jax.Array, jax.Array, jax.Array]
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        depth, empty, word = march  # met surfaces have negated depths; nothing is before `empty`
+        distance, further = look(depth, word)
+        met = distance < MET
+        leapt = (depth - (distance + UNSEEN) * voxel_m > empty) & ~met
+        further = jnp.where(leapt, empty, jnp.where(met, -further, further))
+        empty = jnp.where(leapt, empty, depth + distance * voxel_m)
+        depth = jnp.where(depth < 0, depth, further)
+        return depth, empty, word_at(jnp.abs(depth))
 
     depth = jnp.maximum(depth, enter)
-    depth, word = jax.lax.fori_loop(0, steps - 1, advance, (depth, word_at(depth)))
+    depth, _, word = jax.lax.fori_loop(0, steps - 1, advance, (depth, depth, word_at(depth)))
     distance, further = look(depth, word)
-    further = jnp.maximum(further, NEAREST_M)
-    signed = jnp.where(distance < ARRIVED, -further, further)
+    further = jnp.where(distance < ARRIVED, -further, further)
+    further = jnp.where(depth < 0, depth, further)
     # one array, computed once: three would each look at the voxel again
-    return jax.lax.optimization_barrier(jnp.where(depth <= leave, signed, jnp.inf))
+    return jax.lax.optimization_barrier(jnp.where(jnp.abs(depth) <= leave, further, jnp.inf))
 
 
 def _direction(rays: Rays, column: Any, row: Any) -> Vector:

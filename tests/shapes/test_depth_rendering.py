@@ -49,6 +49,25 @@ def test_rendering_agrees_with_ray_casting(
         assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[0])
 
 
+def test_rays_do_not_leap_over_thin_walls(seed: int) -> None:
+    """A bowl with a wall of 2 mm in voxels of 1.75 mm: of 100 views, less than 4% of its pixels are missed.
+
+    Without going back 8% and more are.
+    """
+    arc = np.linspace(0.0, 1.4, 24)
+    outer, inner = (
+        np.stack([radius * np.sin(arc), -radius * np.cos(arc)], axis=1) for radius in (0.08, 0.078)
+    )
+    mesh = trimesh.creation.revolve(np.concatenate([outer, inner[::-1]]), sections=96)
+    library = library_of_mesh(mesh.vertices, mesh.faces, 0.00175)
+    poses = random_views(np.random.default_rng(seed), mesh, 100)
+
+    hit, truth = np.isfinite(render(library, poses)), np.isfinite(ray_cast(mesh, poses))
+
+    missed = (truth & ~hit).sum() / truth.sum()
+    assert missed < 0.04, f"{missed:.1%} of the bowl's pixels are missed"
+
+
 def test_what_the_camera_cannot_see_renders_as_nothing(
     mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary],
 ) -> None:
