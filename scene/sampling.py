@@ -147,9 +147,9 @@ def _model(
         loose_sigma_m=jnp.asarray(config.loose_sigma_m),
         contact_concentration=jnp.asarray(config.contact_concentration),
         slack_share=jnp.asarray(config.slack_share),
-        upward_concentration=jnp.asarray(config.upward_concentration if data.table else 0.0),
+        upward_concentration=jnp.asarray(config.upward_concentration if table else 0.0),
     )
-    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if data.table else WeightedTrees.uniform()
+    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if table else WeightedTrees.uniform()
     return SceneModel(bodies, prior, trees, likelihood)
 
 
