@@ -152,9 +152,9 @@ class Searcher:
         grid = jnp.asarray(enumeration.local_grid())
         optimum = local_optimum(local_map, self.view, self.noise, starts, grid, hold)
         found = Located(optimum, indices, local_map, group.group)
-        return found if hold > 0 else max(found, self._at(group, starts[0]), key=_log_density)
+        return found if hold > 0 else max(found, self.at(group, starts[0]), key=_log_density)
 
-    def _at(self, group: GroupMap, pose: jax.Array) -> Located:
+    def at(self, group: GroupMap, pose: jax.Array) -> Located:
         """The optimum next to a pose, which alignment on associated points may leave."""
         indices, local_map = self._local_map(group, pose)
         return Located(optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group)
@@ -171,7 +171,7 @@ class Searcher:
         scores = self._map_scores(group, places, CLIMBED_BLUR)
         ranked = places[np.argsort(-scores, kind="stable")]
         best = enumeration.distinct(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
-        rendered = distinct_places([self._at(group, single_precision_poses(pose)) for pose in ranked[best]])
+        rendered = distinct_places([self.at(group, single_precision_poses(pose)) for pose in ranked[best]])
         found = [self.near(group, [located.optimum.pose]) for located in rendered[:WIDE_REFINED]]
         return distinct_places(found)
 

@@ -17,6 +17,7 @@ from slam.history import History
 from slam.joint_refinement import Detail, detail_of, refined
 from slam.odometry import KissOdometry
 from slam.result import SlamResult
+from slam.second_look import reconsidered
 
 OnFrame = Callable[[FrameInfo], None]
 
@@ -64,6 +65,7 @@ def track(
     if not has_return:
         raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
     refinement_key = jax.random.fold_in(key, len(history.frames))
+    state = reconsidered(jax.random.fold_in(key, len(history.frames) + 1), state, config)
     state, placed = refined(refinement_key, state, details, full_detail_noise)
     return history.result(state, placed)
 

@@ -1,0 +1,95 @@
+"""Views far apart: what agrees is left alone, a cluster that is turned against the rest is put right."""
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from recordings.types import DepthNoise
+from slam import pose_gaussian, second_look
+from slam.depth_view import view_of_frame
+from slam.keyframe_map import KeyframeMap
+from slam.keyframes import surface_of
+from slam.second_look import Jury, agreeing, placed_anew
+from tests.slam import box_room
+
+NOISE = DepthNoise()
+YAWS = (-0.9, -0.45, 0.0, 0.45, 0.9)
+TURNED = (3, 4)
+
+
+def seen_from_all_sides() -> NDArray[np.float64]:
+    """Poses (5, 4, 4) in the first one's frame, on an arc round the boxes."""
+    world = np.stack(
+        [box_room.pose(0.3 - 2.2 * np.sin(yaw) * 0.7, -0.2, 1.3 - 2.2 * np.cos(yaw), yaw) for yaw in YAWS]
+    )
+    return np.linalg.inv(world[0]) @ world
+
+
+def jury(seed: int) -> Jury:
+    """Noisy keyframes at those poses."""
+    keyframe_map = KeyframeMap()
+    world = box_room.pose(0.3 - 2.2 * np.sin(YAWS[0]) * 0.7, -0.2, 1.3 - 2.2 * np.cos(YAWS[0]), YAWS[0])
+    for frame in box_room.frames(world @ seen_from_all_sides(), seed):
+        view = view_of_frame(frame, box_room.INTRINSICS)
+        keyframe_map = keyframe_map.with_keyframe(surface_of(view, NOISE))
+    return Jury(keyframe_map, NOISE, compared=4)
+
+
+def with_a_turned_cluster() -> NDArray[np.float64]:
+    """The last two right to each other, and turned by 20 degrees against the others."""
+    poses = seen_from_all_sides()
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("y", 20, degrees=True).as_matrix()
+    turn[:3, 3] = (0.2, 0.0, 0.1)
+    for index in TURNED:
+        poses[index] = turn @ poses[index]
+    return poses
+
+
+def test_what_agrees_is_left_alone():
+    """At true poses no keyframe contradicts, so that nothing is sought; turned ones do, and are told."""
+    of_all = jury(seed=1)
+
+    assert placed_anew(of_all, seen_from_all_sides()) is None
+    assert agreeing(of_all, with_a_turned_cluster()) == [0, 1, 2]
+    assert of_all.log_joint(seen_from_all_sides()) > of_all.log_joint(with_a_turned_cluster())
+
+
+@pytest.mark.slow
+def test_a_turned_cluster_is_put_right():
+    """A cluster 20 degrees off comes back to within a centimetre and half a degree."""
+    placed = placed_anew(jury(seed=2), with_a_turned_cluster())
+
+    assert placed is not None
+    relative = np.linalg.inv(seen_from_all_sides()) @ placed
+    assert np.linalg.norm(relative[:, :3, 3], axis=1).max() < 0.01
+    assert np.degrees(Rotation.from_matrix(relative[:, :3, :3]).magnitude()).max() < 0.5
+
+
+def test_particles_keep_their_displacements(key: jax.Array):
+    """Moved with their mean, particles are as far from it as before, in the keyframes' own charts."""
+    before, after = (
+        jnp.stack([jaxlie.SE3.sample_uniform(one).wxyz_xyz for one in jax.random.split(k, 3)])
+        for k in jax.random.split(key)
+    )
+    spread = 0.05 * jnp.sin(jnp.arange(2 * 3 * 6.0)).reshape(2, 3, 6)
+    own = jax.vmap(jax.vmap(pose_gaussian.displaced), (None, 0))(before, spread)
+
+    moved = second_look.carried(own, before, after)
+
+    found = jax.vmap(jax.vmap(pose_gaussian.coordinates), (None, 0))(after, moved)
+    np.testing.assert_allclose(found, spread, atol=1e-5)
+
+
+def test_narrow_steps_are_no_reason_to_look_again():
+    """A fifth of a circle is a wide step, twelve degrees are not."""
+    rotations = [Rotation.from_euler("y", angle, degrees=True).as_matrix() for angle in (0, 12, 24, 96)]
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, :3, :3] = rotations
+
+    assert not second_look.has_wide_steps(poses[:3])
+    assert second_look.has_wide_steps(poses)
