@@ -11,13 +11,14 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 
+from scene import quaternions
+from scene.dice import Dice, drawn_object
 from scene.graph import SceneGraph
-from scene.involution import Proposal, choose_object
+from scene.involution import Offer
 from scene.model import ChainState, SceneModel
-from scene.pose_moves import MixtureMove, at_pose
-from scene.shape_choices import candidate_keys
+from scene.pose_moves import at_pose, normalised
+from scene.pose_offer import PoseOffer
 
 SMALLEST, LARGEST = 0.15, 1.2
 """Scales of near steps over the standard deviations of the pose, log-uniform between these."""
@@ -45,48 +46,50 @@ class CandidateMove:
         count: K.
     """
 
-    offer: MixtureMove
+    offer: PoseOffer
     near_share: jax.Array
     axes: jax.Array
     count: int = field(metadata={"static": True})
 
-    def propose(self, key: jax.Array, model: SceneModel, state: ChainState) -> Proposal:
-        """The pose that was chosen; nothing is left to accept."""
-        object_key, pose_key, draw_key, choice_key = jax.random.split(key, 4)
+    @property
+    def uniforms(self) -> int:
+        """Numbers that a draw takes: object, coin, scale and spin, and those of the offers."""
+        return 4 + (self.count - 1) * self.offer.uniforms
+
+    @property
+    def normals(self) -> int:
+        """Numbers that a draw takes; near and far candidates are never drawn together."""
+        return 6 * self.count
+
+    def propose(self, dice: Dice, model: SceneModel, state: ChainState) -> Offer:
+        """The poses, of which one is to be chosen."""
         scene = state.scene
-        chosen = choose_object(object_key, scene.present & model.bodies.movable)
-        poses, log_offered = self._poses(pose_key, model, scene, chosen)
+        chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
+        poses, log_offered = self._poses(dice.without(1), model, scene, chosen)
         scenes = jax.vmap(partial(at_pose, scene, chosen))(poses)
-        log_priors = jax.vmap(model.log_prior)(scenes)
-        draw_keys = candidate_keys(draw_key, self.count)
-        log_likelihoods = model.likelihood.of_candidates(draw_keys, scene, chosen, poses, state.estimate)
-        place = jax.random.categorical(choice_key, log_priors + log_likelihoods - log_offered)
-        certain, no_error = jnp.full_like(state.log_prior, jnp.inf), jnp.zeros_like(state.log_prior)
-        again = jax.random.clone(draw_keys)[place]
-        return Proposal(at_pose(scene, chosen, poses[place]), certain, again, no_error)
+        return Offer(scenes, log_offered, jnp.array(True), jnp.zeros_like(state.log_prior))
 
     def _poses(
-        self, key: jax.Array, model: SceneModel, scene: SceneGraph, chosen: jax.Array
+        self, dice: Dice, model: SceneModel, scene: SceneGraph, chosen: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """The poses (K, 7), the present one first, and the log densities (K,) by which they were drawn."""
-        coin_key, far_key, scale_key, step_key = jax.random.split(key, 4)
-        dtype = scene.poses.dtype
-        present = scene.poses[chosen]
+        present, axis = scene.poses[chosen], self.axes[chosen]
         context = self.offer.context(model, scene, chosen)
-        far = jax.vmap(partial(self.offer.pose, context=context))(jax.random.split(far_key, self.count - 1))
-        uniform = jax.random.uniform(scale_key, (2,), dtype)
-        scale = SMALLEST * (LARGEST / SMALLEST) ** uniform[0]
-        normal = jax.random.normal(step_key, (self.count, 6), dtype)
+        (coin, size, spin), uniform = dice.uniform[:3], dice.uniform[3:]
+        normal = dice.normal[: self.normals].reshape(self.count, 6)
+        each = Dice(uniform[: self.uniforms - 4].reshape(self.count - 1, -1), normal[1:])
+        far = jax.vmap(partial(self.offer.sample, context=context))(each)
+        scale = SMALLEST * (LARGEST / SMALLEST) ** size
         steps = scale * jnp.sum(context.mixture.choleskys[:1] * normal[:, None], axis=2)
-        still = (jnp.arange(6) == self.axes[chosen] + 3) & (self.axes[chosen] >= 0) & (uniform[1] < 0.5)
+        still = (jnp.arange(6) == axis + 3) & (axis >= 0) & (spin < 0.5)
         steps = jnp.where(still[None], 0.0, steps)
-        turn = jaxlie.SO3(context.mixture.centres[0, :4]).as_matrix()
-        steps = jnp.concatenate([steps[:, :3], steps[:, 3:] @ turn.T], axis=1)
+        turns = jax.vmap(partial(quaternions.rotated, context.mixture.centres[0, :4]))(steps[:, 3:])
+        steps = jnp.concatenate([steps[:, :3], turns], axis=1)
         centre = stepped(present, steps[0])
         near = jax.vmap(partial(stepped, centre))(steps[1:])
-        is_near = jax.random.uniform(coin_key, dtype=dtype) < self.near_share
+        is_near = coin < self.near_share
         poses = jnp.concatenate([present[None], jnp.where(is_near, near, far)])
-        log_offered = jax.vmap(partial(self.offer.log_density_of_pose, context))(poses)
+        log_offered = jax.vmap(partial(self.offer.log_density, context))(poses)
         return poses, jnp.where(is_near, 0.0, log_offered)
 
 
@@ -95,5 +98,5 @@ def stepped(pose: jax.Array, step: jax.Array) -> jax.Array:
 
     What the images tell of an object's tilt does not turn with a spin of a round object.
     """
-    turned = jaxlie.SO3.exp(step[3:]) @ jaxlie.SO3(pose[:4])
-    return jnp.concatenate([turned.wxyz / jnp.linalg.norm(turned.wxyz), pose[4:] + step[:3]])
+    turned = quaternions.times(quaternions.exp(step[3:]), pose[:4])
+    return normalised(jnp.concatenate([turned, pose[4:] + step[:3]]))

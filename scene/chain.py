@@ -11,14 +11,16 @@ import jax
 import jax.numpy as jnp
 
 from scene.candidate_move import CandidateMove
-from scene.involution import Move, MoveInfo, Proposal, accept, propose
-from scene.model import ChainState, SceneModel
+from scene.dice import Dice
+from scene.involution import Move, MoveInfo, Offer, decide, propose, repeated
+from scene.model import ChainState, Estimate, NoData, SceneModel
 from scene.pose_mixture import PoseMixture
-from scene.pose_moves import FlipMove, MixtureMove, WalkMove
+from scene.pose_moves import FlipMove, WalkMove
+from scene.pose_offer import PoseOffer
+from scene.shape_choices import candidate_keys
 
 Recorded = TypeVar("Recorded")
 
-REPEATS = 4
 _ANEW, _CANDIDATES, _OTHERS = range(3)
 """Kinds of steps; the others by their place from the last on."""
 
@@ -26,7 +28,7 @@ _ANEW, _CANDIDATES, _OTHERS = range(3)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Kernel:
-    """A sweep: a new edge and a new pose, REPEATS times over, then an edge and another move, in turn.
+    """A sweep: a new edge and a new pose, several times over, then an edge and another move, in turn.
 
     Attributes:
         structure: the move of the graph; None keeps it fixed (the ablation 3DP3*).
@@ -38,12 +40,20 @@ class Kernel:
     structure: Move | None
     candidates: CandidateMove
     others: tuple[Move, ...]
-    repeats: int = field(default=REPEATS, metadata={"static": True})
+    repeats: int = field(metadata={"static": True})
 
     @property
     def moves(self) -> int:
         """In a sweep."""
         return (self.repeats + 1) * (2 if self.structure else 1)
+
+    def thrown(self, key: jax.Array, dtype: jnp.dtype) -> Dice:
+        """Dice (repeats + 1,) of a sweep's steps: two numbers beside those of each of a step's two moves."""
+        poses = (self.candidates, *self.others)
+        uniforms = 2 + max(move.uniforms for move in poses)
+        if self.structure:
+            uniforms += 2 + self.structure.uniforms
+        return Dice.thrown(key, (self.repeats + 1,), uniforms, max(move.normals for move in poses), dtype)
 
 
 @jax.tree_util.register_dataclass
@@ -71,6 +81,7 @@ def scene_kernel(
     spread: float = 30.0,
     candidates: int = 6,
     near_share: float = 0.5,
+    repeats: int = 4,
     structure: Move | None = None,
 ) -> Kernel:
     """The production kernel.
@@ -84,15 +95,17 @@ def scene_kernel(
         spread: the largest scale over the smallest.
         candidates: poses that are weighed together, the present one among them.
         near_share: how often they are drawn near the present pose.
+        repeats: of candidates in a sweep.
         structure: the structure move; None keeps the graph fixed.
     """
     dtype = translation_m.dtype
-    draw = MixtureMove(mixture, jnp.asarray(prior_share, dtype))
+    offer = PoseOffer(mixture, jnp.asarray(prior_share, dtype))
     walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
     return Kernel(
         structure,
-        CandidateMove(draw, jnp.asarray(near_share, dtype), axes, candidates),
-        (walk, draw, FlipMove()),
+        CandidateMove(offer, jnp.asarray(near_share, dtype), axes, candidates),
+        (walk, FlipMove()),
+        repeats,
     )
 
 
@@ -122,59 +135,69 @@ def sweep(
     kinds = jnp.where((place == 0) & anew, _ANEW, kinds)
 
     def step(
-        state: ChainState, number_and_kind: tuple[jax.Array, jax.Array]
+        state: ChainState, given: tuple[jax.Array, Dice, jax.Array]
     ) -> tuple[ChainState, tuple[MoveInfo | None, MoveInfo]]:
-        number, kind = number_and_kind
-        structure_key, pose_key = jax.random.split(jax.random.fold_in(key, number))
+        number, dice, kind = given
+        graph_key, pose_key = jax.random.split(jax.random.fold_in(step_key, number))
         info = None
         if kernel.structure:
-            state, info = _grafted(structure_key, state, model, kernel.structure, verify)
-        state, pose_info = _posed(pose_key, state, model, kernel, kind, verify)
+            state, info = _grafted(graph_key, dice, state, model, kernel.structure, verify)
+            dice = dice.without(2 + kernel.structure.uniforms)
+        state, pose_info = _posed(pose_key, dice, state, model, kernel, kind, verify)
         return state, (info, pose_info)
 
-    state, infos = jax.lax.scan(step, state, (place, kinds))
+    dice_key, step_key = jax.random.split(key)
+    dice = kernel.thrown(dice_key, state.log_prior.dtype)
+    state, infos = jax.lax.scan(step, state, (place, dice, kinds))
     return state, SweepInfo(*infos)
 
 
 def _grafted(
-    key: jax.Array, state: ChainState, model: SceneModel, move: Move, verify: bool
+    key: jax.Array, dice: Dice, state: ChainState, model: SceneModel, move: Move, verify: bool
 ) -> tuple[ChainState, MoveInfo]:
-    """Another edge, poses as they are."""
-    move_key, accept_key = jax.random.split(key)
-    proposal = propose(move_key, model, move, state, verify=verify)
-    estimate = state.estimate
-    if model.likelihood.depends_on_graph:
-        stand = jnp.zeros_like(proposal.scene.present)
-        estimate = model.likelihood.update(
-            proposal.estimate_keys, proposal.scene, stand, estimate, anew=jnp.array(False)
+    """Another edge, poses as they are: data that see nothing else keep their estimate."""
+    offer = propose(dice.without(1), model, move, state, 2, verify=verify)
+    if not model.likelihood.depends_on_graph:
+        blind = replace(model, likelihood=NoData())
+        decided, info = decide(
+            dice.uniform[0], blind, offer, Estimate(jnp.zeros(2, offer.log_offered.dtype), ())
         )
-    return accept(accept_key, model, state, proposal, estimate)
+        return replace(decided, estimate=state.estimate), info
+    stand = jnp.zeros_like(offer.scenes.present)
+    keys = candidate_keys(key, 2)
+    estimates = model.likelihood.offered(keys, offer.scenes, stand, state.estimate, anew=jnp.array(False))
+    return decide(dice.uniform[0], model, offer, estimates)
 
 
 def _posed(
-    key: jax.Array, state: ChainState, model: SceneModel, kernel: Kernel, kind: jax.Array, verify: bool
+    key: jax.Array,
+    dice: Dice,
+    state: ChainState,
+    model: SceneModel,
+    kernel: Kernel,
+    kind: jax.Array,
+    verify: bool,
 ) -> tuple[ChainState, MoveInfo]:
-    """Another pose, by one of the moves; all meet the likelihood in one place, which is costly to compile."""
-    move_key, accept_key = jax.random.split(key)
+    """Another pose, by one of the moves; all meet the target in one place, which is costly to compile."""
+    count = kernel.candidates.count
 
-    def same(key: jax.Array, state: ChainState) -> Proposal:
-        certain, no_error = jnp.full_like(state.log_prior, jnp.inf), jnp.zeros_like(state.log_prior)
-        return Proposal(state.scene, certain, jax.random.split(key), no_error)
+    def same(dice: Dice, state: ChainState) -> Offer:  # noqa: ARG001
+        scenes = jax.tree.map(lambda leaf: repeated(leaf, count), state.scene)
+        first = jnp.where(jnp.arange(count) == 0, jnp.zeros_like(state.log_prior), jnp.inf)
+        return Offer(scenes, first, jnp.array(True), jnp.zeros_like(state.log_prior))
 
-    def candidates(key: jax.Array, state: ChainState) -> Proposal:
-        return kernel.candidates.propose(key, model, state)
+    def candidates(dice: Dice, state: ChainState) -> Offer:
+        return kernel.candidates.propose(dice, model, state)
 
-    def by(move: Move) -> Callable[[jax.Array, ChainState], Proposal]:
-        return lambda key, state: propose(key, model, move, state, verify=verify)
+    def by(move: Move) -> Callable[[Dice, ChainState], Offer]:
+        return lambda dice, state: propose(dice, model, move, state, count, verify=verify)
 
     offers = [same, candidates, *(by(move) for move in kernel.others)]
-    proposal = jax.lax.switch(kind, offers, move_key, state)
-    moved = jnp.any(proposal.scene.poses != state.scene.poses, axis=1)
-    estimate = model.likelihood.update(
-        proposal.estimate_keys, proposal.scene, moved, state.estimate, anew=kind == _ANEW
-    )
-    state, info = accept(accept_key, model, state, proposal, estimate)
-    return state, replace(info, accepted=info.accepted & jnp.any(moved))
+    offer = jax.lax.switch(kind, offers, dice.without(1), state)
+    moved = jnp.any(offer.scenes.poses != state.scene.poses[None], axis=2)
+    keys = candidate_keys(key, count)
+    estimates = model.likelihood.offered(keys, offer.scenes, moved, state.estimate, anew=kind == _ANEW)
+    return decide(dice.uniform[0], model, offer, estimates)
 
 
 @partial(

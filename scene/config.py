@@ -20,7 +20,7 @@ class ParseConfig:
         shape_samples: draws of each uncertain shape that the likelihood is averaged over; 0 takes every
             shape for certain.
         chains: Markov chains.
-        sweeps: of each chain, of which the first third teaches the proposals and is dropped.
+        sweeps: of each chain, a move for every object; the first third teaches the proposals and is dropped.
         pixel_weight: effective over actual number of pixels in the likelihood (their errors are alike).
         model_error_m: error of shapes and calibration, added in quadrature to the sensor's.
         search_error_m: the same during the search, where poses are coarse.

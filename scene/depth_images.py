@@ -1,14 +1,14 @@
 """The likelihood of whole scenes in chains: depth images in which the nearest surface is seen.
 
-A chain keeps what each object shows, cut into tiles, and the log density of every tile, so that a move
-costs the tiles that the moved object covers and no others.
+A chain keeps what each object shows, cut into tiles, and the log density of every tile, so that a scene
+costs the tiles that its moved objects cover, or covered, and no others.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
 
@@ -26,11 +26,11 @@ from scene.model import MOST_MOVED, Estimate
 from scene.poses import pose_of
 from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
 from scene.scene_data import SceneData
+from scene.shape_choices import candidate_keys
 from shapes import depth_noise
 from shapes.camera import Camera
 from shapes.depth_rendering import render_tiles
 from shapes.ray_casting import chosen_first
-from shapes.tile_queue import for_each_block
 from shapes.tiles import TILE_PIXELS, tiled
 
 TILES_TOGETHER = 64
@@ -44,12 +44,37 @@ class ShownScene:
     Attributes:
         shapes: (R, N) int32, which of its known shapes each object has.
         layers_m: (R, N, X, TILE_PIXELS) float32, depth of each object alone, +inf where it is not seen.
+        covered: (R, N, X) bool, where it is.
         log_tiles: (R, X) float32, log density of each tile.
     """
 
     shapes: jax.Array
     layers_m: jax.Array
+    covered: jax.Array
     log_tiles: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class OfferedScenes:
+    """What K scenes show of which most is the same.
+
+    Attributes:
+        present: of the first; its `log_tiles` are of no use.
+        shapes: (K, R, N) int32 of all.
+        log_tiles: (K, R, X) float32 of all.
+        fresh_m: (R, L, X, TILE_PIXELS) layers of what stands elsewhere in one of the others.
+        covered: (R, L, X) bool, where they show it.
+        scene, body: (L,) which scene each belongs to, and which object it is; K and N where there is none.
+    """
+
+    present: ShownScene
+    shapes: jax.Array
+    log_tiles: jax.Array
+    fresh_m: jax.Array
+    covered: jax.Array
+    scene: jax.Array
+    body: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -133,57 +158,66 @@ class DepthImages:
         """Shapes are drawn, nothing is rendered."""
         tiles = len(self.observed_m)
         layers_m = jnp.full((self.draws, self.objects, tiles, TILE_PIXELS), jnp.inf, jnp.float32)
+        nowhere = jnp.zeros((self.draws, self.objects, tiles), bool)
         log_tiles = jnp.zeros((self.draws, tiles), jnp.float32)
         shapes = shape_choices.drawn(key, (self.draws, self.objects), self._known)
-        shown = ShownScene(shapes, layers_m, log_tiles)
+        shown = ShownScene(shapes, layers_m, nowhere, log_tiles)
         return Estimate(jnp.zeros((), scene.poses.dtype), shown)
 
-    def update(
-        self, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+    def offered(
+        self, keys: jax.Array, scenes: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
     ) -> Estimate:
-        """The layers of what moved, or all of them, rendered; the log densities of what changed."""
+        """What moved in one of the scenes is rendered, or with `anew` all of the first; tiles are weighed."""
+        count, objects = len(keys), self.objects
+        places = max(count - 1, min(MOST_MOVED, objects))
+        turns = -(-objects // places)
         before: ShownScene = current.draws
-        moved, rendered = (mask[: self.objects] for mask in (moved, moved | anew))
-        shapes = jnp.where(moved[None], self._redrawn(keys, before.shapes), before.shapes)
-        seen = self._seen(scene.poses[: self.objects])
-        together = min(MOST_MOVED, self.objects)
-        turns = -(-self.objects // together)
-        order = jnp.nonzero(rendered, size=turns * together, fill_value=self.objects)[0]
+        moved = moved[:, :objects]
+        shapes = jax.vmap(self._redrawn, in_axes=(0, None))(keys, before.shapes)
+        shapes = jnp.where(moved[:, None], shapes, before.shapes[None])
+        seen = self._seen(scenes.poses[:, :objects].reshape(-1, 7))
+        rendered = moved | (anew & (jnp.arange(count) == 0))[:, None]
+        order = jnp.nonzero(rendered.ravel(), size=turns * places, fill_value=count * objects)[0]
 
-        def some(turn: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            layers_m, changed = state
-            which = jax.lax.dynamic_slice_in_dim(order, turn * together, together)
-            one = jnp.minimum(which, self.objects - 1)
+        def some(turn: jax.Array, shown: OfferedScenes) -> OfferedScenes:
+            which = jax.lax.dynamic_slice_in_dim(order, turn * places, places)
+            there, one = which < count * objects, jnp.minimum(which, count * objects - 1)
             aside = jnp.asarray(OUT_OF_SIGHT, jnp.float32)
-            there = jnp.where((which < self.objects)[:, None, None], seen[one], aside[None, None])
-            fresh_m = _layers(self, shapes[:, one] * self.objects + one[None], there)
-            changed |= jnp.any(_covered(fresh_m) | _covered(layers_m[:, one]), axis=1)
-            return layers_m.at[:, which].set(fresh_m, mode="drop"), changed
+            poses = jnp.where(there[:, None, None], seen[one], aside[None, None])
+            scene, body = which // objects, jnp.where(there, one % objects, objects)
+            shape = jnp.moveaxis(shapes, 1, 2).reshape(count * objects, -1)[one].T
+            fresh_m = _layers(self, shape * objects + (one % objects)[None], poses)
+            fresh = replace(
+                shown,
+                fresh_m=fresh_m,
+                covered=jnp.any(jnp.isfinite(fresh_m), axis=-1),
+                scene=jnp.where(anew, count, scene),
+                body=body,
+            )
+            return jax.lax.cond(anew, lambda: replace(fresh, present=_put(fresh, body)), lambda: fresh)
 
-        state = before.layers_m, jnp.broadcast_to(anew, before.log_tiles.shape)
-        layers_m, changed = jax.lax.fori_loop(0, jnp.where(anew, turns, 1), some, state)
-        shown = self._weighed(ShownScene(shapes, layers_m, before.log_tiles), scene.present, changed)
-        return Estimate(_log_mean_exp(self._log_each(shown.log_tiles)), shown)
-
-    def of_candidates(
-        self, keys: jax.Array, scene: SceneGraph, chosen: jax.Array, poses: jax.Array, current: Estimate
-    ) -> jax.Array:
-        """Only what each pose covers is looked at; the rest of the scene is the same for all."""
-        shown: ShownScene = current.draws
-        others = scene.present & (jnp.arange(len(scene.present)) != chosen)
-        rest = self._weighed(shown, others, _covered(shown.layers_m[:, chosen]))
-        shapes = jax.vmap(self._redrawn, in_axes=(0, None))(keys, shown.shapes)
-        shapes = shapes[:, :, chosen].at[0].set(shown.shapes[:, chosen])
-        gains = _gains(
-            self,
-            shapes * self.objects + chosen,
-            self._seen(poses),
-            others[: self.objects],
-            shown.layers_m,
-            rest.log_tiles,
+        blank = OfferedScenes(
+            present=before,
+            shapes=shapes,
+            log_tiles=jnp.broadcast_to(before.log_tiles[None], (count, *before.log_tiles.shape)),
+            fresh_m=jnp.full((self.draws, places, *before.layers_m.shape[2:]), jnp.inf, jnp.float32),
+            covered=jnp.zeros((self.draws, places, before.log_tiles.shape[1]), bool),
+            scene=jnp.full(places, count, order.dtype),
+            body=jnp.full(places, objects, order.dtype),
         )
-        log_gains = jnp.sum(self.weights[None, None] * gains.astype(poses.dtype), axis=-1)
-        return _log_mean_exp(self._log_each(rest.log_tiles)[None] + log_gains)
+        shown = jax.lax.fori_loop(0, jnp.where(anew, turns, 1), some, blank)
+        stands = scenes.present[:, :objects] & ~moved
+        shown = replace(shown, log_tiles=self._weighed(shown, stands, moved, anew))
+        log_likelihood = _log_mean_exp(jax.vmap(self._log_each)(shown.log_tiles))
+        is_kept = (jnp.arange(count) == 0) & ~anew
+        return Estimate(jnp.where(is_kept, current.log_likelihood, log_likelihood), shown)
+
+    def chosen(self, offered: Estimate, place: jax.Array) -> Estimate:
+        """Its layers and tiles take the place of the first's."""
+        shown: OfferedScenes = offered.draws
+        body = jnp.where(shown.scene == place, shown.body, self.objects)
+        present = replace(_put(shown, body), shapes=shown.shapes[place], log_tiles=shown.log_tiles[place])
+        return Estimate(offered.log_likelihood[place], present)
 
     @property
     def _known(self) -> int:
@@ -195,24 +229,38 @@ class DepthImages:
             return shapes
         return shape_choices.redrawn(keys, shapes, self._known, self.fresh_share)
 
-    def _weighed(self, shown: ShownScene, present: jax.Array, changed: jax.Array) -> ShownScene:
-        """The log densities of the changed tiles (R, X) brought up to date."""
+    def _weighed(
+        self, shown: OfferedScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
+    ) -> jax.Array:
+        """Log densities (K, R, X) of all tiles, brought up to date where something has moved.
 
-        def one(layers_m: jax.Array, log_tiles: jax.Array, changed: jax.Array) -> jax.Array:
-            order, count = chosen_first(changed)
+        Args:
+            shown: with those of the present scene in every place.
+            stands: (K, N) objects that are where they are in the present scene.
+            moved: (K, N) those that are not.
+            anew: whether all of the first is to be done.
+        """
+        count, draws, tiles = shown.log_tiles.shape
+        mine = shown.scene[None] == jnp.arange(count)[:, None]
+        left = jnp.any(moved[:, None, :, None] & shown.present.covered[None], axis=2)
+        entered = jnp.any(mine[:, None, :, None] & shown.covered[None], axis=2)
+        first = (jnp.arange(count) == 0)[:, None, None]
+        order, number = chosen_first(((left | entered) | (first & anew)).ravel())
+        uses = jnp.concatenate([stands, mine], axis=1)
 
-            def some(turn: jax.Array, log_tiles: jax.Array) -> jax.Array:
-                mine = jax.lax.dynamic_slice_in_dim(order, turn * TILES_TOGETHER, TILES_TOGETHER)
-                there = turn * TILES_TOGETHER + jnp.arange(TILES_TOGETHER, dtype=jnp.int32) < count
-                use = present[: self.objects][:, None, None]
-                depth_m = jnp.min(jnp.where(use, layers_m[:, mine], jnp.inf), axis=0)
-                log_mine = self._log_density(mine, jnp.minimum(depth_m, self.rest_m[mine]))
-                return log_tiles.at[jnp.where(there, mine, len(log_tiles))].set(log_mine, mode="drop")
+        def some(turn: jax.Array, log_tiles: jax.Array) -> jax.Array:
+            which = jax.lax.dynamic_slice_in_dim(order, turn * TILES_TOGETHER, TILES_TOGETHER)
+            there = turn * TILES_TOGETHER + jnp.arange(TILES_TOGETHER, dtype=jnp.int32) < number
+            scene, draw, tile = which // (draws * tiles), which // tiles % draws, which % tiles
+            layers_m = jnp.concatenate(
+                [shown.present.layers_m[draw, :, tile], shown.fresh_m[draw, :, tile]], axis=1
+            )
+            depth_m = jnp.min(jnp.where(uses[scene][:, :, None], layers_m, jnp.inf), axis=1)
+            log_mine = self._log_density(tile, jnp.minimum(depth_m, self.rest_m[tile]))
+            return log_tiles.at[jnp.where(there, which, len(log_tiles))].set(log_mine, mode="drop")
 
-            return jax.lax.fori_loop(0, -(-count // TILES_TOGETHER), some, log_tiles)
-
-        log_tiles = jax.vmap(one)(shown.layers_m, shown.log_tiles, changed)
-        return ShownScene(shown.shapes, shown.layers_m, log_tiles)
+        turns = -(-number // TILES_TOGETHER)
+        return jax.lax.fori_loop(0, turns, some, shown.log_tiles.ravel()).reshape(count, draws, tiles)
 
     def _log_density(self, tile: jax.Array, shown_m: jax.Array) -> jax.Array:
         """Log density (B,) of tiles (B,) that show depths (B, TILE_PIXELS), exponent 1."""
@@ -240,18 +288,24 @@ def log_estimates(key: jax.Array, likelihood: DepthImages, scenes: SceneGraph, c
 
     def one(key: jax.Array, scene: SceneGraph) -> jax.Array:
         start_key, update_key = jax.random.split(key)
-        blank, stand = likelihood.start(start_key, scene), jnp.zeros_like(scene.present)
-        keys = jax.random.split(update_key)
-        return likelihood.update(keys, scene, stand, blank, anew=jnp.array(True)).log_likelihood
+        blank = likelihood.start(start_key, scene)
+        alone = jax.tree.map(lambda leaf: leaf[None], scene)
+        keys, stand = candidate_keys(update_key, 1), jnp.zeros_like(alone.present)
+        return likelihood.offered(keys, alone, stand, blank, anew=jnp.array(True)).log_likelihood[0]
 
     batch = len(scenes.present)
     keys = jax.random.split(key, (count, batch))
     return jax.lax.map(lambda keys: jax.vmap(one)(keys, scenes), keys)
 
 
-def _covered(layers_m: jax.Array) -> jax.Array:
-    """Tiles (..., X) in which something is seen, of layers (..., X, TILE_PIXELS)."""
-    return jnp.any(jnp.isfinite(layers_m), axis=-1)
+def _put(shown: OfferedScenes, body: jax.Array) -> ShownScene:
+    """The present scene with fresh layers in place of those of the objects `body` (L,)."""
+    present = shown.present
+    return replace(
+        present,
+        layers_m=present.layers_m.at[:, body].set(shown.fresh_m, mode="drop"),
+        covered=present.covered.at[:, body].set(shown.covered, mode="drop"),
+    )
 
 
 def _log_mean_exp(log_values: jax.Array) -> jax.Array:
@@ -280,60 +334,6 @@ def _(
 ) -> tuple[jax.Array, bool]:
     """Chains side by side are more objects to the engine, whose loops then stay full."""
     return _layers(images, *_broadcast(axis_size, in_batched, (shapes, poses))), True
-
-
-@custom_vmap
-def _gains(
-    images: DepthImages,
-    shapes: jax.Array,
-    poses: jax.Array,
-    others: jax.Array,
-    layers_m: jax.Array,
-    log_rest: jax.Array,
-) -> jax.Array:
-    """Log likelihood (..., K, R, F) of each frame with a shape (..., K, R) at a pose over that without it.
-
-    Args:
-        images: the likelihood.
-        shapes: (..., K, R) indices.
-        poses: (..., K, F, 7) camera_from_box.
-        others: (..., N) which objects are the rest of the scene.
-        layers_m: (..., R, N, X, TILE_PIXELS) of the scene.
-        log_rest: (..., R, X) log density of the rest's tiles.
-    """
-    frames = poses.shape[-2]
-    own_tiles = len(images.observed_m)
-    tiles = own_tiles // frames
-    draws, objects = layers_m.shape[-4:-2]
-    posed_shape = (*shapes.shape, frames)
-    index = jnp.broadcast_to(shapes[..., None], posed_shape)
-    frame = jnp.broadcast_to(jnp.arange(frames, dtype=jnp.int32), posed_shape).ravel()
-    draw = jnp.arange(log_rest[..., 0].size, dtype=jnp.int32).reshape(*log_rest.shape[:-2], 1, -1, 1)
-    draw = jnp.broadcast_to(draw, posed_shape).ravel()
-    poses = jnp.broadcast_to(poses[..., :, None, :, :], (*posed_shape, 7))
-    layers_m = layers_m.reshape(-1, objects, own_tiles, TILE_PIXELS)
-    others, log_rest = others.reshape(-1, objects), log_rest.reshape(-1, own_tiles)
-
-    def add(
-        gains: jax.Array, view: jax.Array, tile: jax.Array, depth_m: jax.Array, valid: jax.Array
-    ) -> jax.Array:
-        own, scene = frame[view] * tiles + tile, draw[view]
-        rest_m = jnp.where(others[scene // draws][..., None], layers_m[scene, :, own], jnp.inf)
-        shown_m = jnp.minimum(jnp.minimum(jnp.min(rest_m, axis=1), images.rest_m[own]), depth_m)
-        gain = images._log_density(own, shown_m) - log_rest[scene, own]
-        return gains.at[jnp.where(valid, view, len(gains))].add(gain, mode="drop")
-
-    with jax.enable_x64(False):
-        posed = images.renderer.posed(index.ravel(), poses.reshape(-1, 7), frame)
-        zero = jnp.zeros(math.prod(posed_shape), jnp.float32)
-        library, cameras = images.renderer.library, images.cameras
-        gains = for_each_block(library, posed, cameras, images.height, images.width, add, zero)
-    return gains.reshape(posed_shape)
-
-
-@_gains.def_vmap
-def _(axis_size: int, in_batched: tuple, images: DepthImages, *given: jax.Array) -> tuple[jax.Array, bool]:
-    return _gains(images, *_broadcast(axis_size, in_batched, given)), True
 
 
 def _broadcast(axis_size: int, in_batched: tuple, values: Sequence[jax.Array]) -> list[jax.Array]:

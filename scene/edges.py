@@ -35,10 +35,3 @@ def grafted(scene: SceneGraph, chosen: jax.Array, place: jax.Array) -> SceneGrap
 def contacts_gained(old_place: jax.Array, new_place: jax.Array) -> jax.Array:
     """1 from floating to contact, -1 the way back, else 0."""
     return (old_place == 0).astype(jnp.int32) - (new_place == 0).astype(jnp.int32)
-
-
-def inverse_cdf(weights: jax.Array, uniform: jax.Array) -> jax.Array:
-    """Place in a short table (n,) of weights; the last place with a weight ends the table."""
-    cumulative = jnp.cumsum(weights)
-    place = jnp.sum(cumulative <= uniform * cumulative[-1])
-    return jnp.minimum(place, len(weights) - 1 - jnp.argmax(weights[::-1] > 0))

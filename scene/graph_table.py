@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scene.graph import SceneGraph, tree_code
-from scene.model import BlindToPoses, Estimate
+from scene.model import Apart, Estimate
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class GraphTable(BlindToPoses):
+class GraphTable(Apart):
     """log p(G) or log p(data | G) by enumeration; serves as `StructurePrior` and as `Likelihood`.
 
     Attributes:
@@ -46,14 +46,14 @@ class GraphTable(BlindToPoses):
         """Log p(data | G)."""
         return Estimate(self.log_values[tree_code(scene.parents)], ())
 
-    def update(
+    def offered(
         self,
         keys: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,
+        scenes: SceneGraph,
         moved: jax.Array,  # noqa: ARG002
         current: Estimate,  # noqa: ARG002
         *,
         anew: jax.Array,  # noqa: ARG002
     ) -> Estimate:
-        """The same."""
-        return Estimate(self.log_values[tree_code(scene.parents)], ())
+        """The same of each."""
+        return Estimate(self.log_values[jax.vmap(tree_code)(scenes.parents)], ())

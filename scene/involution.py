@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Protocol
 import jax
 import jax.numpy as jnp
 
+from scene.dice import Dice, drawn_object, drawn_place
 from scene.graph import SceneGraph
 from scene.model import ChainState, Estimate, SceneModel
 
@@ -26,12 +27,15 @@ class Move(Protocol):
 
     moves_bodies: ClassVar[bool]
     """Whether absolute poses change; if not, the likelihood of the data does not either."""
+    uniforms: ClassVar[int]
+    normals: ClassVar[int]
+    """Numbers that a draw takes."""
 
     def context(self, model: SceneModel, scene: SceneGraph, chosen: jax.Array) -> Any:
         """What the auxiliary density depends on, the same at both ends of the move."""
         ...
 
-    def sample(self, key: jax.Array, context: Any) -> Any:
+    def sample(self, dice: Dice, context: Any) -> Any:
         """A draw of the auxiliary variables."""
         ...
 
@@ -48,21 +52,21 @@ class Move(Protocol):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Proposal:
-    """What a move offers, before its posterior density is known.
+class Offer:
+    """Scenes side by side, the present one first, before their posterior densities are known.
 
     Attributes:
-        scene: s'.
-        log_forward: log q(a' | context) - log q(a | context) + log |det Dh|; +inf where the choice has
-            been made already.
-        estimate_keys: (2,) that make the random numbers of the new likelihood's estimate.
+        scenes: leaves (K, C, ...).
+        log_offered: (K,) what is taken off each log posterior density. By an involution, of the second
+            scene: log q(a | context) - log q(a' | context) - log |det Dh|; +inf for places without use.
+        is_choice: () bool, whether one of all is chosen in proportion; else the second is accepted or not.
         involution_error: largest difference between (s, a), the log weight's negation included, and what
             applying h twice returns; 0 where this was not asked for.
     """
 
-    scene: SceneGraph
-    log_forward: jax.Array
-    estimate_keys: jax.Array
+    scenes: SceneGraph
+    log_offered: jax.Array
+    is_choice: jax.Array
     involution_error: jax.Array
 
 
@@ -76,22 +80,22 @@ class MoveInfo:
 
 
 def propose(
-    key: jax.Array, model: SceneModel, move: Move, state: ChainState, *, verify: bool = False
-) -> Proposal:
+    dice: Dice, model: SceneModel, move: Move, state: ChainState, count: int, *, verify: bool = False
+) -> Offer:
     """Choose an object, draw the auxiliary variables and apply the involution.
 
     Args:
-        key: random key.
+        dice: one number, and those of the move.
         model: the target.
         move: the family of proposals.
         state: the chain.
+        count: K, places in the offer.
         verify: apply the involution twice and report the difference.
     """
-    object_key, auxiliary_key, estimate_key = jax.random.split(key, 3)
     scene = state.scene
-    chosen = choose_object(object_key, scene.present & model.bodies.movable)
+    chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
     context = move.context(model, scene, chosen)
-    auxiliary = move.sample(auxiliary_key, context)
+    auxiliary = move.sample(dice.without(1), context)
     there, reverse, log_jacobian = move.involution(model, scene, chosen, auxiliary)
     log_ratio = move.log_density(context, reverse) - move.log_density(context, auxiliary)
     log_forward = log_ratio + log_jacobian
@@ -103,25 +107,35 @@ def propose(
         log_back = log_ratio_back + log_jacobian_back + model.log_prior(back) - state.log_prior
         asymmetry = jnp.where(jnp.isfinite(log_forward), jnp.abs(log_forward + log_back), 0)
         error = jnp.maximum(_difference(scene, back), asymmetry)
-    return Proposal(there, log_forward, jax.random.split(estimate_key), error)
+    scenes = jax.tree.map(lambda new, old: repeated(old, count).at[1].set(new), there, scene)
+    log_offered = jnp.full(count, jnp.inf, log_forward.dtype).at[:2].set(jnp.stack([0.0, -log_forward]))
+    return Offer(scenes, log_offered, jnp.array(False), error)
 
 
-def accept(
-    key: jax.Array, model: SceneModel, state: ChainState, proposal: Proposal, estimate: Estimate
+def repeated(leaf: jax.Array, count: int) -> jax.Array:
+    """An array as often as there are places in an offer."""
+    return jnp.broadcast_to(leaf[None], (count, *leaf.shape))
+
+
+def decide(
+    uniform: jax.Array, model: SceneModel, offer: Offer, estimates: Estimate
 ) -> tuple[ChainState, MoveInfo]:
-    """Keep the proposal with probability min(1, weight), else the state with its stored estimate."""
-    proposed = ChainState(proposal.scene, model.log_prior(proposal.scene), estimate)
-    log_weight = proposed.log_posterior - state.log_posterior + proposal.log_forward
-    uniform = jax.random.uniform(key, dtype=log_weight.dtype)
-    accepted = jnp.log(uniform) < log_weight
-    chosen = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), proposed, state)
-    return chosen, MoveInfo(accepted, proposal.involution_error)
+    """The scene that comes next: one in proportion to its weight, or the second with min(1, weight).
 
-
-def choose_object(key: jax.Array, eligible: jax.Array) -> jax.Array:
-    """One of the eligible objects (C,), each as likely."""
-    rank = jax.random.randint(key, (), 0, jnp.maximum(jnp.sum(eligible), 1))
-    return jnp.argmax(jnp.cumsum(eligible) > rank)
+    Args:
+        uniform: a number.
+        model: the target.
+        offer: the scenes.
+        estimates: (K,) of their likelihoods.
+    """
+    log_priors = jax.vmap(model.log_prior)(offer.scenes)
+    log_weights = log_priors + estimates.log_likelihood - offer.log_offered
+    one_of_all = drawn_place(jnp.exp(log_weights - jnp.max(log_weights)), uniform)
+    accepted = jnp.log(uniform) < log_weights[1] - log_weights[0]
+    place = jnp.where(offer.is_choice, one_of_all, accepted).astype(jnp.int32)
+    scene = jax.tree.map(lambda leaf: leaf[place], offer.scenes)
+    state = ChainState(scene, log_priors[place], model.likelihood.chosen(estimates, place))
+    return state, MoveInfo(place > 0, offer.involution_error)
 
 
 def _difference(first: SceneGraph, second: SceneGraph) -> jax.Array:

@@ -40,47 +40,43 @@ class Likelihood(Protocol):
     depends_on_graph: ClassVar[bool]
 
     def start(self, key: jax.Array, scene: SceneGraph) -> Estimate:
-        """An estimate with random numbers of its own, whose value `update` brings up to date."""
+        """An estimate with random numbers of its own, whose value is to be made anew."""
         ...
 
-    def update(
-        self, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+    def offered(
+        self, keys: jax.Array, scenes: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
     ) -> Estimate:
-        """The estimate at a proposed scene, where the objects in the mask `moved` (C,), few, have moved.
+        """Estimates (K,) of scenes with leading axis K, the first of which is the present one.
 
-        Random numbers are made from keys (2,). With `anew` all of it is computed once more, for what has
-        not moved with the same random numbers.
+        That one keeps its estimate, unless with `anew` it is computed once more with the same random
+        numbers; the others' are made from their keys (K, 2).
+
+        Args:
+            keys: (K, 2).
+            scenes: leaves (K, C, ...).
+            moved: (K, C) the objects that stand elsewhere than at present; at most K - 1 of all, or
+                MOST_MOVED.
+            current: of the present scene.
+            anew: () bool.
         """
         ...
 
-    def of_candidates(
-        self, keys: jax.Array, scene: SceneGraph, chosen: jax.Array, poses: jax.Array, current: Estimate
-    ) -> jax.Array:
-        """Log likelihoods (K,) with the chosen object at poses (K, 7), the first of which is the present one.
-
-        That one keeps its stored estimate; each other has the one that `update` makes from its keys (K, 2).
-        """
+    def chosen(self, offered: Estimate, place: jax.Array) -> Estimate:
+        """One of the estimates, of which no other is needed any more."""
         ...
 
 
-class BlindToPoses:
-    """What a likelihood says of candidate poses that its data do not see."""
+class Apart:
+    """Estimates side by side that have nothing in common."""
 
-    def of_candidates(
-        self,
-        keys: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,  # noqa: ARG002
-        chosen: jax.Array,  # noqa: ARG002
-        poses: jax.Array,
-        current: Estimate,
-    ) -> jax.Array:
-        """All alike."""
-        return jnp.broadcast_to(current.log_likelihood, len(poses))
+    def chosen(self, offered: Estimate, place: jax.Array) -> Estimate:
+        """The estimate in its place."""
+        return jax.tree.map(lambda leaf: leaf[place], offered)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class NoData(BlindToPoses):
+class NoData(Apart):
     """The constant likelihood, under which every chain must return the prior."""
 
     depends_on_graph: ClassVar[bool] = False
@@ -89,17 +85,17 @@ class NoData(BlindToPoses):
         """Log 1, of no draws."""
         return Estimate(jnp.zeros((), scene.poses.dtype), ())
 
-    def update(
+    def offered(
         self,
         keys: jax.Array,  # noqa: ARG002
-        scene: SceneGraph,  # noqa: ARG002
+        scenes: SceneGraph,
         moved: jax.Array,  # noqa: ARG002
-        current: Estimate,
+        current: Estimate,  # noqa: ARG002
         *,
         anew: jax.Array,  # noqa: ARG002
     ) -> Estimate:
-        """The same."""
-        return current
+        """All alike."""
+        return Estimate(jnp.zeros(len(scenes.poses), scenes.poses.dtype), ())
 
 
 @jax.tree_util.register_dataclass

@@ -12,9 +12,9 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from scene.edges import contacts_gained, grafted, inverse_cdf, place_of
+from scene.dice import Dice, drawn_object, drawn_place
+from scene.edges import contacts_gained, grafted, place_of
 from scene.graph import ROOT, SceneGraph, subtree
-from scene.involution import choose_object
 from scene.model import SceneModel
 from scene.prior import log_contacts_of, log_floating
 from scene.rotation_densities import LOG_CONTACT_JACOBIAN
@@ -43,26 +43,26 @@ class PairMove:
     """
 
     moves_bodies: ClassVar[bool] = False
+    uniforms: ClassVar[int] = 4
+    normals: ClassVar[int] = 0
 
     def context(self, model: SceneModel, scene: SceneGraph, chosen: jax.Array) -> _Context:
         """All of it; the edges of the two are never looked at."""
         return _Context(model, scene, chosen)
 
-    def sample(self, key: jax.Array, context: _Context) -> Auxiliary:
+    def sample(self, dice: Dice, context: _Context) -> Auxiliary:
         """The other object; whether one of the two rests on the other; the places of both."""
-        other_key, place_key = jax.random.split(key)
         eligible = context.scene.present & context.model.bodies.movable
         rest = eligible & (jnp.arange(len(eligible)) != context.chosen)
-        other = jnp.where(jnp.any(rest), choose_object(other_key, rest), context.chosen)
+        other = jnp.where(jnp.any(rest), drawn_object(rest, dice.uniform[3]), context.chosen)
         log_weights, elsewhere, upon = _tables(context, other)
         weights = jnp.exp(log_weights - jnp.max(log_weights, axis=1, keepdims=True))
         tables = jnp.stack([jnp.where(elsewhere, weights, 0), jnp.where(upon, weights, 0)], axis=1)
         (apart, on_other), (other_apart, other_on) = jnp.sum(tables, axis=2)
-        uniform = jax.random.uniform(place_key, (3,), weights.dtype)
         ways = jnp.stack([apart * other_apart, on_other * other_apart, apart * other_on])
-        way = inverse_cdf(ways, uniform[0])
+        way = drawn_place(ways, dice.uniform[0])
         rows = jnp.stack([tables[0, (way == 1).astype(jnp.int32)], tables[1, (way == 2).astype(jnp.int32)]])
-        places = jax.vmap(inverse_cdf)(rows, uniform[1:])
+        places = jax.vmap(drawn_place)(rows, dice.uniform[1:3])
         return other, jnp.where(other == context.chosen, places[0], places)
 
     def log_density(self, context: _Context, auxiliary: Auxiliary) -> jax.Array:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 
+from scene import quaternions
+from scene.dice import drawn_place
 from scene.rotation_densities import log_gaussian_pose
 
 
@@ -43,26 +44,20 @@ class PoseMixture:
         return jax.tree.map(lambda leaf: leaf[chosen], self)
 
 
-def sample(key: jax.Array, mixture: PoseMixture) -> jax.Array:
-    """Pose (7,) from one object's mixture."""
-    component_key, tangent_key = jax.random.split(key)
-    cumulative = jnp.cumsum(jnp.exp(mixture.log_weights))
-    component = jnp.sum(
-        cumulative <= jax.random.uniform(component_key, dtype=cumulative.dtype) * cumulative[-1]
-    )
-    normal = jax.random.normal(tangent_key, (6,), mixture.choleskys.dtype)
+def sample(uniform: jax.Array, normal: jax.Array, mixture: PoseMixture) -> jax.Array:
+    """Pose (7,) from one object's mixture, of one uniform number and normal ones (6,)."""
+    component = drawn_place(jnp.exp(mixture.log_weights), uniform)
     tangent = jnp.sum(mixture.choleskys[component] * normal[None], axis=1)
-    centre = jaxlie.SE3(mixture.centres[component])
-    rotation = centre.rotation() @ jaxlie.SO3.exp(tangent[3:])
-    position = centre.translation() + tangent[:3]
-    return jaxlie.SE3.from_rotation_and_translation(rotation, position).wxyz_xyz
+    centre = mixture.centres[component]
+    turned = quaternions.times(centre[:4], quaternions.exp(tangent[3:]))
+    return jnp.concatenate([quaternions.normalised(turned), centre[4:] + tangent[:3]])
 
 
 def log_density(mixture: PoseMixture, pose: jax.Array) -> jax.Array:
     """Log density of one object's mixture at a pose (7,), summed over all components."""
 
     def component(centre: jax.Array, whitening: jax.Array) -> jax.Array:
-        relative = jaxlie.SO3(centre[:4]).inverse() @ jaxlie.SO3(pose[:4])
+        relative = quaternions.times(quaternions.inverse(centre[:4]), pose[:4])
         return log_gaussian_pose(whitening, pose[4:] - centre[4:], relative)
 
     log_components = jax.vmap(component)(mixture.centres, mixture.whitenings)

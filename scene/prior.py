@@ -273,10 +273,9 @@ def log_prior(prior: PosePrior, structure: StructurePrior, bodies: Bodies, scene
 
 
 def sample_pose(
-    key: jax.Array, prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array
+    uniforms: jax.Array, prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array
 ) -> jax.Array:
-    """Pose (7,) of a child drawn from its prior given its parent and faces."""
-    uniforms = jax.random.uniform(key, (9,), prior.low_m.dtype)
+    """Pose (7,) of a child drawn from its prior given its parent and faces, of uniform numbers (9,)."""
     parent = scene.parents[child]
     half_sizes = face_half_sizes(bodies.half_extents_m[parent], scene.parent_faces[child])
     contact = _contact_from_uniforms(prior, half_sizes, uniforms)

@@ -10,7 +10,9 @@ import math
 
 import jax
 import jax.numpy as jnp
-import jaxlie
+import numpy as np
+
+from scene import quaternions
 
 LOG_ROTATION_MASS = 2 * math.log(math.pi)
 LOG_CONTACT_JACOBIAN = math.log(8.0)
@@ -63,7 +65,7 @@ def uniform_rotation(uniforms: jax.Array) -> jax.Array:
     )
 
 
-def log_gaussian_pose(whitening: jax.Array, offset_m: jax.Array, rotation: jaxlie.SO3) -> jax.Array:
+def log_gaussian_pose(whitening: jax.Array, offset_m: jax.Array, wxyz: jax.Array) -> jax.Array:
     """Log density of an offset (3,) and a rotation whose 6-D tangent is Gaussian, mean zero.
 
     The rotation vector's Normal is wrapped round the group: the density sums over the windings
@@ -73,20 +75,20 @@ def log_gaussian_pose(whitening: jax.Array, offset_m: jax.Array, rotation: jaxli
     Args:
         whitening: (6, 6) inverse of the lower factor of the tangent's covariance, translation first.
         offset_m: (3,).
-        rotation: relative to the centre.
+        wxyz: the rotation relative to the centre.
     """
-    xi = rotation.log()
+    xi = quaternions.log(wxyz)
     angle = jnp.sqrt(jnp.sum(xi * xi) + jnp.finfo(xi.dtype).tiny)
     sinc = jnp.where(angle > 1e-6, jnp.sin(angle / 2) / (angle / 2), 1.0)
-    log_terms = []
-    for winding in _WINDINGS:
-        stretch = 1 + 2 * jnp.pi * winding / jnp.maximum(angle, 1e-12)
-        tangent = jnp.concatenate([offset_m, xi * stretch])
-        whitened = jnp.sum(whitening * tangent[None], axis=1)
-        log_terms.append(-0.5 * jnp.sum(whitened**2) + 2 * jnp.log(jnp.abs(stretch)))
+    stretches = 1 + 2 * jnp.pi * np.array(_WINDINGS, float) / jnp.maximum(angle, 1e-12)
+    still, turning = (
+        jnp.sum(whitening[:, :3] * offset_m[None], axis=1),
+        jnp.sum(whitening[:, 3:] * xi[None], axis=1),
+    )
+    whitened = still[None] + stretches[:, None] * turning[None]
+    log_terms = -0.5 * jnp.sum(whitened**2, axis=1) + 2 * jnp.log(jnp.abs(stretches))
     log_scale = jnp.sum(jnp.log(jnp.diagonal(whitening))) - 3 * math.log(2 * math.pi)
-    log_images = jax.scipy.special.logsumexp(jnp.stack(log_terms))
-    return log_images + log_scale + LOG_CONTACT_JACOBIAN - 2 * jnp.log(sinc)
+    return jax.scipy.special.logsumexp(log_terms) + log_scale + LOG_CONTACT_JACOBIAN - 2 * jnp.log(sinc)
 
 
 def _direction(height: jax.Array, uniform: jax.Array) -> jax.Array:

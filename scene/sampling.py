@@ -23,7 +23,6 @@ from scene.graph import Bodies, SceneGraph, floating_scene
 from scene.initialisation import Initialisation
 from scene.model import ChainState, SceneModel, start_chain
 from scene.pair_move import PairMove
-from scene.pose_moves import MixtureMove
 from scene.poses import composed, pose_of
 from scene.prior import PosePrior, WeightedTrees
 from scene.proposals import pose_proposals, round_axis
@@ -101,6 +100,7 @@ def sampled(
         rotation_rad=jnp.full(bodies, WALK_RAD),
         axes=axes,
         structure=PairMove() if config.graph == "infer" else None,
+        repeats=max(len(objects) - 1, 1),
     )
     return _sample(key, model, kernel, axes, start, world, config, progress)
 
@@ -222,9 +222,8 @@ def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
     """The kernel with proposals fitted to the states that its chains went through."""
     states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
     mixture = adapted(kernel.candidates.offer.mixture, axes, states.poses, states.log_posterior)
-    draw = replace(kernel.candidates.offer, mixture=mixture)
-    others = tuple(draw if isinstance(move, MixtureMove) else move for move in kernel.others)
-    return replace(kernel, candidates=replace(kernel.candidates, offer=draw), others=others)
+    offer = replace(kernel.candidates.offer, mixture=mixture)
+    return replace(kernel, candidates=replace(kernel.candidates, offer=offer))
 
 
 @partial(jax.jit, static_argnames="spare")

@@ -68,7 +68,7 @@ def floating_draw(key: jax.Array, model: SceneModel) -> SceneGraph:
     draw = partial(
         sample_pose, prior=model.prior, bodies=model.bodies, scene=floating_scene(rest), child=jnp.array(0)
     )
-    poses = jax.vmap(draw)(jax.random.split(key, count))
+    poses = jax.vmap(draw)(jax.random.uniform(key, (count, 9)))
     return floating_scene(jnp.where(movable[:, None], poses, rest))
 
 

@@ -69,17 +69,25 @@ def images(
 @jax.jit
 def started(likelihood: DepthImages, key: jax.Array, scene: SceneGraph) -> Estimate:
     """The estimate of a scene from scratch."""
-    start_key, update_key = jax.random.split(key)
-    blank, stand = likelihood.start(start_key, scene), jnp.zeros_like(scene.present)
-    return likelihood.update(jax.random.split(update_key), scene, stand, blank, anew=jnp.array(True))
+    start_key, offer_key = jax.random.split(key)
+    blank = likelihood.start(start_key, scene)
+    alone, stand = beside(scene, scene.poses[None])
+    offered = likelihood.offered(candidate_keys(offer_key, 1), alone, stand, blank, anew=jnp.array(True))
+    return likelihood.chosen(offered, jnp.array(0))
+
+
+def beside(scene: SceneGraph, poses: jax.Array) -> tuple[SceneGraph, jax.Array]:
+    """Scenes with objects at poses (K, N, 7), and which stand elsewhere."""
+    every = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[None], (len(poses), *leaf.shape)), scene)
+    return replace(every, poses=poses), jnp.any(poses != scene.poses[None], axis=2)
 
 
 @jax.jit
-def updated(
-    likelihood: DepthImages, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate
+def offered(
+    likelihood: DepthImages, keys: jax.Array, scene: SceneGraph, poses: jax.Array, current: Estimate
 ) -> Estimate:
-    """The estimate after a move."""
-    return likelihood.update(keys, scene, moved, current, anew=jnp.array(False))
+    """The estimates of scenes with objects at poses (K, N, 7), the present ones first."""
+    return likelihood.offered(keys, *beside(scene, poses), current, anew=jnp.array(False))
 
 
 def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:
@@ -102,32 +110,29 @@ def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) ->
 def test_every_way_to_a_scene_has_its_likelihood(
     key: jax.Array, seed: int, boxes: list[SceneObject], poses: jax.Array
 ) -> None:
-    """From scratch, by moving one object or all, and as a candidate: that of the images rendered whole."""
+    """From scratch, beside others or after them, one object moved or both: that of whole images."""
     observed_m = np.random.default_rng(seed).uniform(0.45, 0.85, (2, HEIGHT, WIDTH)).astype(np.float32)
     likelihood = images(boxes, observed_m)
     scene = floating_scene(poses)
-    steps = jnp.asarray(
-        [[0.0] * 7, [0, 0, 0, 0, 0.03, 0, 0], [0, 0, 0, 0, 0.4, 0, 0], [0, 0, 0, 0, 0, 0, -0.1]]
-    )
-    start_key, offer_key, update_key = jax.random.split(key, 3)
+    steps = jnp.zeros((5, 2, 7)).at[1, 0, 4].set(0.03).at[2, 1, 4].set(0.4).at[3, 1, 6].set(-0.1)
+    steps = steps.at[4, :, 5].set(jnp.array([0.02, -0.03]))
+    start_key, offer_key, again_key = jax.random.split(key, 3)
     start = started(likelihood, start_key, scene)
     assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
+    keys, there = candidate_keys(offer_key, 6), scene.poses[None] + steps[jnp.array([0, 1, 2, 3, 4, 0])]
     chains = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
-    offer = jax.jit(jax.vmap(likelihood.of_candidates, in_axes=(None, None, None, None, 0)))
-    keys, update_keys = candidate_keys(offer_key, len(steps)), jax.random.split(update_key)
-    for chosen in range(2):
-        poses_there = scene.poses[chosen][None] + steps
-        offered = offer(jax.random.clone(keys), scene, jnp.asarray(chosen), poses_there, chains)
-        np.testing.assert_array_equal(offered[0], offered[1])
-        for pose, log_likelihood in zip(poses_there, offered[0], strict=True):
-            there = replace(scene, poses=scene.poses.at[chosen].set(pose))
-            moved = jnp.arange(2) == chosen
-            after = updated(likelihood, jax.random.clone(update_keys), there, moved, start)
-            expected = dense(likelihood, observed_m, there)
-            assert float(after.log_likelihood) == pytest.approx(expected, abs=1e-2)
-            assert float(log_likelihood) == pytest.approx(expected, abs=1e-2)
-    stays = updated(likelihood, jax.random.clone(update_keys), scene, jnp.zeros(2, bool), start)
-    jax.tree.map(np.testing.assert_array_equal, stays, start)
+
+    every = jax.vmap(offered, in_axes=(None, None, None, None, 0))(likelihood, keys, scene, there, chains)
+
+    np.testing.assert_array_equal(every.log_likelihood[0], every.log_likelihood[1])
+    assert float(every.log_likelihood[0, 0]) == float(start.log_likelihood)
+    for place, pair in enumerate(there):
+        expected = dense(likelihood, observed_m, replace(scene, poses=pair))
+        assert float(every.log_likelihood[0, place]) == pytest.approx(expected, abs=1e-2)
+        after = likelihood.chosen(jax.tree.map(lambda leaf: leaf[0], every), jnp.asarray(place))
+        at, back = replace(scene, poses=pair), jnp.stack([pair, scene.poses])
+        again = offered(likelihood, candidate_keys(jax.random.clone(again_key), 2), at, back, after)
+        assert float(again.log_likelihood[1]) == pytest.approx(float(start.log_likelihood), abs=1e-2)
 
 
 def test_the_likelihood_of_frames_is_their_product(
@@ -170,7 +175,7 @@ def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], p
 def test_the_estimate_over_shapes_is_unbiased(
     key: jax.Array, seed: int, poses: jax.Array, draws: int
 ) -> None:
-    """Its mean is the likelihood averaged over all known shapes; a candidate's key makes it again."""
+    """Its mean is the likelihood averaged over all known shapes; what has not moved keeps its own."""
     sizes = [(0.1, 0.06, 0.02 + 0.004 * extra) for extra in range(4)]
     meshes = [trimesh.creation.box(size) for size in sizes]
     shapes = [scene_object("it", mesh.vertices, mesh.faces) for mesh in meshes]
@@ -188,12 +193,11 @@ def test_the_estimate_over_shapes_is_unbiased(
     estimates = start(likelihood, jax.random.split(start_key, 800 // draws), scene).log_likelihood
 
     assert_mean(jnp.exp(estimates - log_exact), 1.0, detectable=0.4)
-    keys = candidate_keys(offer_key, 3)
-    there = jnp.stack([poses[0], poses[0], poses[0].at[4].add(0.01)])
     current = started(likelihood, jax.random.clone(start_key), scene)
-    offered = jax.jit(likelihood.of_candidates)(keys, scene, jnp.array(0), there, current)
-    assert float(offered[0]) == pytest.approx(float(current.log_likelihood), abs=1e-3)
-    for place in (1, 2):
-        at = floating_scene(there[place][None])
-        again = updated(likelihood, jax.random.clone(keys)[place], at, jnp.ones(1, bool), current)
-        assert float(again.log_likelihood) == pytest.approx(float(offered[place]), abs=1e-3)
+    again = started(likelihood, jax.random.clone(start_key), scene)
+    assert float(again.log_likelihood) == float(current.log_likelihood)
+    there = jnp.stack([poses[:1], poses[:1].at[0, 4].add(0.01), poses[:1]])
+    once = offered(likelihood, candidate_keys(offer_key, 3), scene, there, current)
+    twice = offered(likelihood, candidate_keys(jax.random.clone(offer_key), 3), scene, there, current)
+    np.testing.assert_array_equal(once.log_likelihood, twice.log_likelihood)
+    assert float(once.log_likelihood[2]) == float(current.log_likelihood)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, floating_draw, start_chains
-from scene.chain import Kernel, run_block
+from scene.chain import run_block
 from scene.contact import TOP_FACE
 from scene.graph import ROOT, SceneGraph
-from scene.model import ChainState, Estimate, SceneModel
+from scene.model import Apart, ChainState, Estimate, SceneModel
 from scene.prior import sample_pose
 from tests.statistical import assert_mean
 
@@ -25,7 +25,7 @@ SIGMA_M, CONCENTRATION = 0.25, 3.0
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Seen:
+class Seen(Apart):
     """Of body 0: its place, Gaussian, and the direction of its third axis, von Mises-Fisher."""
 
     depends_on_graph: ClassVar[bool] = False
@@ -43,19 +43,12 @@ class Seen:
         del key
         return Estimate(self.log_likelihood(scene.poses[0]), ())
 
-    def update(
-        self, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+    def offered(
+        self, keys: jax.Array, scenes: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
     ) -> Estimate:
         """Exact."""
         del keys, moved, current, anew
-        return Estimate(self.log_likelihood(scene.poses[0]), ())
-
-    def of_candidates(
-        self, keys: jax.Array, scene: SceneGraph, chosen: jax.Array, poses: jax.Array, current: Estimate
-    ) -> jax.Array:
-        """Exact; the table is never chosen."""
-        del keys, scene, chosen, current
-        return jax.vmap(self.log_likelihood)(poses)
+        return Estimate(jax.vmap(self.log_likelihood)(scenes.poses[:, 0]), ())
 
 
 def seen_model() -> SceneModel:
@@ -78,8 +71,9 @@ def expected(key: jax.Array, model: SceneModel) -> np.ndarray:
     def weighted(scene: SceneGraph, key: jax.Array) -> jax.Array:
         face_key, pose_key = jax.random.split(key)
         faces = scene.child_faces.at[0].set(jax.random.randint(face_key, (), 0, 6, jnp.int32))
+        uniforms = jax.random.uniform(pose_key, (9,))
         pose = sample_pose(
-            pose_key, model.prior, model.bodies, replace(scene, child_faces=faces), jnp.array(0)
+            uniforms, model.prior, model.bodies, replace(scene, child_faces=faces), jnp.array(0)
         )
         features = jnp.array([1.0, pose[6], 1 - 2 * (pose[1] ** 2 + pose[2] ** 2)])
         return jnp.exp(likelihood.log_likelihood(pose)) * features
@@ -106,7 +100,7 @@ def test_contact_is_as_likely_as_its_evidence(key: jax.Array, near_share: float)
     start_key, run_key, exact_key = jax.random.split(key, 3)
     kernel = cube_kernel(2)
     candidates = replace(kernel.candidates, near_share=jnp.asarray(near_share), count=4)
-    kernel = Kernel(kernel.structure, candidates, kernel.others)
+    kernel = replace(kernel, candidates=candidates)
     states = start_chains(start_key, model, CHAINS)
 
     _, recorded, info = run_block(run_key, states, model, kernel, SWEEPS, features)

@@ -99,15 +99,15 @@ def test_contact_measure_is_eight_times_the_pose_measure(key: jax.Array) -> None
     )
     parent = jnp.array([1.0, 0, 0, 0, 0, 0, 0])
 
-    def ratio(key: jax.Array) -> jax.Array:
+    def ratio(uniforms: jax.Array) -> jax.Array:
         child = sample_pose(
-            key, wide, model.bodies, floating_scene(jnp.stack([parent, parent])), jnp.array(1)
+            uniforms, wide, model.bodies, floating_scene(jnp.stack([parent, parent])), jnp.array(1)
         )
         poses = jnp.stack([parent, child])
         log_contacts = log_contacts_of(wide, model.bodies, poses, jnp.array(1))[0] + LOG_CONTACT_JACOBIAN
         return jnp.sum(jnp.exp(log_contacts - log_floating(wide, child[4:])))
 
-    ratios = jax.lax.map(ratio, jax.random.split(key, 400_000), batch_size=20_000)
+    ratios = jax.lax.map(ratio, jax.random.uniform(key, (400_000, 9)), batch_size=20_000)
 
     assert_mean(ratios, 1.0, detectable=0.25)
 
@@ -119,8 +119,8 @@ def test_prior_samples_have_the_chart_of_their_density(key: jax.Array) -> None:
     scene = floating_draw(scene_key, model)
     scene = SceneGraph(jnp.array([-1, 0]), jnp.array([0, 2]), jnp.array([0, 3]), scene.poses, scene.present)
 
-    def contact(key: jax.Array) -> jax.Array:
-        pose = sample_pose(key, model.prior, model.bodies, scene, jnp.array(1))
+    def contact(uniforms: jax.Array) -> jax.Array:
+        pose = sample_pose(uniforms, model.prior, model.bodies, scene, jnp.array(1))
         there = SceneGraph(
             scene.parents, scene.child_faces, scene.parent_faces, scene.poses.at[1].set(pose), scene.present
         )
@@ -130,7 +130,7 @@ def test_prior_samples_have_the_chart_of_their_density(key: jax.Array) -> None:
         log_p = log_parameters(model.prior, model.bodies, there, jnp.array(1))
         return jnp.append(coordinates, log_p)
 
-    draws = jax.vmap(contact)(jax.random.split(draw_key, 20_000))
+    draws = jax.vmap(contact)(jax.random.uniform(draw_key, (20_000, 9)))
 
     assert_uniform(draws[:, 0], low=-0.5, high=0.5)
     assert_uniform(draws[:, 1], low=-0.5, high=0.5)

@@ -35,10 +35,17 @@ def covariance(seed: int) -> jax.Array:
     return jnp.asarray(factor @ factor.T + 1e-8 * np.eye(6))
 
 
+def samples(key: jax.Array, mixture: PoseMixture, count: int) -> jax.Array:
+    """Poses (count, 7)."""
+    uniform_key, normal_key = jax.random.split(key)
+    uniforms, normals = jax.random.uniform(uniform_key, (count,)), jax.random.normal(normal_key, (count, 6))
+    return jax.vmap(pose_mixture.sample, in_axes=(0, 0, None))(uniforms, normals, mixture)
+
+
 def test_a_round_objects_mixture_looks_the_same_from_all_sides(key: jax.Array, seed: int) -> None:
     """Its density changes little with the spin, though offset and tilt are correlated."""
     own = PoseMixture.build(*own_components(jnp.asarray(MEAN), covariance(seed), jnp.asarray(2)))
-    poses = jax.vmap(lambda key: pose_mixture.sample(key, own))(jax.random.split(key, 200))
+    poses = samples(key, own, 200)
 
     def turned(pose: jax.Array, angle: jax.Array) -> jax.Array:
         rotation = jaxlie.SO3(pose[:4]) @ spin(jnp.asarray(2), angle)
@@ -60,7 +67,7 @@ def test_the_burn_in_teaches_mean_and_covariance(key: jax.Array, seed: int, axis
     true = own_components(jnp.asarray(MEAN), covariance(seed), jnp.asarray(axis))
     narrow = true[0].at[8:].set(-jnp.inf)
     drawn = PoseMixture.build(narrow, *true[1:])
-    states = jax.vmap(lambda key: pose_mixture.sample(key, drawn))(jax.random.split(key, 4000))
+    states = samples(key, drawn, 4000)
     far = jnp.asarray(MEAN).at[4:].add(0.1)
     first = PoseMixture.build(
         true[0], jnp.broadcast_to(far, (12, 7)), 1e-4 * jnp.broadcast_to(jnp.eye(6), (12, 6, 6))

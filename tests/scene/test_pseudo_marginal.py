@@ -13,7 +13,7 @@ import pytest
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains
 from scene.chain import run_block
 from scene.graph import SceneGraph
-from scene.model import ChainState, Estimate
+from scene.model import Apart, ChainState, Estimate
 from scene.shape_choices import drawn, redrawn
 from tests.statistical import assert_mean
 
@@ -28,7 +28,7 @@ RIGHT = 1 / (1 + np.exp(SIDES[0]).mean() / np.exp(SIDES[1]).mean())
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ThreeVoxels:
+class ThreeVoxels(Apart):
     """The estimate over R shapes, or one of two that are wrong."""
 
     depends_on_graph: ClassVar[bool] = False
@@ -46,26 +46,18 @@ class ThreeVoxels:
         """From fresh shapes."""
         return self.estimate(scene.poses[0], drawn(key, (self.draws,), SHAPES))
 
-    def update(
-        self, keys: jax.Array, scene: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
+    def offered(
+        self, keys: jax.Array, scenes: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
     ) -> Estimate:
         """From shapes redrawn where the cube has moved, or where it should not be."""
         del anew
-        fresh = redrawn(keys, current.draws, SHAPES, self.fresh_share)
-        return self.estimate(scene.poses[0], jnp.where(moved[0], fresh, current.draws))
 
-    def of_candidates(
-        self, keys: jax.Array, scene: SceneGraph, chosen: jax.Array, poses: jax.Array, current: Estimate
-    ) -> jax.Array:
-        """As `update` makes them."""
-        del scene, chosen
-
-        def one(place: jax.Array, keys: jax.Array, pose: jax.Array) -> jax.Array:
+        def one(place: jax.Array, keys: jax.Array, pose: jax.Array, moved: jax.Array) -> Estimate:
             fresh = redrawn(keys, current.draws, SHAPES, self.fresh_share)
-            stays = (place == 0) & (self.wrong != "recomputed")
-            return self.estimate(pose, jnp.where(stays, current.draws, fresh)).log_likelihood
+            stays = ~moved & ((place > 0) | (self.wrong != "recomputed"))
+            return self.estimate(pose, jnp.where(stays, current.draws, fresh))
 
-        return jax.vmap(one)(jnp.arange(len(poses)), keys, poses)
+        return jax.vmap(one)(jnp.arange(len(keys)), keys, scenes.poses[:, 0], moved[:, 0])
 
 
 def is_right(state: ChainState) -> jax.Array:

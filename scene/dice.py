@@ -1,0 +1,50 @@
+"""Random numbers thrown all at once: one large draw compiles and runs sooner than many small ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Dice:
+    """Independent numbers, each to be used once.
+
+    Attributes:
+        uniform: (..., U) in [0, 1).
+        normal: (..., Z).
+    """
+
+    uniform: jax.Array
+    normal: jax.Array
+
+    @classmethod
+    def thrown(
+        cls, key: jax.Array, lead: tuple[int, ...], uniforms: int, normals: int, dtype: jnp.dtype
+    ) -> Dice:
+        """Dice of leading axes `lead`."""
+        uniform_key, normal_key = jax.random.split(key)
+        return cls(
+            jax.random.uniform(uniform_key, (*lead, uniforms), dtype),
+            jax.random.normal(normal_key, (*lead, normals), dtype),
+        )
+
+    def without(self, uniforms: int, normals: int = 0) -> Dice:
+        """Those (U,) and (Z,) that are left after the first ones."""
+        return Dice(self.uniform[uniforms:], self.normal[normals:])
+
+
+def drawn_place(weights: jax.Array, uniform: jax.Array) -> jax.Array:
+    """Place in a short table (n,) of weights; the last place with a weight ends the table."""
+    cumulative = jnp.cumsum(weights)
+    place = jnp.sum(cumulative <= uniform * cumulative[-1])
+    return jnp.minimum(place, len(weights) - 1 - jnp.argmax(weights[::-1] > 0))
+
+
+def drawn_object(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
+    """One of the eligible objects (C,), each as likely."""
+    rank = jnp.floor(uniform * jnp.sum(eligible))
+    return jnp.argmax(jnp.cumsum(eligible) > rank)
