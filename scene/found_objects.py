@@ -41,17 +41,17 @@ class FoundObjects:
         return cls(indices=indices, slots=slots, count=len(start.found))
 
     @property
-    def _placed(self) -> NDArray[np.intp]:
+    def placed(self) -> NDArray[np.intp]:
         """(slots,) whose object is in each slot; an empty one is made out of any."""
         return np.append(self.indices, np.zeros(self.slots - len(self.indices), np.intp))
 
     def taken(self, values: Sequence[Item]) -> list[Item]:
         """Of N things those of the slots."""
-        return [values[index] for index in self._placed]
+        return [values[index] for index in self.placed]
 
     def only(self, start: Initialisation) -> Initialisation:
         """The best scene and its pools of the slots alone; empty ones stand out of sight."""
-        placed = self._placed
+        placed = self.placed
         is_empty = np.arange(self.slots) >= len(self.indices)
         return Initialisation(
             poses=np.where(is_empty[:, None], np.array(OUT_OF_SIGHT), start.poses[placed]),
@@ -69,5 +69,5 @@ class FoundObjects:
 
     def parents(self, parents: NDArray[np.integer]) -> NDArray[np.int32]:
         """Numbers of parents among N objects and the table, of numbers among slots and the table."""
-        numbers = np.append(self._placed, [self.count, -1])  # the last is the root's, -1
+        numbers = np.append(self.placed, [self.count, -1])  # the last is the root's, -1
         return numbers[parents].astype(np.int32)

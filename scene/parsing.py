@@ -101,7 +101,7 @@ def parse_scene(
     noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
     found = FoundObjects.of(start)
     chosen, their_start = found.taken(objects), found.only(start)
-    refined = refine(refine_key, data, ObjectRenderer.of(chosen), their_start, noise, config.pixel_weight)
+    refined = refine(refine_key, data, renderer, found.placed, their_start, noise, config.pixel_weight)
     camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
     world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)

@@ -54,6 +54,7 @@ def refine(
     key: jax.Array,
     data: SceneData,
     renderer: ObjectRenderer,
+    numbers: NDArray[np.integer],
     start: Initialisation,
     noise: DepthNoise,
     pixel_weight: float,
@@ -63,7 +64,8 @@ def refine(
     Args:
         key: random key.
         data: the first frame.
-        renderer: of the objects.
+        renderer: of these objects and others.
+        numbers: (N,) of the objects among the renderer's.
         start: the best scene.
         noise: of the sensor and the surfaces together.
         pixel_weight: the likelihood's exponent.
@@ -74,12 +76,12 @@ def refine(
     factors = np.tile(np.diag(FIRST_SIGMA), (count, 1, 1))
     best, visible = start.poses, np.zeros(count)
     for _ in range(TURNS):
-        rest_m, visible = _without_each(data, renderer, means, start.found)
+        rest_m, visible = _without_each(data, renderer, numbers, means, start.found)
         normal = rng.standard_normal((count, DRAWS, 6))
         normal[:, 0] = 0.0
         tangents = np.einsum("nij,nsj->nsi", factors, normal)
         poses = np.asarray(_moved(means, tangents), np.float64)
-        log_ratio = pixel_weight * _log_ratio(data, renderer, poses, rest_m, noise)
+        log_ratio = pixel_weight * _log_ratio(data, renderer, numbers, poses, rest_m, noise)
         log_weights = log_ratio + 0.5 * (normal**2).sum(axis=-1)
         weights = np.stack([_tempered(one) for one in log_weights])
         top = log_ratio.argmax(axis=1)
@@ -113,11 +115,15 @@ def _tempered(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _without_each(
-    data: SceneData, renderer: ObjectRenderer, poses: NDArray[np.float64], found: NDArray[np.bool_]
+    data: SceneData,
+    renderer: ObjectRenderer,
+    numbers: NDArray[np.integer],
+    poses: NDArray[np.float64],
+    found: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Depth (N, H, W) of the scene without each object, and the share (N,) of each that it does not hide."""
     count = len(poses)
-    depth = renderer.layers(np.arange(count), poses, data.window)
+    depth = renderer.layers(numbers, poses, data.window)
     depth = np.where(found[:, None, None], depth, np.float32(np.inf))
     others = [np.delete(depth, one, axis=0).min(axis=0, initial=np.inf) for one in range(count)]
     rest_m = np.minimum(np.stack(others), data.rest_m)
@@ -129,16 +135,18 @@ def _without_each(
 def _log_ratio(
     data: SceneData,
     renderer: ObjectRenderer,
+    numbers: NDArray[np.integer],
     poses: NDArray[np.float64],
     rest_m: NDArray[np.float32],
     noise: DepthNoise,
 ) -> NDArray[np.float64]:
     """Log likelihood ratio (N, S) of the image with each object at poses (N, S, 7) and without it."""
     count, draws = poses.shape[:2]
-    objects = np.repeat(np.arange(count, dtype=np.int32), draws)
+    places = np.repeat(np.arange(count, dtype=np.int32), draws)
+    objects = np.asarray(numbers, np.int32)[places]
     flat = poses.reshape(-1, 7).astype(np.float32)
     camera, observed_m = data.window.camera, data.window.depth_m
-    evidence, posed = _posed_before_rests(renderer, noise, camera, observed_m, rest_m, objects, flat)
+    evidence, posed = _posed_before_rests(renderer, noise, camera, observed_m, rest_m, places, objects, flat)
     ratio = log_likelihood_ratio(renderer.library, noise, evidence, posed)
     return ratio.astype(np.float64).reshape(count, draws)
 
@@ -150,13 +158,14 @@ def _posed_before_rests(
     camera: Camera,
     observed_m: jax.Array,
     rest_m: jax.Array,
+    places: jax.Array,
     objects: jax.Array,
     poses: jax.Array,
 ) -> tuple[DepthEvidence, PosedObjects]:
-    """The image against rests (N, H, W), and objects (M,) at poses (M, 7), each before its own rest."""
+    """The image against rests (N, H, W), and objects (M,) at poses (M, 7), each before its place's rest."""
     cameras = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, len(rest_m)), camera)
     evidence = depth_evidence(noise, cameras, observed_m[None], rest_m)
-    return evidence, renderer.posed(objects, poses, objects)
+    return evidence, renderer.posed(objects, poses, places)
 
 
 @jax.jit
