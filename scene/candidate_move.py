@@ -34,7 +34,8 @@ class CandidateMove:
     x and K - 1 poses y round z, all by one symmetric step k, and the choice is in proportion to pi
     (Tjelmeland 2004). The joint densities pi(x) prod q(y) and pi(x) k(x, z) prod k(z, y), times the chance
     of the choice, are symmetric in who of the K is the present one: as an involution, with the place of
-    the choice as auxiliary variable, h swaps two poses and the weight is 1.
+    the choice as auxiliary variable, h swaps two poses and the weight is 1. The choice is Metropolised
+    (`decide`), which leaves the same weights invariant and stays less often.
 
     What rests on the object stays where it is.
 
@@ -67,7 +68,7 @@ class CandidateMove:
         chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
         poses, log_offered = self._poses(dice.without(1), model, scene, chosen)
         scenes = jax.vmap(partial(at_pose, scene, chosen))(poses)
-        return Offer(scenes, log_offered, jnp.array(True), jnp.zeros_like(state.log_prior))
+        return Offer(scenes, log_offered, jnp.zeros_like(state.log_prior))
 
     def _poses(
         self, dice: Dice, model: SceneModel, scene: SceneGraph, chosen: jax.Array

@@ -48,11 +48,11 @@ class Kernel:
         return (self.repeats + 1) * (2 if self.structure else 1)
 
     def thrown(self, key: jax.Array, dtype: jnp.dtype) -> Dice:
-        """Dice (repeats + 1,) of a sweep's steps: two numbers beside those of each of a step's two moves."""
+        """Dice (repeats + 1,) of a sweep's steps: three numbers beside those of each of two moves."""
         poses = (self.candidates, *self.others)
-        uniforms = 2 + max(move.uniforms for move in poses)
+        uniforms = 3 + max(move.uniforms for move in poses)
         if self.structure:
-            uniforms += 2 + self.structure.uniforms
+            uniforms += 3 + self.structure.uniforms
         return Dice.thrown(key, (self.repeats + 1,), uniforms, max(move.normals for move in poses), dtype)
 
 
@@ -142,7 +142,7 @@ def sweep(
         info = None
         if kernel.structure:
             state, info = _grafted(graph_key, dice, state, model, kernel.structure, verify)
-            dice = dice.without(2 + kernel.structure.uniforms)
+            dice = dice.without(3 + kernel.structure.uniforms)
         state, pose_info = _posed(pose_key, dice, state, model, kernel, kind, verify)
         return state, (info, pose_info)
 
@@ -156,17 +156,17 @@ def _grafted(
     key: jax.Array, dice: Dice, state: ChainState, model: SceneModel, move: Move, verify: bool
 ) -> tuple[ChainState, MoveInfo]:
     """Another edge, poses as they are: data that see nothing else keep their estimate."""
-    offer = propose(dice.without(1), model, move, state, 2, verify=verify)
+    offer = propose(dice.without(2), model, move, state, 2, verify=verify)
     if not model.likelihood.depends_on_graph:
         blind = replace(model, likelihood=NoData())
         decided, info = decide(
-            dice.uniform[0], blind, offer, Estimate(jnp.zeros(2, offer.log_offered.dtype), ())
+            dice.uniform[:2], blind, offer, Estimate(jnp.zeros(2, offer.log_offered.dtype), ())
         )
         return replace(decided, estimate=state.estimate), info
     stand = jnp.zeros_like(offer.scenes.present)
     keys = candidate_keys(key, 2)
     estimates = model.likelihood.offered(keys, offer.scenes, stand, state.estimate, anew=jnp.array(False))
-    return decide(dice.uniform[0], model, offer, estimates)
+    return decide(dice.uniform[:2], model, offer, estimates)
 
 
 def _posed(
@@ -184,7 +184,7 @@ def _posed(
     def same(dice: Dice, state: ChainState) -> Offer:  # noqa: ARG001
         scenes = jax.tree.map(lambda leaf: repeated(leaf, count), state.scene)
         first = jnp.where(jnp.arange(count) == 0, jnp.zeros_like(state.log_prior), jnp.inf)
-        return Offer(scenes, first, jnp.array(True), jnp.zeros_like(state.log_prior))
+        return Offer(scenes, first, jnp.zeros_like(state.log_prior))
 
     def candidates(dice: Dice, state: ChainState) -> Offer:
         return kernel.candidates.propose(dice, model, state)
@@ -193,11 +193,11 @@ def _posed(
         return lambda dice, state: propose(dice, model, move, state, count, verify=verify)
 
     offers = [same, candidates, *(by(move) for move in kernel.others)]
-    offer = jax.lax.switch(kind, offers, dice.without(1), state)
+    offer = jax.lax.switch(kind, offers, dice.without(2), state)
     moved = jnp.any(offer.scenes.poses != state.scene.poses[None], axis=2)
     keys = candidate_keys(key, count)
     estimates = model.likelihood.offered(keys, offer.scenes, moved, state.estimate, anew=kind == _ANEW)
-    return decide(dice.uniform[0], model, offer, estimates)
+    return decide(dice.uniform[:2], model, offer, estimates)
 
 
 @partial(

@@ -59,14 +59,12 @@ class Offer:
         scenes: leaves (K, C, ...).
         log_offered: (K,) what is taken off each log posterior density. By an involution, of the second
             scene: log q(a | context) - log q(a' | context) - log |det Dh|; +inf for places without use.
-        is_choice: () bool, whether one of all is chosen in proportion; else the second is accepted or not.
         involution_error: largest difference between (s, a), the log weight's negation included, and what
             applying h twice returns; 0 where this was not asked for.
     """
 
     scenes: SceneGraph
     log_offered: jax.Array
-    is_choice: jax.Array
     involution_error: jax.Array
 
 
@@ -109,7 +107,7 @@ def propose(
         error = jnp.maximum(_difference(scene, back), asymmetry)
     scenes = jax.tree.map(lambda new, old: repeated(old, count).at[1].set(new), there, scene)
     log_offered = jnp.full(count, jnp.inf, log_forward.dtype).at[:2].set(jnp.stack([0.0, -log_forward]))
-    return Offer(scenes, log_offered, jnp.array(False), error)
+    return Offer(scenes, log_offered, error)
 
 
 def repeated(leaf: jax.Array, count: int) -> jax.Array:
@@ -120,19 +118,24 @@ def repeated(leaf: jax.Array, count: int) -> jax.Array:
 def decide(
     uniform: jax.Array, model: SceneModel, offer: Offer, estimates: Estimate
 ) -> tuple[ChainState, MoveInfo]:
-    """The scene that comes next: one in proportion to its weight, or the second with min(1, weight).
+    """The scene that comes next, by Metropolised choice (Liu 1996): better than one in proportion to weights.
+
+    Another than the present one is drawn in proportion to its weight, and accepted with probability
+    min(1, (W - w of the present) / (W - w of the other)), W the sum: min(1, ratio) where there are two.
 
     Args:
-        uniform: a number.
+        uniform: (2,) numbers.
         model: the target.
         offer: the scenes.
         estimates: (K,) of their likelihoods.
     """
     log_priors = jax.vmap(model.log_prior)(offer.scenes)
     log_weights = log_priors + estimates.log_likelihood - offer.log_offered
-    one_of_all = drawn_place(jnp.exp(log_weights - jnp.max(log_weights)), uniform)
-    accepted = jnp.log(uniform) < log_weights[1] - log_weights[0]
-    place = jnp.where(offer.is_choice, one_of_all, accepted).astype(jnp.int32)
+    weights = jnp.exp(log_weights - jnp.max(log_weights))
+    others = weights.at[0].set(0.0)
+    other = drawn_place(others, uniform[0])
+    rest = jnp.sum(jnp.where(jnp.arange(len(weights)) == other, 0.0, weights))
+    place = jnp.where(uniform[1] * rest < jnp.sum(others), other, 0).astype(jnp.int32)
     scene = jax.tree.map(lambda leaf: leaf[place], offer.scenes)
     state = ChainState(scene, log_priors[place], model.likelihood.chosen(estimates, place))
     return state, MoveInfo(place > 0, offer.involution_error)
