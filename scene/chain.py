@@ -160,13 +160,17 @@ def _grafted(
     if not model.likelihood.depends_on_graph:
         blind = replace(model, likelihood=NoData())
         decided, info = decide(
-            dice.uniform[:2], blind, offer, Estimate(jnp.zeros(2, offer.log_offered.dtype), ())
+            dice.uniform[:2],
+            blind,
+            state.log_prior,
+            offer,
+            Estimate(jnp.zeros(2, offer.log_offered.dtype), ()),
         )
         return replace(decided, estimate=state.estimate), info
     stand = jnp.zeros_like(offer.scenes.present)
     keys = candidate_keys(key, 2)
     estimates = model.likelihood.offered(keys, offer.scenes, stand, state.estimate, anew=jnp.array(False))
-    return decide(dice.uniform[:2], model, offer, estimates)
+    return decide(dice.uniform[:2], model, state.log_prior, offer, estimates)
 
 
 def _posed(
@@ -197,7 +201,7 @@ def _posed(
     moved = jnp.any(offer.scenes.poses != state.scene.poses[None], axis=2)
     keys = candidate_keys(key, count)
     estimates = model.likelihood.offered(keys, offer.scenes, moved, state.estimate, anew=kind == _ANEW)
-    return decide(dice.uniform[:2], model, offer, estimates)
+    return decide(dice.uniform[:2], model, state.log_prior, offer, estimates)
 
 
 @partial(

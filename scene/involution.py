@@ -116,7 +116,7 @@ def repeated(leaf: jax.Array, count: int) -> jax.Array:
 
 
 def decide(
-    uniform: jax.Array, model: SceneModel, offer: Offer, estimates: Estimate
+    uniform: jax.Array, model: SceneModel, log_prior: jax.Array, offer: Offer, estimates: Estimate
 ) -> tuple[ChainState, MoveInfo]:
     """The scene that comes next, by Metropolised choice (Liu 1996): better than one in proportion to weights.
 
@@ -126,16 +126,18 @@ def decide(
     Args:
         uniform: (2,) numbers.
         model: the target.
+        log_prior: of the present scene.
         offer: the scenes.
         estimates: (K,) of their likelihoods.
     """
-    log_priors = jax.vmap(model.log_prior)(offer.scenes)
+    others = jax.tree.map(lambda leaf: leaf[1:], offer.scenes)
+    log_priors = jnp.concatenate([log_prior[None], jax.vmap(model.log_prior)(others)])
     log_weights = log_priors + estimates.log_likelihood - offer.log_offered
     weights = jnp.exp(log_weights - jnp.max(log_weights))
-    others = weights.at[0].set(0.0)
-    other = drawn_place(others, uniform[0])
+    to_others = weights.at[0].set(0.0)
+    other = drawn_place(to_others, uniform[0])
     rest = jnp.sum(jnp.where(jnp.arange(len(weights)) == other, 0.0, weights))
-    place = jnp.where(uniform[1] * rest < jnp.sum(others), other, 0).astype(jnp.int32)
+    place = jnp.where(uniform[1] * rest < jnp.sum(to_others), other, 0).astype(jnp.int32)
     scene = jax.tree.map(lambda leaf: leaf[place], offer.scenes)
     state = ChainState(scene, log_priors[place], model.likelihood.chosen(estimates, place))
     return state, MoveInfo(place > 0, offer.involution_error)
