@@ -85,8 +85,8 @@ def summarise(
         start.found[:, None, None], np.linalg.inv(world_from_camera) @ in_world, starts[None]
     )
     poses, best = in_camera @ box_from_object, starts @ box_from_object
-    moments = [_moments(poses[:, one], best[one]) for one in range(count)]
     modes = [_modes(poses[:, one]) for one in range(count)]
+    moments = [_moments(poses[:, one], best[one], modes[one][0][0]) for one in range(count)]
     edges, faces = _edges(flat, count)
     return SceneResult(
         names=np.array([one.name for one in objects]),
@@ -126,14 +126,17 @@ def _of_all(flat: Samples, chosen: FoundObjects) -> Samples:
 
 
 def _moments(
-    poses: NDArray[np.float64], best: NDArray[np.float64]
+    poses: NDArray[np.float64], best: NDArray[np.float64], likeliest: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean (4, 4) and right covariance (6, 6) of the samples (S, 4, 4) in the mode of `best`."""
+    """Mean (4, 4) and right covariance (6, 6) of the samples (S, 4, 4) in the mode of `best`.
+
+    In the mode of `likeliest` where the chains have left that one for good.
+    """
+    near = _near(poses, best)
+    if not near.any():
+        best, near = likeliest, _near(poses, likeliest)
     tangents = tangents_of(np.linalg.inv(best) @ poses)
-    near = (np.linalg.norm(tangents[:, :3], axis=1) < MODE_RADIUS_M) & (
-        np.linalg.norm(tangents[:, 3:], axis=1) < MODE_RADIUS_RAD
-    )
-    weights = near / max(near.sum(), 1)
+    weights = near / near.sum()
     mean = best
     for _ in range(MEAN_STEPS):
         mean = mean @ motions_of(weights @ tangents_of(np.linalg.inv(mean) @ poses))
