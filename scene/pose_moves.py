@@ -187,4 +187,4 @@ def carried_along(scene: SceneGraph, chosen: jax.Array, carry: jax.Array) -> jax
 
 def normalised(pose: jax.Array) -> jax.Array:
     """A pose (7,) whose quaternion has length 1."""
-    return jnp.concatenate([pose[:4] / jnp.linalg.norm(pose[:4]), pose[4:]])
+    return jnp.concatenate([quaternions.normalised(pose[:4]), pose[4:]])

@@ -14,7 +14,7 @@ from scene.graph import SceneGraph
 from scene.model import SceneModel
 from scene.pose_mixture import PoseMixture
 from scene.pose_moves import at_pose, normalised
-from scene.prior import log_pose_given_faces, sample_pose
+from scene.prior import POSE_UNIFORMS, log_pose_given_faces, sample_pose
 
 
 @jax.tree_util.register_dataclass
@@ -41,7 +41,7 @@ class PoseOffer:
         prior_share: weight of the prior.
     """
 
-    uniforms: ClassVar[int] = 11
+    uniforms: ClassVar[int] = 2 + POSE_UNIFORMS
     normals: ClassVar[int] = 6
     mixture: PoseMixture
     prior_share: jax.Array

@@ -32,6 +32,8 @@ from scene.rotation_densities import (
     von_mises_fisher_direction,
 )
 
+POSE_UNIFORMS = 9
+"""Uniform numbers that `sample_pose` takes."""
 _LOG_CHILD_FACES = math.log(6)
 _LOG_CIRCLE = math.log(2 * math.pi)
 _LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
@@ -275,7 +277,7 @@ def log_prior(prior: PosePrior, structure: StructurePrior, bodies: Bodies, scene
 def sample_pose(
     uniforms: jax.Array, prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array
 ) -> jax.Array:
-    """Pose (7,) of a child drawn from its prior given its parent and faces, of uniform numbers (9,)."""
+    """Pose (7,) of a child drawn from its prior given its parent and faces, of `POSE_UNIFORMS` numbers."""
     parent = scene.parents[child]
     half_sizes = face_half_sizes(bodies.half_extents_m[parent], scene.parent_faces[child])
     contact = _contact_from_uniforms(prior, half_sizes, uniforms)

@@ -13,7 +13,7 @@ from scene.involution import Move
 from scene.model import ChainState, Likelihood, NoData, SceneModel, start_chain
 from scene.pair_move import PairMove
 from scene.pose_mixture import PoseMixture
-from scene.prior import PosePrior, StructurePrior, WeightedTrees, sample_pose
+from scene.prior import POSE_UNIFORMS, PosePrior, StructurePrior, WeightedTrees, sample_pose
 
 
 def cube_model(
@@ -68,7 +68,7 @@ def floating_draw(key: jax.Array, model: SceneModel) -> SceneGraph:
     draw = partial(
         sample_pose, prior=model.prior, bodies=model.bodies, scene=floating_scene(rest), child=jnp.array(0)
     )
-    poses = jax.vmap(draw)(jax.random.uniform(key, (count, 9)))
+    poses = jax.vmap(draw)(jax.random.uniform(key, (count, POSE_UNIFORMS)))
     return floating_scene(jnp.where(movable[:, None], poses, rest))
 
 
