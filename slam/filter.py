@@ -37,12 +37,12 @@ from slam.particles import (
 from slam.proposal import Component, Proposed, component_at, propose_all
 from slam.rigid import single_precision_poses
 from slam.search import GroupMap, Located, Searcher, distinct_places, worth_keeping
+from slam.second_look import has_wide_steps
 
 COMPONENT_BUCKETS = (1, 2, 4, 8)
 PREDICTION_HOLD = 0.01
 """`PixelTerms.held_step`'s hold at a trusted prediction."""
 LONGEST_RATIO = 3.0
-WIDE_STEP_RAD = 0.4
 LOOSE_RADIUS = 0.15
 """Relative standard deviation of an orbit's radius that nobody gave."""
 
@@ -208,8 +208,8 @@ def _step_may_be_wide(particles: CameraParticles, heaviest: int) -> bool:
     """
     if np.array_equal(particles.previous_pose[heaviest], particles.pose[heaviest]):
         return True
-    first, second = (matrices_of(poses[heaviest]) for poses in (particles.previous_pose, particles.pose))
-    return bool(0.5 * (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) < np.cos(WIDE_STEP_RAD))
+    last_step = [matrices_of(poses[heaviest]) for poses in (particles.previous_pose, particles.pose)]
+    return has_wide_steps(np.stack(last_step))
 
 
 def _group_map(state: FilterState, weights: NDArray[np.float64], group: int) -> GroupMap:
