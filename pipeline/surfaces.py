@@ -25,6 +25,11 @@ class Surface:
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int64]
 
+    @property
+    def middle_m(self) -> NDArray[np.float64]:
+        """Middle (3,) of the bounding box."""
+        return (self.vertices_m.min(axis=0) + self.vertices_m.max(axis=0)) / 2
+
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:

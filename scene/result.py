@@ -85,6 +85,17 @@ class SceneResult:
         """(N,) root mean square angle from the mean orientation."""
         return np.sqrt(np.trace(self.covariance[:, 3:, 3:], axis1=1, axis2=2))
 
+    def covariance_of_point(self, one: int, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance (3, 3) of the place of a point (3,) of an object, in the object's own axes.
+
+        A small motion (v, w) of the object moves the point m by v + w x m. The frame of a learned shape has
+        its origin at a corner of the grid, where turning counts more than in its middle.
+        """
+        x, y, z = point_m
+        turning = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        motion = np.concatenate([np.eye(3), turning], axis=1)
+        return motion @ self.covariance[one] @ motion.T
+
     def in_camera(self, camera_from_this: NDArray[np.float64]) -> SceneResult:
         """The same in another camera, (4, 4) from this one's."""
         return replace(

@@ -113,8 +113,8 @@ def _names(objects: str | None) -> tuple[str, ...] | None:
 
 def _line(one: dict[str, Any], graph: list[dict[str, Any]]) -> str:
     """What a person wants to know of an object."""
-    place = ", ".join(f"{row[3] * 100:.1f}" for row in one["camera_from_object"][:3])
-    spread = f"+- {one['position_std_m'] * 1000:.1f} mm"
+    place = ", ".join(f"{metres * 100:.1f}" for metres in one["middle_m"])
+    spread = f"+- {one['middle_std_m'] * 1000:.1f} mm"
     text = f"{one['name']}: ({place}) cm {spread}, presence {one['presence']:.2f}"
     edges = {edge["parent"]: edge["probability"] for edge in graph if edge["child"] == one["name"]}
     floating = 1 - sum(edges.values())

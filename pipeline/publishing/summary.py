@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
+from pipeline.surfaces import Surfaces
 from scene.convergence import convergence
 from scene.result import FACES, TABLE, SceneResult
 from shapes.prior import ShapePrior
@@ -21,8 +23,8 @@ def summary_of(values: RunValues) -> dict[str, Any]:
         summary["slam"] = _slam(values.slam)
     if values.shapes:
         summary["learn"] = {name: _shape(shape) for name, shape in values.shapes.items()}
-    if values.scene is not None:
-        summary["parse"] = _scene(values.scene)
+    if values.scene is not None and values.surfaces is not None:
+        summary["parse"] = _scene(values.scene, values.surfaces)
     return summary
 
 
@@ -64,9 +66,9 @@ def _shape(shape: ShapePrior) -> dict[str, Any]:
     }
 
 
-def _scene(scene: SceneResult) -> dict[str, Any]:
+def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
     """Objects that were found, and the edges between them, in the camera of the first frame used."""
-    found = np.flatnonzero(scene.found)
+    found = np.flatnonzero(scene.found).tolist()
     names = [*scene.names.tolist(), TABLE]
     agreement = convergence(scene)
     return {
@@ -85,6 +87,7 @@ def _scene(scene: SceneResult) -> dict[str, Any]:
                 "camera_from_object": scene.camera_from_object[one].tolist(),
                 "position_std_m": float(scene.position_std_m[one]),
                 "rotation_std_rad": float(scene.rotation_std_rad[one]),
+                **_middle(scene, one, surfaces.by_name[names[one]].middle_m),
                 "visible_fraction": float(scene.visible_fraction[one]),
                 "modes": [
                     {"camera_from_object": pose.tolist(), "probability": float(share)}
@@ -105,4 +108,13 @@ def _scene(scene: SceneResult) -> dict[str, Any]:
             for child in found
             for parent in np.flatnonzero(scene.edge_probabilities[child] > 0)
         ],
+    }
+
+
+def _middle(scene: SceneResult, one: int, middle_m: NDArray[np.float64]) -> dict[str, Any]:
+    """Where the middle of an object is, in the camera, and the root mean square distance from there."""
+    pose = scene.camera_from_object[one]
+    return {
+        "middle_m": (pose[:3, :3] @ middle_m + pose[:3, 3]).tolist(),
+        "middle_std_m": float(np.sqrt(np.trace(scene.covariance_of_point(one, middle_m)))),
     }

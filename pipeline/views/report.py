@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.publishing.values import RunValues
+from pipeline.surfaces import Surfaces
 from pipeline.views.trajectory_view import ENLARGED
 from scene.result import TABLE, SceneResult
 
@@ -12,8 +13,8 @@ from scene.result import TABLE, SceneResult
 def report_markdown(name: str, values: RunValues) -> str:
     """What was found, how sure it is, and how to read the views."""
     parts = [f"# {name}"]
-    if values.scene is not None:
-        parts += _scene(values.scene)
+    if values.scene is not None and values.surfaces is not None:
+        parts += _scene(values.scene, values.surfaces)
     if values.slam is not None:
         slam = values.slam
         deviation_mm = 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2) / 3)
@@ -36,12 +37,12 @@ def report_markdown(name: str, values: RunValues) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _scene(scene: SceneResult) -> list[str]:
-    """One line for each object looked for."""
+def _scene(scene: SceneResult, surfaces: Surfaces) -> list[str]:
+    """One line for each object looked for; positions are those of its middle."""
     names = [*map(str, scene.names), TABLE]
     lines = [
         "## Objects",
-        "| object | there | position, mm | rotation, deg | rests on |",
+        "| object | there | mm | deg | rests on |",
         "|---|---|---|---|---|",
     ]
     for one, name in enumerate(scene.names):
@@ -51,8 +52,14 @@ def _scene(scene: SceneResult) -> list[str]:
         parent = int(np.argmax(scene.edge_probabilities[one]))
         probability = scene.edge_probabilities[one, parent]
         rest = f"{names[parent]} ({probability:.0%})" if probability > 0 else "nothing"
+        middle = surfaces.by_name[str(name)].middle_m
+        spread_mm = 1000 * np.sqrt(np.trace(scene.covariance_of_point(one, middle)))
         lines.append(
-            f"| {name} | {scene.presence[one]:.0%} | +- {1000 * scene.position_std_m[one]:.1f} "
+            f"| {name} | {scene.presence[one]:.0%} | +- {spread_mm:.1f} "
             f"| +- {np.degrees(scene.rotation_std_rad[one]):.1f} | {rest} |"
         )
-    return [*lines, f"- wire ellipsoids: 95% regions of positions, drawn {ENLARGED:.0f} times larger"]
+    return [
+        *lines,
+        "- mm, deg: root mean square error expected of its middle and of its orientation",
+        f"- wire ellipsoids: 95% regions of positions, drawn {ENLARGED:.0f} times larger",
+    ]

@@ -19,6 +19,9 @@ OBJECT_COLOURS = (
 LIKELY = 0.2
 """Edges at least as probable are drawn."""
 TABLE_COLOUR = (150, 160, 175)
+LABEL_COLOUR = (255, 255, 255)
+"""Rerun writes a label in the colour of its point: on an object of the same colour nobody could read it."""
+LABEL_RADIUS_M = 1e-4
 CHI_95 = 2.796
 """Radius of the 95% region of a normal distribution in three dimensions, in standard deviations."""
 
@@ -48,8 +51,8 @@ def log_scene(
             albedo_factor=object_colour(one),
         )
         recording.log(f"{path}/surface", mesh, static=True)
-        middle = _middle(surfaces[name])
-        variances, axes = np.linalg.eigh(_place_covariance(scene, one, middle))
+        middle = surfaces[name].middle_m
+        variances, axes = np.linalg.eigh(scene.covariance_of_point(one, middle))
         axes *= np.sign(np.linalg.det(axes))
         ellipsoid = rr.Ellipsoids3D(
             centers=[middle],
@@ -57,9 +60,12 @@ def log_scene(
             quaternions=quaternions_xyzw(axes[None]),
             colors=(*object_colour(one), 110),
             fill_mode="majorwireframe",
-            labels=f"{name} {scene.presence[one]:.0%}",
         )
         recording.log(f"{path}/uncertainty", ellipsoid, static=True)
+        label = rr.Points3D(
+            [middle], radii=LABEL_RADIUS_M, colors=LABEL_COLOUR, labels=f"{name} {scene.presence[one]:.0%}"
+        )
+        recording.log(f"{path}/label", label, static=True)
     _log_graph(recording, scene)
 
 
@@ -67,25 +73,8 @@ def found_places_m(scene: SceneResult, surfaces: Mapping[str, Surface]) -> NDArr
     """Middles (F, 3) of the objects that were found, in the camera of the first frame parsed."""
     found = np.flatnonzero(scene.found)
     poses = scene.camera_from_object[found]
-    middles = np.stack([_middle(surfaces[str(scene.names[one])]) for one in found])
+    middles = np.stack([surfaces[str(scene.names[one])].middle_m for one in found])
     return poses[:, :3, 3] + np.einsum("fij,fj->fi", poses[:, :3, :3], middles)
-
-
-def _middle(surface: Surface) -> NDArray[np.float64]:
-    """Middle (3,) of the bounding box in the object's frame."""
-    return (surface.vertices_m.min(axis=0) + surface.vertices_m.max(axis=0)) / 2
-
-
-def _place_covariance(scene: SceneResult, one: int, middle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance (3, 3) of the place of an object's middle, in its own axes.
-
-    A small motion (v, w) of the object moves the point m by v + w x m; object frames may have their
-    origin at a corner, where turning counts twice.
-    """
-    x, y, z = middle
-    turning = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    motion = np.concatenate([np.eye(3), turning], axis=1)
-    return motion @ scene.covariance[one] @ motion.T
 
 
 def object_colour(index: int) -> tuple[int, int, int]:

@@ -58,7 +58,8 @@ def test_a_parsed_scene_is_drawn(parsed_run: RunValues, tmp_path: Path) -> None:
     write_rrd(tmp_path / "run.rrd", "table", parsed_run)
     entities = {str(chunk.entity_path) for chunk in RrdReader(tmp_path / "run.rrd").stream()}
 
-    assert {"/world/objects/mug/surface", "/world/objects/box/uncertainty", "/graph"} <= entities
+    parts = {f"/world/objects/mug/{part}" for part in ("surface", "uncertainty", "label")}
+    assert parts | {"/world/objects/box/surface", "/graph"} <= entities
     assert "/world/objects/can/surface" not in entities
     report = report_markdown("table", parsed_run)
     assert "| mug | 99% | +- 1.7 | +- 0.1 | box (90%) |" in report
