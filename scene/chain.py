@@ -48,11 +48,11 @@ class Kernel:
         return (self.repeats + 1) * (2 if self.structure else 1)
 
     def thrown(self, key: jax.Array, dtype: jnp.dtype) -> Dice:
-        """Dice (repeats + 1,) of a sweep's steps: three numbers beside those of each of two moves."""
+        """Dice (repeats + 1,) of a sweep's steps: those of two moves, of their objects and decisions."""
         poses = (self.candidates, *self.others)
         uniforms = 3 + max(move.uniforms for move in poses)
         if self.structure:
-            uniforms += 3 + self.structure.uniforms
+            uniforms += 2 + self.structure.objects + self.structure.uniforms
         return Dice.thrown(key, (self.repeats + 1,), uniforms, max(move.normals for move in poses), dtype)
 
 
@@ -142,7 +142,7 @@ def sweep(
         info = None
         if kernel.structure:
             state, info = _grafted(graph_key, dice, state, model, kernel.structure, verify)
-            dice = dice.without(3 + kernel.structure.uniforms)
+            dice = dice.without(2 + kernel.structure.objects + kernel.structure.uniforms)
         state, pose_info = _posed(pose_key, dice, state, model, kernel, kind, verify)
         return state, (info, pose_info)
 

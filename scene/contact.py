@@ -136,13 +136,19 @@ def _axis_and_sign(face: jax.Array, dtype: jnp.dtype) -> tuple[jax.Array, jax.Ar
     return (jnp.arange(3) == face >> 1).astype(dtype), (2 * (face & 1) - 1).astype(dtype)
 
 
+def upward_part(wxyz: jax.Array) -> jax.Array:
+    """Of each axis of an object, the third row (..., 3) of its rotations wxyz (..., 4)."""
+    w, x, y, z = jnp.moveaxis(wxyz, -1, 0)
+    return jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+
+
 def _rotation_matrix(wxyz: jax.Array) -> jax.Array:
     w, x, y, z = wxyz
     return jnp.stack(
         [
             jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
             jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+            upward_part(wxyz),
         ]
     )
 

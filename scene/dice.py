@@ -48,3 +48,9 @@ def drawn_object(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
     """One of the eligible objects (C,), each as likely."""
     rank = jnp.floor(uniform * jnp.sum(eligible))
     return jnp.argmax(jnp.cumsum(eligible) > rank)
+
+
+def drawn_other(eligible: jax.Array, chosen: jax.Array, uniform: jax.Array) -> jax.Array:
+    """Another of the eligible objects (C,) than the chosen one, each as likely; it again if it is alone."""
+    rest = eligible & (jnp.arange(len(eligible)) != chosen)
+    return jnp.where(jnp.any(rest), drawn_object(rest, uniform), chosen)

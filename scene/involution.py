@@ -17,16 +17,16 @@ from typing import Any, ClassVar, Protocol
 import jax
 import jax.numpy as jnp
 
-from scene.dice import Dice, drawn_object, drawn_place
+from scene.dice import Dice, drawn_object, drawn_other, drawn_place
 from scene.graph import SceneGraph
 from scene.model import ChainState, Estimate, SceneModel
 
 
 class Move(Protocol):
-    """One family of proposals for one object; a pytree with these methods."""
+    """One family of proposals for one object or two; a pytree with these methods."""
 
-    moves_bodies: ClassVar[bool]
-    """Whether absolute poses change; if not, the likelihood of the data does not either."""
+    objects: ClassVar[int]
+    """How many a move is about: one, whose number is `chosen` below, or two, then (2,)."""
     uniforms: ClassVar[int]
     normals: ClassVar[int]
     """Numbers that a draw takes."""
@@ -80,10 +80,10 @@ class MoveInfo:
 def propose(
     dice: Dice, model: SceneModel, move: Move, state: ChainState, count: int, *, verify: bool = False
 ) -> Offer:
-    """Choose an object, draw the auxiliary variables and apply the involution.
+    """Choose the objects, draw the auxiliary variables and apply the involution.
 
     Args:
-        dice: one number, and those of the move.
+        dice: a number for each object, and those of the move.
         model: the target.
         move: the family of proposals.
         state: the chain.
@@ -91,9 +91,12 @@ def propose(
         verify: apply the involution twice and report the difference.
     """
     scene = state.scene
-    chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
+    eligible = scene.present & model.bodies.movable
+    chosen = drawn_object(eligible, dice.uniform[0])
+    if move.objects == 2:
+        chosen = jnp.stack([chosen, drawn_other(eligible, chosen, dice.uniform[1])])
     context = move.context(model, scene, chosen)
-    auxiliary = move.sample(dice.without(1), context)
+    auxiliary = move.sample(dice.without(move.objects), context)
     there, reverse, log_jacobian = move.involution(model, scene, chosen, auxiliary)
     log_ratio = move.log_density(context, reverse) - move.log_density(context, auxiliary)
     log_forward = log_ratio + log_jacobian

@@ -55,7 +55,7 @@ class WalkMove:
         spread: ratio of the largest to the smallest scale.
     """
 
-    moves_bodies: ClassVar[bool] = True
+    objects: ClassVar[int] = 1
     uniforms: ClassVar[int] = 3
     normals: ClassVar[int] = 7
     translation_m: jax.Array
@@ -118,7 +118,7 @@ class FlipMove:
     Faces are renamed with the turn, so that what was flush stays flush.
     """
 
-    moves_bodies: ClassVar[bool] = True
+    objects: ClassVar[int] = 1
     uniforms: ClassVar[int] = 2
     normals: ClassVar[int] = 0
 

@@ -1,7 +1,8 @@
 """Prior densities p(G) and p(theta | G) of supplement O, in the one base measure.
 
 A floating pose has density 1/V 1/pi^2 (Lebesgue on R^3 x rotation measure). A contact has a density with
-respect to counting measure on the faces x Lebesgue on (a, b, z) x S^2 x S^1.
+respect to counting measure on the faces x Lebesgue on (a, b, z) x S^2 x S^1. Densities of contacts are
+products of sums, so that they are no logarithms before they are whole: those cost most of a table's time.
 """
 
 from __future__ import annotations
@@ -21,22 +22,23 @@ from scene.contact import (
     face_half_sizes,
     pose_from_contact,
     relative_box,
+    upward_part,
 )
 from scene.graph import ROOT, Bodies, SceneGraph
 from scene.rotation_densities import (
     LOG_CONTACT_JACOBIAN,
     LOG_ROTATION_MASS,
     hemisphere_direction,
-    log_von_mises_fisher,
     uniform_rotation,
+    von_mises_fisher,
     von_mises_fisher_direction,
 )
 
 POSE_UNIFORMS = 9
 """Uniform numbers that `sample_pose` takes."""
-_LOG_CHILD_FACES = math.log(6)
-_LOG_CIRCLE = math.log(2 * math.pi)
-_LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
+_CHILD_FACES = 6
+_CIRCLE = 2 * math.pi
+_SQRT_2PI = math.sqrt(2 * math.pi)
 
 
 @jax.tree_util.register_dataclass
@@ -119,22 +121,22 @@ def log_floating(prior: PosePrior, position_m: jax.Array) -> jax.Array:
     return jnp.where(inside, -log_volume - LOG_ROTATION_MASS, -jnp.inf)
 
 
-def log_contact(
+def contact_density(
     prior: PosePrior,
     box: RelativeBox,
     parent_half_extents_m: jax.Array,
-    log_parent_faces: jax.Array,
+    parent_faces: jax.Array,
     child_half_extents_m: jax.Array,
     parent_face: jax.Array,
     child_face: jax.Array,
 ) -> jax.Array:
-    """Log density of one contact, faces included: (a, b) uniform on the parent's face, phi uniform.
+    """Density of one contact, faces included: (a, b) uniform on the parent's face, phi uniform.
 
     Args:
         prior: parameters.
         box: the child as its parent sees it.
         parent_half_extents_m: (3,).
-        log_parent_faces: (6,) log p(f'), `log_supporting_faces`.
+        parent_faces: (6,) p(f'), `supporting_face_probabilities`.
         child_half_extents_m: (3,).
         parent_face: the parent's face.
         child_face: the child's.
@@ -142,46 +144,48 @@ def log_contact(
     on_face, gap_m, eta_z = face_contact(
         box, parent_half_extents_m, child_half_extents_m, parent_face, child_face
     )
-    log_faces = log_parent_faces[parent_face] - _LOG_CHILD_FACES
     in_plane = jnp.arange(3) != parent_face >> 1
-    log_area = jnp.sum(jnp.where(in_plane, jnp.log(2 * parent_half_extents_m), 0.0))
-    log_density = log_faces - log_area + log_gap(prior, gap_m) + log_eta(prior, eta_z) - _LOG_CIRCLE
-    return jnp.where(on_face, log_density, -jnp.inf)
+    area = jnp.prod(jnp.where(in_plane, 2 * parent_half_extents_m, 1.0))
+    faces_and_plane = parent_faces[parent_face] / (area * (_CHILD_FACES * _CIRCLE))
+    return jnp.where(on_face, faces_and_plane * gap_density(prior, gap_m) * eta_density(prior, eta_z), 0.0)
 
 
-def log_supporting_faces(prior: PosePrior, supporting: jax.Array, pose: jax.Array) -> jax.Array:
-    """Log probability (..., 6) that each face of an object at poses (..., 7) is the one that carries another.
+def supporting_face_probabilities(prior: PosePrior, supporting: jax.Array, pose: jax.Array) -> jax.Array:
+    """Probability (..., 6) that each face of an object at poses (..., 7) is the one that carries another.
 
     Args:
         prior: parameters.
         supporting: (..., 6) bool, faces that can.
         pose: world_from_object; the world's third axis points up.
     """
-    w, x, y, z = jnp.moveaxis(pose[..., :4], -1, 0)
-    up = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    up = upward_part(pose[..., :4])
     upward = jnp.stack([-up, up], axis=-1).reshape(supporting.shape)
     weights = jnp.where(supporting, jnp.exp(prior.upward_concentration * (upward - 1)), 0.0)
-    return jnp.log(weights) - jnp.log(jnp.sum(weights, axis=-1, keepdims=True))
+    return weights / jnp.sum(weights, axis=-1, keepdims=True)
 
 
-def log_gap(prior: PosePrior, gap_m: jax.Array) -> jax.Array:
-    """Log density of the gap z between two faces: two normals, of mean zero."""
+def gap_density(prior: PosePrior, gap_m: jax.Array) -> jax.Array:
+    """Density of the gap z between two faces: two normals, of mean zero."""
     sigmas = prior.contact_sigma_m, prior.loose_sigma_m
-    met, loose = (jnp.exp(-0.5 * (gap_m / sigma) ** 2) / sigma for sigma in sigmas)
-    return jnp.log((1 - prior.slack_share) * met + prior.slack_share * loose) - _LOG_SQRT_2PI
+    shares = 1 - prior.slack_share, prior.slack_share
+    squared = gap_m * gap_m
+    met, loose = (
+        share / (_SQRT_2PI * sigma) * jnp.exp(squared * (-0.5 / sigma**2))
+        for share, sigma in zip(shares, sigmas, strict=True)
+    )
+    return met + loose
 
 
-def log_eta(prior: PosePrior, eta_z: jax.Array) -> jax.Array:
-    """Log density on S^2 of the direction of contact: von Mises-Fisher plus a uniform hemisphere."""
-    log_flush = log_von_mises_fisher(prior.contact_concentration, eta_z)
-    slack = jnp.where(eta_z > 0, prior.slack_share / (2 * jnp.pi), 0.0)
-    return jnp.log((1 - prior.slack_share) * jnp.exp(log_flush) + slack)
+def eta_density(prior: PosePrior, eta_z: jax.Array) -> jax.Array:
+    """Density on S^2 of the direction of contact: von Mises-Fisher plus a uniform hemisphere."""
+    flush = (1 - prior.slack_share) * von_mises_fisher(prior.contact_concentration, eta_z)
+    return flush + jnp.where(eta_z > 0, prior.slack_share / (2 * jnp.pi), 0.0)
 
 
-def log_contacts_of(prior: PosePrior, bodies: Bodies, poses: jax.Array, child: jax.Array) -> jax.Array:
-    """Log densities (C, f', f) of `child`'s contact parameters, were it on each face of each object.
+def contact_densities(prior: PosePrior, bodies: Bodies, poses: jax.Array, child: jax.Array) -> jax.Array:
+    """Densities (C, f', f) of `child`'s contact parameters, were it on each face of each object.
 
-    `log_contact` over all pairs of faces at once, as arrays (parent, its axis, its side, child's axis,
+    `contact_density` over all pairs of faces at once, as arrays (parent, its axis, its side, child's axis,
     child's side); the barriers keep XLA from recomputing an intermediate for each of the 36 pairs.
     """
     half_extents = bodies.half_extents_m
@@ -197,17 +201,16 @@ def log_contacts_of(prior: PosePrior, bodies: Bodies, poses: jax.Array, child: j
     gaps_m = (
         face_centres[:, :, None] * sides[None, None, :, None, None] - half_extents[:, :, None, None, None]
     )
-    log_eta_opposed, log_eta_alike, beside_elsewhere = jax.lax.optimization_barrier(
-        (log_eta(prior, axes), log_eta(prior, -axes), beside_elsewhere)
+    eta_opposed, eta_alike, beside_elsewhere = jax.lax.optimization_barrier(
+        (eta_density(prior, axes), eta_density(prior, -axes), beside_elsewhere)
     )
     alike = (sides[:, None, None] * sides[None, None, :] > 0)[None, None]
-    log_etas = jnp.where(alike, log_eta_alike[:, :, None, :, None], log_eta_opposed[:, :, None, :, None])
-    log_sizes = jnp.log(2 * half_extents)
-    log_areas = jnp.sum(log_sizes, axis=1, keepdims=True) - log_sizes
-    log_parent_faces = log_supporting_faces(prior, bodies.supporting_faces, poses).reshape(-1, 3, 2)
-    log_faces = log_parent_faces - log_areas[..., None] - _LOG_CHILD_FACES
-    log_density = log_gap(prior, gaps_m) + log_etas + (log_faces - _LOG_CIRCLE)[:, :, :, None, None]
-    return jnp.where(beside_elsewhere[:, :, None] == 0, log_density, -jnp.inf).reshape(-1, 6, 6)
+    etas = jnp.where(alike, eta_alike[:, :, None, :, None], eta_opposed[:, :, None, :, None])
+    areas = jnp.prod(2 * half_extents, axis=1, keepdims=True) / (2 * half_extents)
+    parent_faces = supporting_face_probabilities(prior, bodies.supporting_faces, poses).reshape(-1, 3, 2)
+    faces_and_plane = parent_faces / (areas * (_CHILD_FACES * _CIRCLE))[..., None]
+    density = gap_density(prior, gaps_m) * etas * faces_and_plane[:, :, :, None, None]
+    return jnp.where(beside_elsewhere[:, :, None] == 0, density, 0.0).reshape(-1, 6, 6)
 
 
 def contact_of(bodies: Bodies, scene: SceneGraph, child: jax.Array) -> Contact:
@@ -241,30 +244,31 @@ def pose_in_contact(bodies: Bodies, scene: SceneGraph, child: jax.Array, contact
 def log_parameters(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
     """Log p(theta_child | G) of one object's active parameters; the table's are given and count 0."""
     parent = scene.parents[child]
-    log_in_contact = log_contact(
+    in_contact = contact_density(
         prior,
         relative_box(scene.poses[parent], scene.poses[child]),
         bodies.half_extents_m[parent],
-        _log_faces_of_parent(prior, bodies, scene, child),
+        _faces_of_parent(prior, bodies, scene, child),
         bodies.half_extents_m[child],
         scene.parent_faces[child],
         scene.child_faces[child],
     )
-    log_density = jnp.where(parent == ROOT, log_floating(prior, scene.poses[child, 4:]), log_in_contact)
+    floating = log_floating(prior, scene.poses[child, 4:])
+    log_density = jnp.where(parent == ROOT, floating, jnp.log(in_contact))
     return jnp.where(scene.present[child] & bodies.movable[child], log_density, 0.0)
 
 
 def log_pose_given_faces(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
     """Log p(x | parent, faces) of the child's absolute pose (Lebesgue x rotation measure), as sampled."""
     parent = scene.parents[child]
-    log_face = _log_faces_of_parent(prior, bodies, scene, child)[scene.parent_faces[child]]
-    conversion = jnp.where(parent == ROOT, 0.0, LOG_CONTACT_JACOBIAN + _LOG_CHILD_FACES - log_face)
+    log_face = jnp.log(_faces_of_parent(prior, bodies, scene, child)[scene.parent_faces[child]])
+    conversion = jnp.where(parent == ROOT, 0.0, LOG_CONTACT_JACOBIAN + math.log(_CHILD_FACES) - log_face)
     return log_parameters(prior, bodies, scene, child) + conversion
 
 
-def _log_faces_of_parent(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
+def _faces_of_parent(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:
     parent = scene.parents[child]
-    return log_supporting_faces(prior, bodies.supporting_faces[parent], scene.poses[parent])
+    return supporting_face_probabilities(prior, bodies.supporting_faces[parent], scene.poses[parent])
 
 
 def log_prior(prior: PosePrior, structure: StructurePrior, bodies: Bodies, scene: SceneGraph) -> jax.Array:

@@ -39,10 +39,10 @@ def rotation_from_hopf(eta: jax.Array, phi: jax.Array) -> jax.Array:
     return wxyz / jnp.sqrt(2 * (1 + c))
 
 
-def log_von_mises_fisher(concentration: jax.Array, cosine: jax.Array) -> jax.Array:
-    """Log density on S^2 at an angle of that cosine from the mean direction."""
-    log_normaliser = jnp.log(concentration) - jnp.log(2 * jnp.pi) - jnp.log(-jnp.expm1(-2 * concentration))
-    return log_normaliser + concentration * (cosine - 1)
+def von_mises_fisher(concentration: jax.Array, cosine: jax.Array) -> jax.Array:
+    """Density on S^2 at an angle of that cosine from the mean direction."""
+    normaliser = concentration / (2 * jnp.pi * -jnp.expm1(-2 * concentration))
+    return normaliser * jnp.exp(concentration * (cosine - 1))
 
 
 def von_mises_fisher_direction(concentration: jax.Array, uniforms: jax.Array) -> jax.Array:
