@@ -113,11 +113,7 @@ class _Cloud:
         v, u = np.nonzero(frame.depth_m != NO_RETURN)
         stride = -(-len(u) // POINTS_PER_FRAME) or 1
         u, v = u[::stride], v[::stride]
-        depth = frame.depth_m[v, u].astype(np.float64)
-        local = np.stack(
-            [(u - intrinsics.cx) * depth / intrinsics.fx, (v - intrinsics.cy) * depth / intrinsics.fy, depth],
-            axis=-1,
-        )
+        local = intrinsics.rays(u, v) * frame.depth_m[v, u, None]
         self._points.append(
             (local @ reference_from_camera[:3, :3].T + reference_from_camera[:3, 3]).astype(np.float32)
         )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 NO_RETURN = 0.0
 """Value of a depth pixel that measured nothing: zero, negative, NaN, infinite or saturated in the source."""
@@ -40,6 +40,12 @@ class CameraIntrinsics:
                 "focal lengths must be positive and the principal point finite, got "
                 f"fx={self.fx} fy={self.fy} cx={self.cx} cy={self.cy}"
             )
+
+    def rays(self, columns: ArrayLike, rows: ArrayLike) -> NDArray[np.float64]:
+        """Directions (..., 3) in the camera frame through pixels that broadcast, scaled to z = 1."""
+        x = (np.asarray(columns) - self.cx) / self.fx
+        y = (np.asarray(rows) - self.cy) / self.fy
+        return np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1)
 
     def resized(self, width: int, height: int) -> CameraIntrinsics:
         """Intrinsics of the same view sampled at another size: cx' = (cx + 0.5) s - 0.5."""

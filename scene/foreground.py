@@ -140,14 +140,7 @@ def _background(
     observed_m = window.depth_m
     plane = np.full(observed_m.shape, np.inf)
     if table is not None:
-        rays = np.stack(
-            np.broadcast_arrays(
-                ((window.columns - intrinsics.cx) / intrinsics.fx)[None, :],
-                ((window.rows - intrinsics.cy) / intrinsics.fy)[:, None],
-                1.0,
-            ),
-            axis=-1,
-        )
+        rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
         normal, origin = table.camera_from_table[:3, 2], table.camera_from_table[:3, 3]
         depth = (normal @ origin) / (rays @ normal)
         inside = table.in_table_frame(rays * depth[..., None])

@@ -45,9 +45,3 @@ def pixel_rays(camera: Camera, height: int, width: int) -> jax.Array:
     y = (jnp.arange(height, dtype=camera.fy.dtype) - camera.cy) / camera.fy
     grid_x, grid_y = jnp.meshgrid(x, y)
     return jnp.stack([grid_x, grid_y, jnp.ones_like(grid_x)], axis=-1)
-
-
-def unproject(camera: Camera, depth_m: jax.Array) -> jax.Array:
-    """Points (H, W, 3) in the camera frame seen by a depth image (H, W); no return gives the origin."""
-    height, width = depth_m.shape
-    return pixel_rays(camera, height, width) * depth_m[..., None]

@@ -71,8 +71,5 @@ def points_of(frame: Frame, intrinsics: CameraIntrinsics, stride_px: int) -> NDA
     height, width = frame.depth_m.shape
     camera = intrinsics.resized(width, height)
     v, u = np.mgrid[0:height:stride_px, 0:width:stride_px]
-    depth = frame.depth_m[::stride_px, ::stride_px].astype(np.float64)
-    points = np.stack(
-        [(u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth, depth], axis=-1
-    )
-    return points[depth > 0]
+    depth = frame.depth_m[::stride_px, ::stride_px]
+    return (camera.rays(u, v) * depth[..., None])[depth > 0]

@@ -25,8 +25,7 @@ def reached_voxels(
         eye, extent = grid_from_camera[:3, 3], np.asarray(grid.shape) * grid.pitch_m
         stride = max(1, int(step * intrinsics.fx / np.linalg.norm(eye - extent / 2)))
         rows, columns = np.mgrid[0 : intrinsics.height : stride, 0 : intrinsics.width : stride]
-        x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
-        directions = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ grid_from_camera[:3, :3].T
+        directions = intrinsics.rays(columns, rows).reshape(-1, 3) @ grid_from_camera[:3, :3].T
         with np.errstate(divide="ignore"):
             sides = np.stack([-eye / directions, (extent - eye) / directions])
         enter, leave = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)

@@ -140,15 +140,7 @@ def _points(
 ) -> NDArray[np.float64]:
     """Points (N, 3) in the grid frame of the pixels whose rays pass the grid; ends just behind it."""
     rows, columns = np.indices(depth_m.shape)
-    directions = np.stack(
-        [
-            (columns - intrinsics.cx) / intrinsics.fx,
-            (rows - intrinsics.cy) / intrinsics.fy,
-            np.ones_like(depth_m),
-        ],
-        axis=-1,
-    )
-    directions = directions[depth_m != NO_RETURN] @ grid_from_camera[:3, :3].T
+    directions = intrinsics.rays(columns, rows)[depth_m != NO_RETURN] @ grid_from_camera[:3, :3].T
     z = depth_m[depth_m != NO_RETURN].astype(np.float64)
     eye, extent = grid_from_camera[:3, 3], np.asarray(grid.shape) * grid.pitch_m
     with np.errstate(divide="ignore"):

@@ -110,10 +110,7 @@ class RayCaster:
 
 def pixel_directions(intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
     """Directions (H, W, 3) through the pixel centres in the camera frame, scaled to z = 1."""
-    x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
-    y = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy
-    grid_x, grid_y = np.meshgrid(x, y)
-    return np.stack([grid_x, grid_y, np.ones(grid_x.shape)], axis=-1, dtype=np.float64)
+    return intrinsics.rays(np.arange(intrinsics.width)[None, :], np.arange(intrinsics.height)[:, None])
 
 
 def visible_fraction(

@@ -223,10 +223,8 @@ def _cloud(
     stride = max(1, int(np.sqrt(depth_m.size / POINTS_PER_VIEW)))
     thinned = depth_m[::stride, ::stride]
     rows, columns = np.nonzero(thinned != NO_RETURN)
-    z = thinned[rows, columns].astype(np.float64)
-    x = (stride * columns - intrinsics.cx) / intrinsics.fx * z
-    y = (stride * rows - intrinsics.cy) / intrinsics.fy * z
-    return np.stack([x, y, z], axis=-1) @ pose[:3, :3].T + pose[:3, 3]
+    points = intrinsics.rays(stride * columns, stride * rows) * thinned[rows, columns, None]
+    return points @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _averaged(points_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from recordings.types import CameraIntrinsics
-from shapes.camera import Camera, project, unproject
+from shapes.camera import Camera, pixel_rays, project
 
 INTRINSICS = CameraIntrinsics(width=31, height=17, fx=40.0, fy=42.0, cx=14.2, cy=8.9)
 
@@ -13,10 +13,12 @@ def test_projection_undoes_unprojection() -> None:
     camera = Camera.from_intrinsics(INTRINSICS)
     depth_m = jnp.linspace(0.4, 3.0, 17 * 31).reshape(17, 31)
 
-    points = unproject(camera, depth_m).reshape(-1, 3)
+    rays = pixel_rays(camera, 17, 31)
+    points = (rays * depth_m[..., None]).reshape(-1, 3)
     pixels = jax.vmap(lambda point: project(camera, point))(points)
 
     rows, columns = np.mgrid[:17, :31]
+    np.testing.assert_allclose(rays, INTRINSICS.rays(columns, rows), atol=1e-6)
     np.testing.assert_allclose(pixels[:, 0], columns.ravel(), atol=1e-4)
     np.testing.assert_allclose(pixels[:, 1], rows.ravel(), atol=1e-4)
 
