@@ -2,7 +2,8 @@
 
 Every object costs the log odds of being there at all, in one pose of the many that it might have had (part of
 the layers), and earns what it explains better than the others and what is unknown do. An object's posterior
-odds compare the scene with the best one without it, in which others may have taken its place.
+odds compare the scene with the best one without it, in which others may have taken its place. Poses that no
+pixel shows (`scene.unseen`) leave the prior odds as they are.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logit
 
 from scene.pose_choice import PoseLayers, front, improve_pairs, log_density_of_choice, none
 
@@ -24,6 +28,21 @@ REPLACING = 8
 def log_prior_odds(presence: float) -> float:
     """Of an object being there in one pose, up to poses that fit alike, against its being absent."""
     return math.log(presence / (1 - presence)) + LOG_SHARE_OF_POSES
+
+
+def log_odds_of_presence(
+    log_odds_where_seen: ArrayLike, unseen: ArrayLike, presence: float
+) -> NDArray[np.float64]:
+    """Log posterior odds (...) of objects, from those of the pose that explains most and of all unseen poses.
+
+    Args:
+        log_odds_where_seen: (...) the scene with the object in its best pose against the best one without.
+        unseen: (...) share of the prior's poses that leave the images as they are.
+        presence: prior probability.
+    """
+    with np.errstate(divide="ignore"):
+        log_unseen = np.log(np.asarray(unseen, np.float64))
+    return np.logaddexp(log_odds_where_seen, logit(presence) + log_unseen)
 
 
 @partial(jax.jit, static_argnames="candidates")

@@ -25,6 +25,7 @@ from scene.sampling import sampled
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.summary import summarise
+from scene.unseen import PlacedObject, unseen_share
 from shapes.poses import matrices_of, poses_of
 
 UNINFORMATIVE = 0.5
@@ -64,12 +65,9 @@ def parse_scene(
     Raises:
         ValueError: the first frame shows nothing to parse.
     """
-    seed_key, search_key, refine_key, chain_key, again_key = jax.random.split(key, 5)
-    first = scene_data(frames[0].depth_m, intrinsics, int(jax.random.randint(seed_key, (), 0, 2**31 - 1)))
-    views = [first] + [
-        frame_data(frame.depth_m, intrinsics, first, pose)
-        for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)
-    ]
+    seed_key, search_key, refine_key, chain_key, again_key, unseen_key = jax.random.split(key, 6)
+    seed = int(jax.random.randint(seed_key, (), 0, 2**31 - 1))
+    views = _views(frames, first_camera_from_camera, intrinsics, seed)
     renderer = ObjectRenderer.of(objects)
     noise = replace(
         noise,
@@ -77,27 +75,15 @@ def parse_scene(
         none_hit_probability=UNINFORMATIVE,
         none_miss_probability=UNINFORMATIVE,
     )
-
-    def search(key: jax.Array, view: SceneData) -> Initialisation:
-        return initialise(
-            key,
-            view,
-            objects,
-            renderer,
-            noise,
-            config.search_error_m,
-            log_odds=log_prior_odds(config.presence) / config.pixel_weight,
-            rounds=config.rounds,
-            pool=config.pool,
-        )
-
-    data, start, first_from_searched = first, search(search_key, first), np.eye(4)
+    search = partial(_searched, objects=objects, renderer=renderer, noise=noise, config=config)
+    number, start = 0, search(search_key, views[0])
     if len(views) > 1:
         other = _most_new(views, first_camera_from_camera)
-        again, first_from_other = search(again_key, views[other]), first_camera_from_camera[other]
+        again = search(again_key, views[other])
         agreement = partial(_agreement, renderer, views, first_camera_from_camera)
-        if agreement(again, first_from_other) > agreement(start, first_from_searched):
-            data, start, first_from_searched = views[other], again, first_from_other
+        if agreement(again, first_camera_from_camera[other]) > agreement(start, np.eye(4)):
+            number, start = other, again
+    data, first_from_searched = views[number], first_camera_from_camera[number]
     noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
     found = FoundObjects.of(start)
     chosen, their_start = found.taken(objects), found.only(start)
@@ -120,10 +106,78 @@ def parse_scene(
             config,
             progress,
         )
-    visible = found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0]
-    indices = np.asarray(frame_indices)
-    scene = summarise(samples, found, start, visible, world_from_camera, objects, indices, config, variance)
+    scene = summarise(
+        samples,
+        found,
+        start,
+        found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0],
+        _unseen(unseen_key, views, objects, start, world_from_camera),
+        world_from_camera,
+        objects,
+        np.asarray(frame_indices),
+        config,
+        variance,
+    )
     return scene.in_camera(first_from_searched)
+
+
+def _views(
+    frames: Sequence[Frame],
+    first_camera_from_camera: NDArray[np.float64],
+    intrinsics: CameraIntrinsics,
+    seed: int,
+) -> list[SceneData]:
+    """The frames, all with the table that the first one shows."""
+    first = scene_data(frames[0].depth_m, intrinsics, seed)
+    return [first] + [
+        frame_data(frame.depth_m, intrinsics, first, pose)
+        for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)
+    ]
+
+
+def _searched(
+    key: jax.Array,
+    view: SceneData,
+    objects: Sequence[SceneObject],
+    renderer: ObjectRenderer,
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> Initialisation:
+    """The best scene in one view."""
+    return initialise(
+        key,
+        view,
+        objects,
+        renderer,
+        noise,
+        config.search_error_m,
+        log_odds=log_prior_odds(config.presence) / config.pixel_weight,
+        rounds=config.rounds,
+        pool=config.pool,
+    )
+
+
+def _unseen(
+    key: jax.Array,
+    views: Sequence[SceneData],
+    objects: Sequence[SceneObject],
+    start: Initialisation,
+    world_from_camera: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Share (N,) of the poses of each object on the table that no view shows; 0 of those found."""
+    share = np.zeros(len(objects))
+    seen = [(view.view, view.table) for view in views if view.table]
+    if not seen:
+        return share
+    table_from_box = world_from_camera @ matrices_of(start.poses)
+    placed = [
+        PlacedObject(shape=objects[one], table_from_box=table_from_box[one])
+        for one in np.flatnonzero(start.found).tolist()
+    ]
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+    for one in np.flatnonzero(~start.found).tolist():
+        share[one] = unseen_share(rng, seen, objects[one], placed)
+    return share
 
 
 def _most_new(views: Sequence[SceneData], first_camera_from_camera: NDArray[np.float64]) -> int:

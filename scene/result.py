@@ -20,7 +20,8 @@ FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 class SceneResult:
     """Posterior over the scene of one recording, in the camera of the first depth frame used.
 
-    N objects were looked for; those that were not found stay in the arrays with `presence` below 1/2.
+    N objects were looked for; those that were not found stay in the arrays, without a visible fraction. What
+    can stand unseen may be there all the same, with a `presence` up to its prior.
 
     Attributes:
         names: (N,) str.
@@ -67,8 +68,8 @@ class SceneResult:
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """(N,) objects more probably there than not."""
-        return self.presence >= 0.5
+        """(N,) objects more probably there than not, and seen."""
+        return (self.presence >= 0.5) & (self.visible_fraction > 0)
 
     @property
     def found_poses(self) -> list[tuple[str, NDArray[np.float64]]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from scene.config import ParseConfig
+from scene.existence import log_odds_of_presence
 from scene.found_objects import FoundObjects
 from scene.graph import ROOT
 from scene.initialisation import Initialisation
@@ -56,6 +57,7 @@ def summarise(
     chosen: FoundObjects,
     start: Initialisation,
     visible_fraction: NDArray[np.float64],
+    unseen: NDArray[np.float64],
     world_from_camera: NDArray[np.float64],
     objects: Sequence[SceneObject],
     frames: NDArray[np.int64],
@@ -69,6 +71,7 @@ def summarise(
         chosen: which of all these are.
         start: the best scene of all objects.
         visible_fraction: (N,).
+        unseen: (N,) share of the prior's poses that no view shows.
         world_from_camera: (4, 4).
         objects: all N.
         frames: numbers of the frames used.
@@ -94,7 +97,7 @@ def summarise(
         camera_from_object=best,
         mean=np.stack([mean for mean, _ in moments]),
         covariance=np.stack([covariance for _, covariance in moments]),
-        presence=expit(config.pixel_weight * start.log_odds),
+        presence=expit(log_odds_of_presence(config.pixel_weight * start.log_odds, unseen, config.presence)),
         visible_fraction=visible_fraction,
         mode_poses=np.stack([poses for poses, _ in modes]),
         mode_probabilities=np.stack([shares for _, shares in modes]),

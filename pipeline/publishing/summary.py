@@ -97,6 +97,10 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
             }
             for one in found
         ],
+        "not_found": [
+            {"name": names[one], "presence": float(scene.presence[one])}
+            for one in np.flatnonzero(~scene.found).tolist()
+        ],
         "graph": [
             {
                 "child": names[child],
