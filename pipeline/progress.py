@@ -18,6 +18,8 @@ LINE_INTERVAL_S = 10.0
 class Progress:
     """A callable that stages call with what is done and what there is; the stage itself has no clock.
 
+    The rate is that since the first call, before which kernels are compiled and inputs read.
+
     Args:
         label: what is going on.
         unit: what is counted, such as "frames".
@@ -42,8 +44,8 @@ class Progress:
         self._clock = clock
         self._terminal = self._stream.isatty()
         self._interval_s = TERMINAL_INTERVAL_S if self._terminal else LINE_INTERVAL_S
-        self._begun_s = clock()
-        self._shown_s = self._begun_s + SILENT_S - self._interval_s
+        self._shown_s = clock() + SILENT_S - self._interval_s
+        self._first: tuple[float, int] | None = None
         self._width = 0
 
     def __enter__(self) -> Progress:
@@ -59,10 +61,11 @@ class Progress:
     def __call__(self, done: int, total: int | None = None) -> None:
         """Tell that `done` units of `total` (None: nobody knows) are finished."""
         now = self._clock()
+        begun_s, first = self._first = self._first or (now, done)
         if self._quiet or now - self._shown_s < self._interval_s:
             return
         self._shown_s = now
-        text = self._text(done, total, now - self._begun_s)
+        text = self._text(done, total, (done - first) / (now - begun_s) if done > first else None)
         if self._terminal:
             self._stream.write("\r" + text.ljust(self._width))
             self._width = len(text)
@@ -70,12 +73,13 @@ class Progress:
             self._stream.write(text + "\n")
         self._stream.flush()
 
-    def _text(self, done: int, total: int | None, elapsed_s: float) -> str:
-        rate = done / elapsed_s
-        if total is None or done == 0:
-            return f"{self._label}: {done} {self._unit}, {rate:.3g}/s"
-        remaining = _minutes(max(total - done, 0) / rate)
-        return f"{self._label}: {done}/{total} {self._unit}, {rate:.3g}/s, {remaining} left"
+    def _text(self, done: int, total: int | None, rate: float | None) -> str:
+        count = f"{self._label}: {done}{'' if total is None else f'/{total}'} {self._unit}"
+        if rate is None:
+            return count
+        if total is None:
+            return f"{count}, {rate:.3g}/s"
+        return f"{count}, {rate:.3g}/s, {_minutes(max(total - done, 0) / rate)} left"
 
 
 def _minutes(seconds: float) -> str:

@@ -45,17 +45,24 @@ def test_a_terminal_has_one_line_that_is_wiped_at_the_end() -> None:
     text = shown(Terminal(), [(2.0, 4), (2.05, 5), (4.0, 20)])
 
     assert text.count("\r") == 4
-    assert "\rslam: 4/60 frames, 2/s, 0:28 left" in text
-    assert "\rslam: 20/60 frames, 5/s, 0:08 left" in text
+    assert "\rslam: 4/60 frames\r" in text
+    assert "\rslam: 20/60 frames, 8/s, 0:05 left" in text
     assert text.endswith("\r")
     assert "\n" not in text
 
 
 def test_a_file_gets_a_line_now_and_then() -> None:
     """After two seconds, then every ten."""
-    text = shown(io.StringIO(), [(2.0, 4), (5.0, 9), (12.5, 25)])
+    text = shown(io.StringIO(), [(2.0, 4), (5.0, 9), (12.0, 24)])
 
-    assert text == "slam: 4/60 frames, 2/s, 0:28 left\nslam: 25/60 frames, 2/s, 0:18 left\n"
+    assert text == "slam: 4/60 frames\nslam: 24/60 frames, 2/s, 0:18 left\n"
+
+
+def test_the_rate_does_not_count_what_comes_before_the_first_call() -> None:
+    """Compiling took nine seconds, ten frames eleven."""
+    text = shown(io.StringIO(), [(9.0, 1), (20.0, 11)])
+
+    assert text == "slam: 1/60 frames\nslam: 11/60 frames, 0.909/s, 0:54 left\n"
 
 
 def test_quiet_shows_nothing() -> None:
@@ -67,6 +74,7 @@ def test_an_unknown_total_shows_the_rate_alone() -> None:
     """And hours are written as hours where the total is known."""
     clock, stream = Clock(), io.StringIO()
     progress = Progress("read", "frames", stream=stream, clock=clock)
+    progress(0)
     clock.now_s += 4
     progress(8)
     clock.now_s += 10
