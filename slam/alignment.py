@@ -15,7 +15,7 @@ from shapes.camera import Camera
 from slam import pose_gaussian
 from slam.components import cross, dot, moved, rotated
 from slam.depth_view import DepthView
-from slam.image_density import STRIDE_PX
+from slam.image_density import LOG_ROOT_TWO_PI, STRIDE_PX
 from slam.rendering import LEAST_INVERSE_DEPTH, pixels_of
 
 STIFFNESS = 10.0
@@ -166,7 +166,7 @@ def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: i
 def projected_scores(
     model: ModelImage,
     view: DepthView,
-    log_unknown: jax.Array,
+    log_unknown_shortfall: jax.Array,
     noise: DepthNoise,
     poses: jax.Array,
     stride_px: int,
@@ -186,7 +186,9 @@ def projected_scores(
     points = rays * observed[None]
     log_outlier = jnp.log(noise.outlier_probability / noise.max_range_m)
     every = stride_px // STRIDE_PX
-    log_miss = log_unknown[::every, ::every].ravel()
+    shortfall = log_unknown_shortfall[::every, ::every].ravel()
+    blurred = jnp.hypot(surface_sigma_m, depth_noise.standard_deviation(noise, observed))
+    log_miss = shortfall - jnp.log(blurred) - LOG_ROOT_TWO_PI
     elements = jnp.concatenate([model.planes.reshape(3, -1), model.variance_m2.reshape(1, -1)]).T
 
     def score(pose: jax.Array) -> jax.Array:

@@ -27,9 +27,8 @@ from slam.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, DepthView
 from slam.image_density import (
     STRIDE_PX,
     ScoredPixels,
-    expected_from_before,
     log_image_density,
-    log_unknown_factors,
+    log_unknown_shortfall,
     scored_pixels,
 )
 from slam.keyframes import Surface
@@ -134,28 +133,26 @@ def best_aligned(
     """
     model = model_image(local_map, starts[0], view)
     lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
-    log_unknown = jax.lax.optimization_barrier(
-        log_unknown_factors(lattice, expected_from_before(lattice, noise), noise)
-    )
+    log_shortfall = jax.lax.optimization_barrier(log_unknown_shortfall(lattice, noise))
     anchor = jaxlie.SE3(starts[0])
     relative_starts = jax.vmap(lambda pose: (anchor.inverse() @ jaxlie.SE3(pose)).wxyz_xyz)(starts)
     identity = jaxlie.SE3.identity().wxyz_xyz.astype(starts.dtype)
     grid = jax.vmap(partial(pose_gaussian.displaced, identity))(offsets)
     candidates = jax.lax.optimization_barrier(jnp.concatenate([relative_starts, grid]))
     scores = projected_scores(
-        model, view, log_unknown, noise, candidates, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M
+        model, view, log_shortfall, noise, candidates, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M
     )
     _, best = jax.lax.top_k(scores.at[0].set(jnp.inf), STARTS)
     align_coarse = partial(aligned, model, view, noise, hold=hold, schedule=COARSE_SCHEDULE)
     coarse, _ = jax.lax.optimization_barrier(
         jax.vmap(lambda start: align_coarse(start=start))(candidates[best])
     )
-    coarse_scores = projected_scores(model, view, log_unknown, noise, coarse, COARSE_STRIDE_PX // 2, 0.0)
+    coarse_scores = projected_scores(model, view, log_shortfall, noise, coarse, COARSE_STRIDE_PX // 2, 0.0)
     lead = jnp.where(hold > 0, LEAST_GAIN * view.depth_m.size / COARSE_STRIDE_PX**2, 0.0)
     winner = coarse[jnp.argmax(coarse_scores.at[0].add(lead))]
     fine, _ = aligned(model, view, noise, winner, hold, FINE_SCHEDULE)
     slid = jax.lax.optimization_barrier(slides(model, view, noise, fine))
-    slid_scores = projected_scores(model, view, log_unknown, noise, slid, FINE_SCHEDULE[0].stride_px, 0.0)
+    slid_scores = projected_scores(model, view, log_shortfall, noise, slid, FINE_SCHEDULE[0].stride_px, 0.0)
     best_slid = slid[jnp.argmax(slid_scores.at[0].add(SLIDE_GAIN))]
     return (anchor @ jaxlie.SE3(best_slid)).wxyz_xyz
 
@@ -199,7 +196,9 @@ def optimum_at(
     """The density's optimum next to `pose` (7,), with the map rendered at `pose`."""
     keyframes_from_camera = local_map.keyframes_from_camera(pose)
     image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
-    pixels = jax.lax.optimization_barrier(scored_pixels(view, image, noise))
+    pixels = jax.lax.optimization_barrier(
+        scored_pixels(view, image, local_map.surfaces, local_map.present, keyframes_from_camera, noise)
+    )
     lattice_planes, lattice_variance = jax.lax.optimization_barrier(
         fused_planes(MapImage(pixels.planes, pixels.weights), keyframes_from_camera)
     )

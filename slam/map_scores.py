@@ -20,7 +20,7 @@ from slam import pose_gaussian
 from slam.alignment import STIFFNESS
 from slam.components import cross, dot, moved, rotated
 from slam.depth_view import DepthView
-from slam.image_density import expected_from_before, log_unknown_factors
+from slam.image_density import LOG_ROOT_TWO_PI, STRIDE_PX, log_unknown_shortfall
 from slam.localisation import COARSE_STRIDE_PX, LocalMap
 from slam.rendering import pixels_of
 
@@ -48,14 +48,14 @@ class _Points:
         points: (3, P) in the camera's frame, metres.
         returned: (P,) whether there is one.
         sigma_m: (P,) of its depth.
-        log_unknown: (P,) its log factor where no keyframe looked.
+        log_unknown_shortfall: (P,) log of its factor where no keyframe looked over that on a known surface.
         log_contradicted: () the same in space that a keyframe saw through.
     """
 
     points: jax.Array
     returned: jax.Array
     sigma_m: jax.Array
-    log_unknown: jax.Array
+    log_unknown_shortfall: jax.Array
     log_contradicted: jax.Array
 
     def blurred_sigma_m(self, blur: jax.Array | float) -> jax.Array:
@@ -82,14 +82,16 @@ class _Met:
 
 
 def _points(view: DepthView, noise: DepthNoise) -> _Points:
-    every = slice(COARSE_STRIDE_PX // 2, None, COARSE_STRIDE_PX)
-    observed = view.depth_m[every, every]
-    depth = observed.ravel()
+    start, step = COARSE_STRIDE_PX // 2, COARSE_STRIDE_PX // STRIDE_PX
+    every = slice(start, None, COARSE_STRIDE_PX)
+    depth = view.depth_m[every, every].ravel()
+    lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
+    shortfall = log_unknown_shortfall(lattice, noise)
     return _Points(
         points=view.rays[:, every, every].reshape(3, -1) * depth[None],
         returned=depth > NO_RETURN,
         sigma_m=depth_noise.standard_deviation(noise, depth),
-        log_unknown=log_unknown_factors(observed, expected_from_before(observed, noise), noise).ravel(),
+        log_unknown_shortfall=shortfall[start // STRIDE_PX :: step, start // STRIDE_PX :: step].ravel(),
         log_contradicted=jnp.log(noise.outlier_probability / noise.max_range_m),
     )
 
@@ -112,7 +114,7 @@ def _met(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candidate
         nearness = dot(planes, points)
         known = inside & (nearness > 0) & local_map.present[index]
         along_ray = points[2] * (1.0 - 1.0 / jnp.where(known, nearness, 1.0))
-        log_normal = -0.5 * (along_ray / sigma) ** 2 - jnp.log(sigma) - 0.5 * jnp.log(2.0 * jnp.pi)
+        log_normal = -0.5 * (along_ray / sigma) ** 2 - jnp.log(sigma) - LOG_ROOT_TWO_PI
         better = known & (log_normal > best.log_explained)
         length = jnp.where(known, jnp.sqrt(dot(planes, planes)), 1.0)
         best = _Met(
@@ -126,7 +128,9 @@ def _met(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candidate
 
 def _score(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candidate: jax.Array) -> jax.Array:
     met = _met(local_map, frame, blur, candidate)
-    otherwise = jnp.where(met.seen_through, frame.log_contradicted, frame.log_unknown)
+    log_known = -jnp.log(frame.blurred_sigma_m(blur)) - LOG_ROOT_TWO_PI
+    log_unknown = log_known + frame.log_unknown_shortfall
+    otherwise = jnp.where(met.seen_through, frame.log_contradicted, log_unknown)
     return jnp.where(frame.returned, jnp.maximum(met.log_explained, otherwise), 0.0).sum()
 
 
