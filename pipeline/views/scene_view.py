@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -16,6 +18,8 @@ OBJECT_COLOURS = (
     *((239, 131, 84), (91, 155, 213), (130, 200, 110), (220, 180, 70)),
     *((190, 120, 210), (90, 200, 190), (230, 110, 140), (165, 165, 120)),
 )
+LETTER_PX, LEVEL_PX, STAGGER_PX = 8, 100, 40
+"""Of the graph: width of a letter, height of a level, and by how much every second node is raised."""
 LIKELY = 0.2
 """Edges at least as probable are drawn."""
 TABLE_COLOUR = (150, 160, 175)
@@ -90,6 +94,7 @@ def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
         "graph",
         rr.GraphNodes(
             [names[node] for node in nodes],
+            positions=_node_places(scene, [names[node] for node in nodes]),
             labels=[names[node] for node in nodes],
             colors=[object_colour(node) for node in found] + [TABLE_COLOUR],
         ),
@@ -103,6 +108,32 @@ def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
         ),
         static=True,
     )
+
+
+def _node_places(scene: SceneResult, labels: Sequence[str]) -> NDArray[np.float64]:
+    """Pixels (F + 1, 2) of the nodes of what was found and of the table, which is the last.
+
+    Drawn as the most probable scene stands: the table below, what rests on a thing above it. Neighbours
+    alternate in height, so that they may come closer than their labels are wide.
+    """
+    found = [*np.flatnonzero(scene.found).tolist(), len(scene.names)]
+    parents = scene.sample_parents[np.argmax(scene.sample_log_posteriors)]
+    resting = {node: [one for one in found[:-1] if parents[one] == node] for node in found}
+    floating = [one for one in found[:-1] if parents[one] not in found]
+    closest = max(map(len, labels)) * LETTER_PX / 2 + LETTER_PX
+    columns, raised = itertools.count(), defaultdict(lambda: itertools.cycle((0, STAGGER_PX)))
+    places: dict[int, tuple[float, float]] = {}
+
+    def place(node: int, level: int) -> float:
+        above = [place(one, level + 1) for one in resting[node]]
+        column = sum(above) / len(above) if above else next(columns)
+        places[node] = closest * column, -LEVEL_PX * level - next(raised[level])
+        return column
+
+    place(found[-1], 0)
+    for one in floating:
+        place(one, 1)
+    return np.array([places[node] for node in found])
 
 
 def _normals(surface: Surface) -> NDArray[np.float64]:

@@ -17,10 +17,12 @@ from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.views.blueprint import upward
 from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
+from pipeline.views.scene_view import _node_places
 from pipeline.views.screenshot import SOFTWARE_DRIVER, take_screenshot
 from pipeline.views.viewer import open_viewer, rrds_of
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
+from tests.scene.results import scene_result
 
 rr.set_strict_mode(True)
 
@@ -64,6 +66,21 @@ def test_a_parsed_scene_is_drawn(parsed_run: RunValues, tmp_path: Path) -> None:
     report = report_markdown("table", parsed_run)
     assert "| mug | 99% | +- 1.7 | +- 0.1 | box (90%) |" in report
     assert "| can | 10% | | | not found |" in report
+
+
+def test_the_graph_stands_as_the_scene_does(parsed_run: RunValues) -> None:
+    """The table below the box, which is below the mug; labels of one level do not cover each other."""
+    scene = parsed_run.scene
+    assert scene is not None
+    mug, box, table = _node_places(scene, ["mug", "box", "table"])
+    assert mug[1] < box[1] < table[1]
+
+    names = np.array([f"a_rather_long_name_{index}" for index in range(6)])
+    flat = scene_result(names.tolist(), np.tile(np.eye(4), (6, 1, 1)), [6] * 6)
+    places = _node_places(flat, [*names, "table"])[:6]
+    across = np.abs(places[:, None] - places[None])[np.triu_indices(6, 1)]
+    assert (places[:, 1] < 0).all()
+    assert ((across[:, 0] > 7 * len(names[0])) | (across[:, 1] > 30)).all()
 
 
 def test_a_run_without_values_has_views_too(tmp_path: Path) -> None:
