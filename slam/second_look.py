@@ -4,7 +4,8 @@ With views far apart the filter may have to choose between places of which none 
 tell; later ones could, but by then its particles agree on a wrong place, or on two clusters of views that are
 right in themselves and wrong to each other. Here every keyframe is compared with all the others. Where some
 contradict (what is seen should lie on the map wherever the map is met), those that contradict most are left
-out until the rest is of one mind, and are then sought anywhere in the map of the rest, the surest first.
+out until the rest is of one mind, and are then sought anywhere in the map of the rest, the surest first. Of a
+handful, none may stand right: they are placed without regard to their order first (`slam.surest_first`).
 
 It is a mode-jumping Metropolis-Hastings step (Tjelmeland and Hegland 2001): a deterministic search proposes
 another mode, particles keep their displacements from the mean, so that volumes stay, and the ratio of the
@@ -14,8 +15,9 @@ from the better mode nothing contradicts and no search begins.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -23,16 +25,13 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
 from shapes.poses import matrices_of
 from slam.config import SlamConfig
-from slam.depth_view import DepthView, central_depth
-from slam.enumeration import ORBIT_DISTANCES
 from slam.filter_state import FilterState
-from slam.keyframe_map import KeyframeMap
+from slam.jury import Jury, agreement
 from slam.particles import CameraParticles, grouped, mean_keyframes
 from slam.rigid import single_precision_poses
-from slam.search import GroupMap, Located, Searcher
+from slam.surest_first import placed_surest_first
 
 WIDE_STEP_RAD = 0.4
 """Between neighbouring keyframes: with narrower steps the filter does not lose its way."""
@@ -40,10 +39,14 @@ MOST_KEYFRAMES = 48
 AGREEING = 0.9
 """Share of the returns that meet the map and lie on it, from which on a keyframe does not contradict: at true
 poses round objects it was .92 at least, at wrong ones .6 to .9 (development films, seeds 0 and 101)."""
-LEAST_MET = 0.2
 LEAST_CORE = 2
 MOST_ROUNDS = 3
 """From a first core that is small, the places of the others may be wrong again."""
+HANDFUL = 6
+"""Keyframes few enough to be placed without regard to their order: the search grows with their square."""
+
+Search = Callable[[NDArray[np.float64]], NDArray[np.float64] | None]
+"""Other poses (N, 4, 4) for keyframes, or None where there is nothing to propose."""
 
 
 def reconsidered(key: jax.Array, state: FilterState, config: SlamConfig) -> FilterState:
@@ -62,10 +65,15 @@ def reconsidered(key: jax.Array, state: FilterState, config: SlamConfig) -> Filt
         return state
     modes = grouped(matrices_of(poses), weights)
     jury = Jury(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
+    surest_first = cache(lambda: placed_surest_first(jury))
+    searches: list[Search] = [partial(placed_anew, jury)] * MOST_ROUNDS
+    if used <= HANDFUL:
+        searches.insert(0, lambda poses: surest_first() if len(agreeing(jury, poses)) < used else None)
     for mode in range(modes.max() + 1):
         members = modes == mode
         mean = mean_keyframes(poses, jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum()))
-        chosen = _chosen(jax.random.fold_in(key, mode), jury, matrices_of(mean), state.calibration.exponent)
+        mode_key, exponent = jax.random.fold_in(key, mode), state.calibration.exponent
+        chosen = _chosen(mode_key, jury, searches, matrices_of(mean), exponent)
         if chosen is not None:
             moved = carried(poses, mean, single_precision_poses(chosen))
             poses = jnp.where(jnp.asarray(members)[:, None, None], moved, poses)
@@ -75,18 +83,22 @@ def reconsidered(key: jax.Array, state: FilterState, config: SlamConfig) -> Filt
 
 
 def _chosen(
-    key: jax.Array, jury: Jury, poses: NDArray[np.float64], exponent: float
+    key: jax.Array, jury: Jury, searches: list[Search], poses: NDArray[np.float64], exponent: float
 ) -> NDArray[np.float64] | None:
-    """Poses (N, 4, 4) after `MOST_ROUNDS` steps at most; None where none was accepted."""
+    """Poses (N, 4, 4) after a step by each search that has something new; None where none was taken."""
     present, accepted = jury.log_joint(poses), False
-    for log_uniform in np.log(np.asarray(jax.random.uniform(key, (MOST_ROUNDS,)))):
-        proposed = placed_anew(jury, poses)
+    refused = None
+    for search, log_uniform in zip(
+        searches, np.log(np.asarray(jax.random.uniform(key, (len(searches),)))), strict=True
+    ):
+        proposed = None if search is refused else search(poses)
         if proposed is None:
             break
         log_joint = jury.log_joint(proposed)
-        if log_uniform >= exponent * (log_joint - present):
-            break
-        poses, present, accepted = proposed, log_joint, True
+        if log_uniform < exponent * (log_joint - present):
+            poses, present, accepted = proposed, log_joint, True
+        else:
+            refused = search
     return poses if accepted else None
 
 
@@ -106,56 +118,6 @@ def carried(poses: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
     return jax.vmap(jax.vmap(one), (0, None, None))(poses, before, after)
 
 
-@dataclass(frozen=True)
-class Jury:
-    """The keyframes, each of which is seen through the eyes of others.
-
-    Attributes:
-        keyframe_map: all.
-        noise: the sensor.
-        compared: keyframes that one is compared with at once.
-    """
-
-    keyframe_map: KeyframeMap
-    noise: DepthNoise
-    compared: int
-
-    def __len__(self) -> int:
-        return len(self.keyframe_map)
-
-    def located(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Located:
-        """A keyframe where `poses` (N, 4, 4) have it, in the map of `others`."""
-        searcher, group = self._searcher(poses, index, others)
-        return searcher.at(group, single_precision_poses(poses[index]))
-
-    def sought(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Located | None:
-        """The best plausible place of a keyframe anywhere in the map of `others`."""
-        searcher, group = self._searcher(poses, index, others)
-        distances = np.asarray(ORBIT_DISTANCES) * central_depth(searcher.view)
-        nearest = min(others, key=lambda other: abs(other - index))
-        found = searcher.anywhere(group, single_precision_poses(poses[nearest]), distances)
-        return next((located for located in found if located.is_plausible), None)
-
-    def log_joint(self, poses: NDArray[np.float64]) -> float:
-        """Log density of all images but the first, each given those before it, next to `poses`."""
-        located = (self.located(poses, index, range(index)) for index in range(1, len(self)))
-        return sum(float(one.optimum.log_density) for one in located)
-
-    def _searcher(
-        self, poses: NDArray[np.float64], index: int, others: Sequence[int]
-    ) -> tuple[Searcher, GroupMap]:
-        surface = self.keyframe_map.surfaces[index]
-        view = DepthView(surface.depth_m, surface.measured, surface.rays, surface.camera)
-        rest = KeyframeMap(
-            surfaces=tuple(self.keyframe_map.surfaces[i] for i in others),
-            samples=tuple(self.keyframe_map.samples[i] for i in others),
-        )
-        chosen = poses[list(others)]
-        placed = jnp.stack([single_precision_poses(pose) for pose in chosen])[None]
-        group = GroupMap(placed, jnp.ones(1, jnp.float32), chosen, 0)
-        return Searcher(rest, view, self.noise, self.compared), group
-
-
 def placed_anew(jury: Jury, poses: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Poses (N, 4, 4) with those that contradict sought in the map of the rest; None where none does."""
     core = agreeing(jury, poses)
@@ -164,8 +126,8 @@ def placed_anew(jury: Jury, poses: NDArray[np.float64]) -> NDArray[np.float64] |
     poses = poses.copy()
     missing = [index for index in range(len(jury)) if index not in core]
     while missing:
-        found = {index: jury.sought(poses, index, core) for index in missing}
-        sure = [index for index in missing if (place := found[index]) and _agreement(place) >= AGREEING]
+        found = {index: next(iter(jury.sought(poses, index, core)), None) for index in missing}
+        sure = [index for index in missing if (place := found[index]) and agreement(place) >= AGREEING]
         most = max(missing, key=lambda index: place.explained if (place := found[index]) else -1.0)
         for index in sure or [most]:
             if place := found[index]:
@@ -179,7 +141,7 @@ def agreeing(jury: Jury, poses: NDArray[np.float64]) -> list[int]:
     core = list(range(len(jury)))
     while len(core) > LEAST_CORE:
         agreements = [
-            _agreement(jury.located(poses, index, [other for other in core if other != index]))
+            agreement(jury.located(poses, index, [other for other in core if other != index]))
             for index in core
         ]
         worst = int(np.argmin(agreements))
@@ -187,8 +149,3 @@ def agreeing(jury: Jury, poses: NDArray[np.float64]) -> list[int]:
             break
         del core[worst]
     return core
-
-
-def _agreement(located: Located) -> float:
-    """Share of the returns that meet the map and lie on it; zero where hardly any meets it."""
-    return located.explained / located.covered if located.covered >= LEAST_MET else 0.0

@@ -1,0 +1,74 @@
+"""Keyframes that judge each other's places: each is seen, or sought anywhere, in the map of chosen others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from slam.depth_view import DepthView, central_depth
+from slam.enumeration import ORBIT_DISTANCES
+from slam.keyframe_map import KeyframeMap
+from slam.rigid import single_precision_poses
+from slam.search import GroupMap, Located, Searcher
+
+LEAST_MET = 0.2
+
+
+@dataclass(frozen=True)
+class Jury:
+    """The keyframes, each of which is seen through the eyes of others.
+
+    Attributes:
+        keyframe_map: all.
+        noise: the sensor.
+        compared: keyframes that one is compared with at once.
+    """
+
+    keyframe_map: KeyframeMap
+    noise: DepthNoise
+    compared: int
+
+    def __len__(self) -> int:
+        return len(self.keyframe_map)
+
+    def located(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Located:
+        """A keyframe where `poses` (N, 4, 4) have it, in the map of `others`."""
+        searcher, group = self._searcher(poses, index, others)
+        return searcher.at(group, single_precision_poses(poses[index]))
+
+    def sought(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> list[Located]:
+        """Plausible places of a keyframe anywhere in the map of `others`, the best first."""
+        searcher, group = self._searcher(poses, index, others)
+        distances = np.asarray(ORBIT_DISTANCES) * central_depth(searcher.view)
+        nearest = min(others, key=lambda other: abs(other - index))
+        found = searcher.anywhere(group, single_precision_poses(poses[nearest]), distances)
+        return [located for located in found if located.is_plausible]
+
+    def log_joint(self, poses: NDArray[np.float64]) -> float:
+        """Log density of all images but the first, each given those before it, next to `poses`."""
+        located = (self.located(poses, index, range(index)) for index in range(1, len(self)))
+        return sum(float(one.optimum.log_density) for one in located)
+
+    def _searcher(
+        self, poses: NDArray[np.float64], index: int, others: Sequence[int]
+    ) -> tuple[Searcher, GroupMap]:
+        surface = self.keyframe_map.surfaces[index]
+        view = DepthView(surface.depth_m, surface.measured, surface.rays, surface.camera)
+        rest = KeyframeMap(
+            surfaces=tuple(self.keyframe_map.surfaces[i] for i in others),
+            samples=tuple(self.keyframe_map.samples[i] for i in others),
+        )
+        chosen = poses[list(others)]
+        placed = jnp.stack([single_precision_poses(pose) for pose in chosen])[None]
+        group = GroupMap(placed, jnp.ones(1, jnp.float32), chosen, 0)
+        return Searcher(rest, view, self.noise, self.compared), group
+
+
+def agreement(located: Located) -> float:
+    """Share of the returns that meet the map and lie on it; zero where hardly any meets it."""
+    return located.explained / located.covered if located.covered >= LEAST_MET else 0.0

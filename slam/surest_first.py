@@ -1,0 +1,92 @@
+"""A handful of keyframes placed without regard to their order: the surest place of any comes next.
+
+Views a third of a circle apart tell little of each other; those of two rings, one above the other, tell much,
+but stand far apart in the recording. So a search extends partial maps, from the first keyframe alone, by any
+keyframe at any place where it is found, and keeps those maps that explain most: by the evidence that each
+image gives for its place, log p(image | map, place) - log p(image | no map), which compares maps of other
+keyframes too. The few best are kept at every size (a beam), for the surest place may still be a wrong one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from shapes.poses import matrices_of
+from slam.image_density import log_image_density
+from slam.jury import Jury
+from slam.particles import GROUP_SHIFT_M
+from slam.search import Located
+
+KEPT_MAPS = 4
+PLACES = 3
+"""Of each keyframe in each map."""
+
+
+@dataclass(frozen=True)
+class _PartialMap:
+    """Some of the keyframes.
+
+    Attributes:
+        poses: (4, 4) by keyframe.
+        log_evidence: for their places.
+    """
+
+    poses: dict[int, NDArray[np.float64]]
+    log_evidence: float
+
+    def is_like(self, other: _PartialMap) -> bool:
+        """Whether it has the same keyframes in the same places."""
+        return self.poses.keys() == other.poses.keys() and all(
+            np.linalg.norm(pose[:3, 3] - other.poses[index][:3, 3]) < GROUP_SHIFT_M
+            for index, pose in self.poses.items()
+        )
+
+
+def placed_surest_first(jury: Jury) -> NDArray[np.float64] | None:
+    """Poses (N, 4, 4) of all keyframes, of the maps kept the one of largest joint density.
+
+    None where a keyframe is found in no map.
+    """
+    maps = [_PartialMap({0: np.eye(4)}, 0.0)]
+    for _ in range(len(jury) - 1):
+        maps = _best([extended for each in maps for extended in _extended(jury, each)])
+    complete = [np.stack([each.poses[index] for index in range(len(jury))]) for each in maps]
+    return max(complete, key=jury.log_joint, default=None)
+
+
+def _extended(jury: Jury, partial: _PartialMap) -> list[_PartialMap]:
+    """The maps with one keyframe more."""
+    core = sorted(partial.poses)
+    poses = np.stack([partial.poses.get(index, np.eye(4)) for index in range(len(jury))])
+    return [
+        _PartialMap(
+            {**partial.poses, index: matrices_of(place.optimum.pose)},
+            partial.log_evidence + _log_evidence(place, jury.noise),
+        )
+        for index in range(len(jury))
+        if index not in partial.poses
+        for place in jury.sought(poses, index, core)[:PLACES]
+    ]
+
+
+def _log_evidence(place: Located, noise: DepthNoise) -> float:
+    """Log p(image | map, place) - log p(image | no map)."""
+    pixels, poses = place.optimum.pixels, place.local_map.keyframes_from_camera(place.optimum.pose)
+    without_map = replace(pixels, weights=jnp.zeros_like(pixels.weights))
+    return float(place.optimum.log_density - log_image_density(without_map, poses, noise, 1.0))
+
+
+def _best(maps: list[_PartialMap]) -> list[_PartialMap]:
+    """The `KEPT_MAPS` of most evidence that differ."""
+    kept: list[_PartialMap] = []
+    for each in sorted(maps, key=lambda one: -one.log_evidence):
+        if not any(each.is_like(other) for other in kept):
+            kept.append(each)
+        if len(kept) == KEPT_MAPS:
+            break
+    return kept
