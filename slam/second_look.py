@@ -42,8 +42,8 @@ poses round objects it was .92 at least, at wrong ones .6 to .9 (development fil
 LEAST_CORE = 2
 MOST_ROUNDS = 3
 """From a first core that is small, the places of the others may be wrong again."""
-HANDFUL = 6
-"""Keyframes few enough to be placed without regard to their order: the search grows with their square."""
+HANDFUL = 12
+"""Keyframes few enough to be placed without regard to their order."""
 
 Search = Callable[[NDArray[np.float64]], NDArray[np.float64] | None]
 """Other poses (N, 4, 4) for keyframes, or None where there is nothing to propose."""

@@ -5,6 +5,7 @@ but stand far apart in the recording. So a search extends partial maps, from the
 keyframe at any place where it is found, and keeps those maps that explain most: by the evidence that each
 image gives for its place, log p(image | map, place) - log p(image | no map), which compares maps of other
 keyframes too. The few best are kept at every size (a beam), for the surest place may still be a wrong one.
+Not every keyframe is sought in every map: those that were surest in the smaller map are, the others wait.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from slam.jury import Jury
 from slam.particles import GROUP_SHIFT_M
 from slam.search import Located
 
-KEPT_MAPS = 4
+KEPT_MAPS, SOUGHT = 3, 2
+"""Partial maps, and keyframes that are sought again in each."""
 PLACES = 3
 """Of each keyframe in each map."""
 
@@ -34,10 +36,12 @@ class _PartialMap:
     Attributes:
         poses: (4, 4) by keyframe.
         log_evidence: for their places.
+        foretold: by other keyframe, the evidence that its best place had when it was sought last.
     """
 
     poses: dict[int, NDArray[np.float64]]
     log_evidence: float
+    foretold: dict[int, float]
 
     def is_like(self, other: _PartialMap) -> bool:
         """Whether it has the same keyframes in the same places."""
@@ -52,7 +56,7 @@ def placed_surest_first(jury: Jury) -> NDArray[np.float64] | None:
 
     None where a keyframe is found in no map.
     """
-    maps = [_PartialMap({0: np.eye(4)}, 0.0)]
+    maps = [_PartialMap({0: np.eye(4)}, 0.0, dict.fromkeys(range(1, len(jury)), np.inf))]
     for _ in range(len(jury) - 1):
         maps = _best([extended for each in maps for extended in _extended(jury, each)])
     complete = [np.stack([each.poses[index] for index in range(len(jury))]) for each in maps]
@@ -63,14 +67,21 @@ def _extended(jury: Jury, partial: _PartialMap) -> list[_PartialMap]:
     """The maps with one keyframe more."""
     core = sorted(partial.poses)
     poses = np.stack([partial.poses.get(index, np.eye(4)) for index in range(len(jury))])
+    new = [index for index, evidence in partial.foretold.items() if evidence == np.inf]
+    surest = sorted(partial.foretold, key=lambda index: -partial.foretold[index])[:SOUGHT]
+    places = {index: jury.sought(poses, index, core)[:PLACES] for index in new or surest}
+    evidence = {
+        index: [_log_evidence(place, jury.noise) for place in found] for index, found in places.items()
+    }
+    foretold = partial.foretold | {index: max(found, default=-np.inf) for index, found in evidence.items()}
     return [
         _PartialMap(
             {**partial.poses, index: matrices_of(place.optimum.pose)},
-            partial.log_evidence + _log_evidence(place, jury.noise),
+            partial.log_evidence + log_evidence,
+            {other: before for other, before in foretold.items() if other != index},
         )
-        for index in range(len(jury))
-        if index not in partial.poses
-        for place in jury.sought(poses, index, core)[:PLACES]
+        for index, found in places.items()
+        for place, log_evidence in zip(found, evidence[index], strict=True)
     ]
 
 
