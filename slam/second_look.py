@@ -86,14 +86,14 @@ def _chosen(
     key: jax.Array, jury: Jury, searches: list[Search], poses: NDArray[np.float64], exponent: float
 ) -> NDArray[np.float64] | None:
     """Poses (N, 4, 4) after a step by each search that has something new; None where none was taken."""
-    present, accepted = jury.log_joint(poses), False
-    refused = None
+    present, refused, accepted = None, None, False
     for search, log_uniform in zip(
         searches, np.log(np.asarray(jax.random.uniform(key, (len(searches),)))), strict=True
     ):
         proposed = None if search is refused else search(poses)
         if proposed is None:
             break
+        present = jury.log_joint(poses) if present is None else present
         log_joint = jury.log_joint(proposed)
         if log_uniform < exponent * (log_joint - present):
             poses, present, accepted = proposed, log_joint, True
