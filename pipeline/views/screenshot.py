@@ -15,7 +15,7 @@ from pipeline.errors import PipelineError
 
 START_S = 30.0
 LOAD_S = 60.0
-SETTLE_S = 5.0
+SETTLE_S = 8.0
 """Software rendering is slow, and pop-ups need time to fade."""
 SOFTWARE_DRIVER = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
 NO_VULKAN = (
