@@ -146,5 +146,5 @@ def front(layers: PoseLayers, choice: jax.Array, use: jax.Array) -> tuple[jax.Ar
     nearest = jnp.argmin(depths, axis=0)
     front_m = jnp.min(depths, axis=0)
     density = jnp.take_along_axis(layers.log_density[objects, choice], nearest[None], axis=0)[0]
-    behind = layers.rest_m < front_m
-    return jnp.minimum(front_m, layers.rest_m), jnp.where(behind, layers.rest_log_density, density)
+    covered = front_m < layers.rest_m
+    return jnp.minimum(front_m, layers.rest_m), jnp.where(covered, density, layers.rest_log_density)

@@ -20,9 +20,29 @@ def _layers(objects: int, poses: int, pixels: int, seed: int = 0) -> PoseLayers:
         depth_m=jnp.asarray(depth, jnp.float32),
         log_density=jnp.asarray(rng.standard_normal((objects, poses, pixels)), jnp.float32),
         log_alone=jnp.asarray(alone, jnp.float32),
-        rest_m=jnp.asarray(rng.uniform(0.5, 1.5, pixels), jnp.float32),
+        rest_m=jnp.asarray(_rest(rng, pixels), jnp.float32),
         rest_log_density=jnp.asarray(rng.standard_normal(pixels), jnp.float32),
     )
+
+
+def _rest(rng: np.random.Generator, pixels: int) -> np.ndarray:
+    """Depth of the background, which a third of the pixels lack."""
+    return np.where(rng.random(pixels) < 0.33, np.inf, rng.uniform(0.5, 1.5, pixels))
+
+
+def test_pixels_show_what_is_nearest() -> None:
+    """One pixel after the other by comparison, also where no object and no background is."""
+    layers = _layers(3, 4, 40)
+    depth_m, log_density = np.asarray(layers.depth_m), np.asarray(layers.log_density)
+    for choice in itertools.product(range(4), repeat=3):
+        expected = sum(np.asarray(layers.log_alone)[one, pose] for one, pose in enumerate(choice))
+        for pixel in range(40):
+            nearest, shown = float(layers.rest_m[pixel]), float(layers.rest_log_density[pixel])
+            for one, pose in enumerate(choice):
+                if depth_m[one, pose, pixel] < nearest:
+                    nearest, shown = depth_m[one, pose, pixel], log_density[one, pose, pixel]
+            expected += shown
+        np.testing.assert_allclose(log_density_of_choice(layers, jnp.array(choice)), expected, atol=1e-4)
 
 
 def test_conditionals_are_slices_of_the_joint() -> None:
