@@ -9,15 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 from shapes.camera import Camera
-from shapes.depth_rendering import render_layers
-from shapes.object_library import ObjectLibrary
-from shapes.ray_casting import PosedObjects
 
 
 @jax.tree_util.register_dataclass
@@ -57,41 +53,6 @@ def window_half_width(radius_m: float, nearest_m: float, focal_px: float, half_i
     if radius_m >= distance or angle >= math.pi / 2:
         raise ValueError(f"a ball of {radius_m} m round a point at depth {nearest_m} m reaches the camera")
     return math.ceil(focal_px * (math.tan(angle) - slope) + 0.5)
-
-
-@partial(jax.jit, static_argnames="half_width")
-def log_likelihood(
-    library: ObjectLibrary,
-    noise: CloudNoise,
-    cameras: Camera,
-    points_m: jax.Array,
-    rest_m: jax.Array,
-    posed: PosedObjects,
-    half_width: int,
-) -> jax.Array:
-    """Log density (N,) of the observed points of each hypothesis's image: its object joins the rest.
-
-    Args:
-        library: the objects.
-        noise: of the cloud.
-        cameras: leaves (I,).
-        points_m: (I, K, 3) observed points in the camera's frame; a point with z <= 0 counts for nothing.
-        rest_m: (I, H, W) rendered depth of everything else, +inf where there is nothing.
-        posed: N hypotheses.
-        half_width: pixels searched to each side, `window_half_width` or more.
-    """
-    height, width = rest_m.shape[1:]
-
-    def one(hypothesis: PosedObjects) -> jax.Array:
-        layer = render_layers(
-            library, jax.tree.map(lambda leaf: leaf[None], hypothesis), cameras, height, width
-        )
-        image = hypothesis.camera_index
-        camera = jax.tree.map(lambda leaf: leaf[image], cameras)
-        rendered = jnp.minimum(layer[0], rest_m[image])
-        return log_density(noise, camera, points_m[image], rendered, half_width)
-
-    return jax.lax.map(one, posed)
 
 
 def log_density(

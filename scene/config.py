@@ -14,6 +14,7 @@ class ParseConfig:
         objects: names of the objects to look for; none means all that are known.
         frames: numbers of the depth frames that are used.
         graph: `infer` samples scene graphs, `fixed` keeps every object floating (the ablation 3DP3*).
+        likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
         presence: prior probability that an object is there.
         rounds: of renewed search on what is left unexplained.
         pool: poses an object and round that are compared jointly.
@@ -25,6 +26,8 @@ class ParseConfig:
         model_error_m: error of shapes and calibration, added in quadrature to the sensor's.
         search_error_m: the same during the search, where poses are coarse.
         outlier_probability: share of pixels that show what nobody models.
+        cloud_radius_m: of the ball round a rendered point in which observed points lie.
+        cloud_outlier_probability: share of points that show what nobody models.
         contact_sigma_m: standard deviation of the gap between faces in contact.
         loose_sigma_m: the same of rests whose surfaces meet elsewhere than on the faces.
         contact_concentration: kappa of the direction of contact about flush.
@@ -37,6 +40,7 @@ class ParseConfig:
     objects: tuple[str, ...] = ()
     frames: tuple[int, ...] = (0,)
     graph: Literal["infer", "fixed"] = "infer"
+    likelihood: Literal["depth", "cloud"] = "depth"
     presence: float = 0.9
     rounds: int = 2
     pool: int = 48
@@ -47,6 +51,8 @@ class ParseConfig:
     model_error_m: float = 0.002
     search_error_m: float = 0.003
     outlier_probability: float = 0.1
+    cloud_radius_m: float = 0.005
+    cloud_outlier_probability: float = 0.01
     contact_sigma_m: float = 0.005
     loose_sigma_m: float = 0.02
     contact_concentration: float = 500.0
@@ -64,7 +70,9 @@ class ParseConfig:
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
             raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")
         scales = self.contact_sigma_m, self.loose_sigma_m, self.contact_concentration, self.search_error_m
-        if min(*scales, self.floating_weight) <= 0 or self.upward_concentration < 0:
-            raise ValueError("sigmas, errors, concentrations and floating_weight must be positive")
-        if not 0 <= self.slack_share < 1 or not 0 < self.outlier_probability < 1:
-            raise ValueError("slack_share must lie in [0, 1), outlier_probability between 0 and 1")
+        if min(*scales, self.cloud_radius_m, self.floating_weight) <= 0 or self.upward_concentration < 0:
+            raise ValueError("sigmas, errors, radii, concentrations and floating_weight must be positive")
+        if not 0 <= self.slack_share < 1:
+            raise ValueError(f"slack_share must lie in [0, 1), got {self.slack_share}")
+        if not all(0 < share < 1 for share in (self.outlier_probability, self.cloud_outlier_probability)):
+            raise ValueError("outlier_probability and cloud_outlier_probability must lie between 0 and 1")

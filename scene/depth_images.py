@@ -207,7 +207,7 @@ class DepthImages:
         )
         shown = jax.lax.fori_loop(0, jnp.where(anew, turns, 1), some, blank)
         stands = scenes.present[:, :objects] & ~moved
-        shown = replace(shown, log_tiles=self._weighed(shown, stands, moved, anew))
+        shown = replace(shown, log_tiles=self.weighed(shown, stands, moved, anew))
         log_likelihood = _log_mean_exp(jax.vmap(self._log_each)(shown.log_tiles))
         is_kept = (jnp.arange(count) == 0) & ~anew
         return Estimate(jnp.where(is_kept, current.log_likelihood, log_likelihood), shown)
@@ -229,10 +229,10 @@ class DepthImages:
             return shapes
         return shape_choices.redrawn(keys, shapes, self._known, self.fresh_share)
 
-    def _weighed(
+    def weighed(
         self, shown: OfferedScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
     ) -> jax.Array:
-        """Log densities (K, R, X) of all tiles, brought up to date where something has moved.
+        """Log densities (K, R, X) of all tiles, exponent 1, brought up to date where something has moved.
 
         Args:
             shown: with those of the present scene in every place.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.adaptation import adapted
 from scene.chain import Kernel, run_block, scene_kernel
+from scene.cloud_images import CloudImages
 from scene.config import ParseConfig
 from scene.contact import TOP_FACE
 from scene.depth_images import DepthImages, log_estimates
@@ -79,15 +80,7 @@ def sampled(
         config: settings.
         progress: called with blocks of moves done and in all.
     """
-    likelihood = DepthImages.of(
-        views,
-        camera_from_world,
-        ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
-        noise,
-        config.pixel_weight,
-        objects=len(objects),
-        draws=max(config.shape_samples, 1),
-    )
+    likelihood = _likelihood(views, camera_from_world, objects, noise, config)
     starts = start.poses[start.found, 4:] @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
     model = _model(table, objects, likelihood, space_of(table, starts), config)
     world = pose_of(jnp.asarray(world_from_camera))
@@ -103,6 +96,33 @@ def sampled(
         repeats=max(len(objects) - 1, 1),
     )
     return _sample(key, model, kernel, axes, start, world, config, progress)
+
+
+def _likelihood(
+    views: Sequence[SceneData],
+    camera_from_world: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> DepthImages:
+    images = DepthImages.of(
+        views,
+        camera_from_world,
+        ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
+        noise,
+        config.pixel_weight,
+        objects=len(objects),
+        draws=max(config.shape_samples, 1),
+    )
+    if config.likelihood == "depth":
+        return images
+    return CloudImages.over(
+        images,
+        views,
+        outlier_probability=config.cloud_outlier_probability,
+        radius_m=config.cloud_radius_m,
+        pixel_weight=config.pixel_weight,
+    )
 
 
 def space_of(

@@ -49,6 +49,11 @@ class FrameNumbers(click.ParamType):
     "--graph", type=click.Choice(["infer", "fixed"]), help="Infer what rests on what, or let all float."
 )
 @click.option(
+    "--likelihood",
+    type=click.Choice(["depth", "cloud"]),
+    help="Compare depth images pixel by pixel (the default), or point clouds.",
+)
+@click.option(
     "--shape-samples",
     type=click.IntRange(min=1),
     metavar="R",
@@ -69,6 +74,7 @@ def command(
     objects: str | None,
     frames: tuple[int, ...] | None,
     graph: str | None,
+    likelihood: str | None,
     shape_samples: int | None,
     presence: float | None,
 ) -> None:
@@ -81,6 +87,7 @@ def command(
         "objects": _names(objects),
         "frames": frames,
         "graph": graph,
+        "likelihood": likelihood,
         "shape_samples": shape_samples,
         "presence": presence,
     }

@@ -5,7 +5,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from scene.cloud_likelihood import CloudNoise, log_density, log_likelihood, window_half_width
+from scene.cloud_likelihood import CloudNoise, log_density, window_half_width
 from scene.observation import unprojected
 from shapes.depth_rendering import render_layers
 from shapes.object_library import library_of_mesh
@@ -51,15 +51,10 @@ def test_differences_agree_with_a_tree(seed: int) -> None:
     half_image = max(WIDTH, HEIGHT)
     half_width = window_half_width(RADIUS_M, float(points[:, 2].min()), 145.0, half_image)
 
-    actual = log_likelihood(
-        library,
-        NOISE,
-        cameras(),
-        jnp.asarray(points, jnp.float32)[None],
-        jnp.asarray(rest)[None],
-        posed(poses),
-        half_width,
-    )
+    actual = [
+        log_density(NOISE, one, jnp.asarray(points, jnp.float32), jnp.minimum(layer, rest), half_width)
+        for layer in layers
+    ]
 
     expected = [reference(points, np.minimum(layer, rest)) for layer in layers]
     error = np.asarray(actual, np.float64) - expected

@@ -1,5 +1,6 @@
-"""The likelihood that chains keep tile by tile is that of whole images."""
+"""The likelihood that chains keep tile by tile is that of whole images, or of whole clouds."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -7,11 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 
 from recordings.types import DepthNoise
+from scene.cloud_images import CloudImages
+from scene.cloud_likelihood import CloudNoise, window_half_width
 from scene.depth_images import DepthImages
 from scene.graph import SceneGraph, floating_scene
 from scene.model import Estimate
+from scene.observation import unprojected
 from scene.rendering import ObjectRenderer
 from scene.scene_object import SceneObject, scene_object
 from scene.shape_choices import candidate_keys
@@ -23,6 +28,7 @@ from tests.statistical import assert_mean
 
 HEIGHT, WIDTH, WEIGHT = 48, 64, 0.25
 NOISE = DepthNoise(sigma_base_m=0.003, outlier_probability=0.1)
+CLOUD = CloudNoise(outlier_probability=0.02, outlier_volume_m3=0.3, radius_m=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +72,21 @@ def images(
     )
 
 
+def clouds(shapes: list[SceneObject], observed_m: np.ndarray) -> CloudImages:
+    """The same frames, whose points are of every third pixel, some of no return."""
+    thinned = np.where(np.arange(WIDTH) % 3, 0, observed_m)
+    thinned[:, :3] = 0
+    alike = images(shapes, observed_m)
+    camera = jax.tree.map(lambda leaf: leaf[0], alike.cameras)
+    points_m = np.stack([unprojected(image, camera).reshape(-1, 3) for image in thinned])
+    return CloudImages(
+        **vars(alike),
+        points_m=jnp.asarray(points_m, jnp.float32),
+        cloud=CLOUD,
+        half_width=window_half_width(float(CLOUD.radius_m), 0.4, 80.0, WIDTH),
+    )
+
+
 @jax.jit
 def started(likelihood: DepthImages, key: jax.Array, scene: SceneGraph) -> Estimate:
     """The estimate of a scene from scratch."""
@@ -90,35 +111,62 @@ def offered(
     return likelihood.offered(keys, *beside(scene, poses), current, anew=jnp.array(False))
 
 
+def rendered(likelihood: DepthImages, scene: SceneGraph, frame: int) -> np.ndarray:
+    """The whole image (H, W) that a frame shows."""
+    shifted = scene.poses.at[:, 4:].add(jnp.asarray([0.05 * frame, 0, 0]))
+    renderer = likelihood.renderer
+    camera = jax.tree.map(lambda leaf: leaf[:1], likelihood.cameras)
+    posed = renderer.posed(jnp.arange(2), shifted, jnp.zeros(2, jnp.int32))
+    layers = np.asarray(render_layers(renderer.library, posed, camera, HEIGHT, WIDTH))
+    shown = np.where(np.asarray(scene.present)[:, None, None], layers, np.inf).min(axis=0)
+    return np.minimum(shown, 0.8)[: HEIGHT - 5 * frame]
+
+
 def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:
     """The log likelihood by whole images."""
     total = 0.0
     for frame in range(2):
-        world = jnp.asarray([0.05 * frame, 0, 0])
-        shifted = scene.poses.at[:, 4:].add(world[None])
-        renderer = likelihood.renderer
-        camera = jax.tree.map(lambda leaf: leaf[:1], likelihood.cameras)
-        posed = renderer.posed(jnp.arange(2), shifted, jnp.zeros(2, jnp.int32))
-        layers = np.asarray(render_layers(renderer.library, posed, camera, HEIGHT, WIDTH))
-        shown = np.where(np.asarray(scene.present)[:, None, None], layers, np.inf).min(axis=0)
-        log_pixels = depth_noise.log_density(NOISE, observed_m[frame], np.minimum(shown, 0.8))
-        rows = HEIGHT - 5 * frame
-        total += WEIGHT / (1 + frame) * float(np.asarray(log_pixels, np.float64)[:rows].sum())
+        shown = rendered(likelihood, scene, frame)
+        observed = jnp.asarray(observed_m[frame, : len(shown)])
+        log_pixels = depth_noise.log_density(NOISE, observed, jnp.asarray(shown))
+        total += WEIGHT / (1 + frame) * float(np.asarray(log_pixels, np.float64).sum())
     return total
 
 
+def counted(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:  # noqa: ARG001
+    """The log likelihood by whole clouds, whose neighbours a tree counts (main paper, section 3.3)."""
+    assert isinstance(likelihood, CloudImages)
+    total = 0.0
+    camera = jax.tree.map(lambda leaf: leaf[0], likelihood.cameras)
+    for frame in range(2):
+        cloud = unprojected(rendered(likelihood, scene, frame), camera).reshape(-1, 3)
+        points_m = np.asarray(likelihood.points_m[frame])
+        points_m = points_m[points_m[:, 2] > 0]
+        counts = KDTree(cloud).query_ball_point(points_m, CLOUD.radius_m, return_length=True)
+        inlier = (1 - CLOUD.outlier_probability) / len(cloud) / (4 / 3 * np.pi * CLOUD.radius_m**3)
+        density = CLOUD.outlier_probability / CLOUD.outlier_volume_m3 + inlier * counts
+        total += WEIGHT / (1 + frame) * float(np.log(density).sum())
+    return total
+
+
+@pytest.mark.parametrize(("compared", "whole"), [(images, dense), (clouds, counted)])
 def test_every_way_to_a_scene_has_its_likelihood(
-    key: jax.Array, seed: int, boxes: list[SceneObject], poses: jax.Array
+    key: jax.Array,
+    seed: int,
+    boxes: list[SceneObject],
+    poses: jax.Array,
+    compared: Callable[[list[SceneObject], np.ndarray], DepthImages],
+    whole: Callable[[DepthImages, np.ndarray, SceneGraph], float],
 ) -> None:
-    """From scratch, beside others or after them, one object moved or both: that of whole images."""
+    """From scratch, beside others or after them, one object moved or both: that of whole images or clouds."""
     observed_m = np.random.default_rng(seed).uniform(0.45, 0.85, (2, HEIGHT, WIDTH)).astype(np.float32)
-    likelihood = images(boxes, observed_m)
+    likelihood = compared(boxes, observed_m)
     scene = floating_scene(poses)
     steps = jnp.zeros((5, 2, 7)).at[1, 0, 4].set(0.03).at[2, 1, 4].set(0.4).at[3, 1, 6].set(-0.1)
     steps = steps.at[4, :, 5].set(jnp.array([0.02, -0.03]))
     start_key, offer_key, again_key = jax.random.split(key, 3)
     start = started(likelihood, start_key, scene)
-    assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
+    assert float(start.log_likelihood) == pytest.approx(whole(likelihood, observed_m, scene), abs=1e-2)
     keys, there = candidate_keys(offer_key, 6), scene.poses[None] + steps[jnp.array([0, 1, 2, 3, 4, 0])]
     chains = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
 
@@ -127,7 +175,7 @@ def test_every_way_to_a_scene_has_its_likelihood(
     np.testing.assert_array_equal(every.log_likelihood[0], every.log_likelihood[1])
     assert float(every.log_likelihood[0, 0]) == float(start.log_likelihood)
     for place, pair in enumerate(there):
-        expected = dense(likelihood, observed_m, replace(scene, poses=pair))
+        expected = whole(likelihood, observed_m, replace(scene, poses=pair))
         assert float(every.log_likelihood[0, place]) == pytest.approx(expected, abs=1e-2)
         after = likelihood.chosen(jax.tree.map(lambda leaf: leaf[0], every), jnp.asarray(place))
         at, back = replace(scene, poses=pair), jnp.stack([pair, scene.poses])
