@@ -69,6 +69,37 @@ def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState
     return state, _first_frame_info(config.particles)
 
 
+def before_the_map(key: jax.Array, state: FilterState) -> FrameInfo:
+    """A frame before the first that shows anything: lost, anywhere that the motion prior leads from there.
+
+    Args:
+        key: consumed.
+        state: after the first frame that does, by `init`.
+    """
+    count = len(state.population.log_weights)
+    poses = _moved_unseen(jax.random.split(key, count), state)
+    spread = _spread_around(jnp.asarray(IDENTITY, jnp.float32), poses, state.population.log_weights)
+    return replace(
+        _first_frame_info(count),
+        relative_poses=np.asarray(poses),
+        component_covariances=np.asarray(spread)[None],
+        lost=True,
+        explained=0.0,
+        covered=0.0,
+        keyframe=None,
+    )
+
+
+def _moved_unseen(keys: jax.Array, state: FilterState) -> jax.Array:
+    """Poses (K, 7), each a step of the motion prior from that of the particle."""
+    particles: CameraParticles = state.population.particles
+
+    def one(key: jax.Array, pose: jax.Array, pivot: jax.Array) -> jax.Array:
+        return state.motion.sample(key, MotionHistory(pose, pose, pivot))
+
+    return jax.vmap(one)(keys, particles.pose, particles.pivot)
+
+
 def _first_frame_info(count: int) -> FrameInfo:
     """The reference itself: certain, and no evidence for or against anything."""
     at_anchor = np.tile(np.asarray(IDENTITY, np.float32), (count, 1))

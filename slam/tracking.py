@@ -21,6 +21,9 @@ from slam.second_look import reconsidered
 
 OnFrame = Callable[[FrameInfo], None]
 
+LEAST_RETURNS = 0.01
+"""Share of the pixels of the first view of a map that must have returned."""
+
 
 def track(
     key: jax.Array,
@@ -30,6 +33,9 @@ def track(
     on_frame: OnFrame | None = None,
 ) -> SlamResult:
     """Where the camera was in every frame, and how surely.
+
+    The reference is the first frame's camera; where the first frames show nothing they are lost, and taken to
+    stand where the first one stood that does.
 
     Args:
         key: seeds everything; the key of frame t is folded from it, so equal inputs give equal bytes.
@@ -42,16 +48,23 @@ def track(
         ValueError: there is no frame, or none with a return.
     """
     state: FilterState | None = None
-    has_return = False
     history = History()
+    waiting: list[int] = []
     details: list[Detail] = []
     full_detail_noise = config.noise or DepthNoise()
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, (frame, view) in enumerate(_views_ahead(frames, intrinsics)):
-        has_return = has_return or bool(np.any(frame.depth_m != NO_RETURN))
         motion = odometry.register(frame) if odometry else None
+        if state is None and not _can_be_mapped(view):
+            waiting.append(frame.time_ns)
+            continue
         if state is None:
             state, info = camera_filter.init(view, frame.time_ns, config)
+            for number, time_ns in enumerate(waiting):
+                unseen = camera_filter.before_the_map(jax.random.fold_in(key, number), state)
+                history.append(time_ns, unseen)
+                if on_frame is not None:
+                    on_frame(unseen)
         else:
             frame_key = jax.random.fold_in(key, index)
             state, info = camera_filter.step(frame_key, state, view, frame.time_ns, config, motion)
@@ -60,14 +73,21 @@ def track(
             details.append(detail_of(view_of_frame(frame, intrinsics, FINE_CANVAS), full_detail_noise))
         if on_frame is not None:
             on_frame(info)
-    if state is None:
+    if state is None and not waiting:
         raise ValueError("the recording has no depth frame")
-    if not has_return:
+    if state is None:
         raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
     refinement_key = jax.random.fold_in(key, len(history.frames))
     state = reconsidered(jax.random.fold_in(key, len(history.frames) + 1), state, config)
     state, placed = refined(refinement_key, state, details, full_detail_noise)
     return history.result(state, placed)
+
+
+def _can_be_mapped(view: DepthView) -> bool:
+    """Whether a view shows enough to begin a map with: sensors start with images of (next to) nothing."""
+    measured = np.asarray(view.measured)
+    returns = (np.asarray(view.depth_m) != NO_RETURN) & measured
+    return bool(returns.sum() > LEAST_RETURNS * measured.sum())
 
 
 def _views_ahead(frames: Iterable[Frame], intrinsics: CameraIntrinsics) -> Iterator[tuple[Frame, DepthView]]:

@@ -89,6 +89,23 @@ def test_blank_frames_are_lost_and_the_camera_is_found_again(key):
     assert blind > 100 * seen
 
 
+def test_the_map_begins_with_the_first_frame_that_shows_anything(key):
+    """A sensor that starts with images of nothing, or of a few stray pixels, loses those and no more."""
+    poses = box_room.walk(6)
+    frames = box_room.frames(poses, seed=11)
+    for index, pixels in ((0, 0), (1, 20)):
+        blank = np.zeros_like(frames[index].depth_m)
+        blank[0, :pixels] = 1.0
+        frames[index] = Frame(time_ns=frames[index].time_ns, depth_m=blank)
+
+    result, infos = _track(key, frames)
+
+    assert len(infos) == len(result) == 6
+    assert result.lost.tolist() == [True] * 2 + [False] * 4
+    assert trajectory_errors(result.mean[2:], _from_first(poses[2:])).ate_first_pose_m < 0.006
+    assert result.covariance[0, :3, :3].trace() > 100 * result.covariance[5, :3, :3].trace()
+
+
 def test_frames_of_several_sizes_and_gaps_in_time_are_one_recording(key):
     """A frame at another resolution and a pause of ten seconds change nothing about the path."""
     poses = box_room.walk(6)
