@@ -37,7 +37,7 @@ from slam.particles import (
 from slam.proposal import Component, Proposed, component_at, propose_all
 from slam.rigid import single_precision_poses
 from slam.search import GroupMap, Located, Searcher, distinct_places, worth_keeping
-from slam.second_look import has_wide_steps
+from slam.second_look import is_wide
 
 COMPONENT_BUCKETS = (1, 2, 4, 8)
 PREDICTION_HOLD = 0.01
@@ -65,6 +65,7 @@ def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState
         times_ns=(time_ns, time_ns),
         last_found=jnp.asarray(IDENTITY, jnp.float32),
         was_lost=False,
+        steps_were_wide=False,
     )
     return state, _first_frame_info(config.particles)
 
@@ -169,7 +170,9 @@ def step(
     moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
     if not lost:
         moved = with_frame(moved, view, found)
-    return moved, _frame_info(moved, known, info, proposed, components, found, lost)
+    frame_info = _frame_info(moved, known, info, proposed, components, found, lost)
+    turned = state.steps_were_wide or is_wide(*_last_step(population))
+    return replace(moved, steps_were_wide=turned), frame_info
 
 
 def _velocity_ratio(times_ns: tuple[int, int], time_ns: int) -> float:
@@ -220,7 +223,7 @@ def _found(
         found.append(searcher.near(group_map, starts, hold if len(starts) > 1 else 0.0))
     convincing = [located for located in found if located.is_convincing]
     doubtful = not any(located.is_unmistakable for located in found)
-    if not convincing or (doubtful and _step_may_be_wide(particles, int(np.argmax(weights)))):
+    if not convincing or (doubtful and _step_may_be_wide(state.population)):
         everyone = _group_map(state, weights, 0)
         distances = np.asarray(enumeration.ORBIT_DISTANCES) * central_depth(view)
         found.append(searcher.near(everyone, [state.last_found]))
@@ -231,16 +234,21 @@ def _found(
     return kept[: COMPONENT_BUCKETS[-1]] or [replace(found[0], group=-1)]
 
 
-def _step_may_be_wide(particles: CameraParticles, heaviest: int) -> bool:
-    """Whether the next step may lead to a place that only looks like it: a particle's last one turned far.
+def _step_may_be_wide(population: smc.Population) -> bool:
+    """Whether the next step may lead to a place that only looks like it: the last one turned far.
 
     Round an object on a pedestal the last view explains most of the next one, a fifth of a circle on. Of the
     first step nothing is known.
     """
-    if np.array_equal(particles.previous_pose[heaviest], particles.pose[heaviest]):
-        return True
-    last_step = [matrices_of(poses[heaviest]) for poses in (particles.previous_pose, particles.pose)]
-    return has_wide_steps(np.stack(last_step))
+    before, after = _last_step(population)
+    return bool(np.array_equal(before, after)) or is_wide(before, after)
+
+
+def _last_step(population: smc.Population) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Poses (4, 4) of the heaviest particle, in the frame before the last and in the last."""
+    particles: CameraParticles = population.particles
+    heaviest = int(jnp.argmax(population.log_weights))
+    return matrices_of(particles.previous_pose[heaviest]), matrices_of(particles.pose[heaviest])
 
 
 def _group_map(state: FilterState, weights: NDArray[np.float64], group: int) -> GroupMap:

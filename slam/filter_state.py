@@ -26,6 +26,7 @@ class FilterState:
         times_ns: stamps of the last two frames.
         last_found: (7,) mean pose of the last frame that was found.
         was_lost: whether the last frame was not.
+        steps_were_wide: whether the camera ever turned far from one frame to the next.
     """
 
     population: smc.Population
@@ -35,6 +36,7 @@ class FilterState:
     times_ns: tuple[int, int]
     last_found: jax.Array
     was_lost: bool
+    steps_were_wide: bool
 
 
 @dataclass(frozen=True)

@@ -180,28 +180,33 @@ def _window_fit(
     """Slopes of inverse depth over the ray's x and y, and its rise over the pixel itself (3, H, W).
 
     Neighbours count that lie within `tolerance` (H, W) of the given `fit`; their number (H, W) is returned.
+    Unrolled row by row: as a loop it runs four times as long (measured, XLA's CPU backend).
     """
-    shape, side = inverse_depth.shape, 2 * radius_px + 1
+    (rows, columns), side = inverse_depth.shape, 2 * radius_px + 1
     padded = jnp.pad(inverse_depth, radius_px)
     spacing_x, spacing_y = 1.0 / camera.fx, 1.0 / camera.fy
-
-    def accumulate(moments: jax.Array, row: jax.Array) -> tuple[jax.Array, None]:
-        y = (row - radius_px).astype(inverse_depth.dtype) * spacing_y
+    moments = (jnp.zeros_like(inverse_depth),) * 9
+    for row in range(side):
+        y = (row - radius_px) * spacing_y
+        of_row = (jnp.zeros_like(inverse_depth),) * 5
         for column in range(side):
             x = (column - radius_px) * spacing_x
-            neighbour = jax.lax.dynamic_slice(padded, (row, column), shape)
+            neighbour = padded[row : row + rows, column : column + columns]
             rise = neighbour - inverse_depth
             off_plane = jnp.abs(rise - fit[2] - fit[0] * x - fit[1] * y)
             weight = jnp.where((neighbour > 0) & (off_plane <= tolerance), 1.0, 0.0)
-            weighted_rise = weight * rise
-            terms = [weight, weight * x, weight * y, weight * (x * x), weight * (x * y), weight * (y * y)]
-            moments += jnp.stack([*terms, weighted_rise, x * weighted_rise, y * weighted_rise])
-        return moments, None
-
-    moments, _ = jax.lax.scan(accumulate, jnp.zeros((9, *shape), inverse_depth.dtype), jnp.arange(side))
-    x, y, xx, xy, yy, w, xw, yw = moments[1:] / jnp.maximum(moments[:1], 1.0)
+            of_row = _sums(of_row, (weight, weight * x, weight * (x * x), weight * rise, weight * rise * x))
+        one, x, xx, rise, x_rise = of_row
+        of_row = (one, x, one * y, xx, x * y, one * (y * y), rise, x_rise, rise * y)
+        moments = jax.lax.optimization_barrier(_sums(moments, of_row))
+    count = moments[0]
+    x, y, xx, xy, yy, w, xw, yw = (moment / jnp.maximum(count, 1.0) for moment in moments[1:])
     xx, xy, yy = xx - x * x + 1e-3 * spacing_x**2, xy - x * y, yy - y * y + 1e-3 * spacing_y**2
     xw, yw = xw - x * w, yw - y * w
     determinant = xx * yy - xy * xy
     slope_x, slope_y = (yy * xw - xy * yw) / determinant, (xx * yw - xy * xw) / determinant
-    return jnp.stack([slope_x, slope_y, w - slope_x * x - slope_y * y]), moments[0]
+    return jnp.stack([slope_x, slope_y, w - slope_x * x - slope_y * y]), count
+
+
+def _sums(first: tuple[jax.Array, ...], second: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    return tuple(one + other for one, other in zip(first, second, strict=True))

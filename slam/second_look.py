@@ -34,7 +34,7 @@ from slam.rigid import single_precision_poses
 from slam.surest_first import placed_surest_first
 
 WIDE_STEP_RAD = 0.4
-"""Between neighbouring keyframes: with narrower steps the filter does not lose its way."""
+"""From frame to frame: with narrower steps the filter does not lose its way."""
 MOST_KEYFRAMES = 48
 AGREEING = 0.9
 """Share of the returns that meet the map and lie on it, from which on a keyframe does not contradict: at true
@@ -45,8 +45,8 @@ MOST_ROUNDS = 3
 HANDFUL = 12
 """Keyframes few enough to be placed without regard to their order."""
 
-Search = Callable[[NDArray[np.float64]], NDArray[np.float64] | None]
-"""Other poses (N, 4, 4) for keyframes, or None where there is nothing to propose."""
+Search = Callable[[NDArray[np.float64], list[int]], NDArray[np.float64] | None]
+"""Other poses (N, 4, 4) for keyframes of which some agree, or None where there is nothing to propose."""
 
 
 def reconsidered(key: jax.Array, state: FilterState, config: SlamConfig) -> FilterState:
@@ -61,14 +61,14 @@ def reconsidered(key: jax.Array, state: FilterState, config: SlamConfig) -> Filt
     used = len(state.keyframe_map)
     poses = particles.keyframe_poses[:, :used]
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
-    if not 2 < used <= MOST_KEYFRAMES or not has_wide_steps(matrices_of(poses[int(np.argmax(weights))])):
+    if not 2 < used <= MOST_KEYFRAMES or not state.steps_were_wide:
         return state
     modes = grouped(matrices_of(poses), weights)
     jury = Jury(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
     surest_first = cache(lambda: placed_surest_first(jury))
     searches: list[Search] = [partial(placed_anew, jury)] * MOST_ROUNDS
     if used <= HANDFUL:
-        searches.insert(0, lambda poses: surest_first() if len(agreeing(jury, poses)) < used else None)
+        searches.insert(0, lambda poses, core: surest_first())  # noqa: ARG005
     for mode in range(modes.max() + 1):
         members = modes == mode
         mean = mean_keyframes(poses, jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum()))
@@ -85,27 +85,30 @@ def reconsidered(key: jax.Array, state: FilterState, config: SlamConfig) -> Filt
 def _chosen(
     key: jax.Array, jury: Jury, searches: list[Search], poses: NDArray[np.float64], exponent: float
 ) -> NDArray[np.float64] | None:
-    """Poses (N, 4, 4) after a step by each search that has something new; None where none was taken."""
+    """Poses (N, 4, 4) after a step by each search until all agree; None where none was taken."""
+    core = agreeing(jury, poses)
     present, refused, accepted = None, None, False
     for search, log_uniform in zip(
         searches, np.log(np.asarray(jax.random.uniform(key, (len(searches),)))), strict=True
     ):
-        proposed = None if search is refused else search(poses)
-        if proposed is None:
+        if len(core) == len(jury) or search is refused:
             break
+        proposed = search(poses, core)
+        if proposed is None:
+            continue
         present = jury.log_joint(poses) if present is None else present
         log_joint = jury.log_joint(proposed)
         if log_uniform < exponent * (log_joint - present):
             poses, present, accepted = proposed, log_joint, True
+            core = agreeing(jury, poses)
         else:
             refused = search
     return poses if accepted else None
 
 
-def has_wide_steps(poses: NDArray[np.float64]) -> bool:
-    """Whether any two neighbours of poses (N, 4, 4) are turned far against each other."""
-    turned = np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]
-    return bool((0.5 * (np.trace(turned, axis1=1, axis2=2) - 1.0) < np.cos(WIDE_STEP_RAD)).any())
+def is_wide(before: NDArray[np.float64], after: NDArray[np.float64]) -> bool:
+    """Whether a step from a pose (4, 4) to another turns far."""
+    return bool(0.5 * (np.trace(before[:3, :3].T @ after[:3, :3]) - 1.0) < np.cos(WIDE_STEP_RAD))
 
 
 @jax.jit
@@ -118,11 +121,8 @@ def carried(poses: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
     return jax.vmap(jax.vmap(one), (0, None, None))(poses, before, after)
 
 
-def placed_anew(jury: Jury, poses: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Poses (N, 4, 4) with those that contradict sought in the map of the rest; None where none does."""
-    core = agreeing(jury, poses)
-    if len(core) == len(jury):
-        return None
+def placed_anew(jury: Jury, poses: NDArray[np.float64], core: list[int]) -> NDArray[np.float64]:
+    """Poses (N, 4, 4) with those that are not of the `core` sought in its map."""
     poses = poses.copy()
     missing = [index for index in range(len(jury)) if index not in core]
     while missing:

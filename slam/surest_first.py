@@ -36,7 +36,7 @@ class _PartialMap:
     Attributes:
         poses: (4, 4) by keyframe.
         log_evidence: for their places.
-        foretold: by other keyframe, the evidence that its best place had when it was sought last.
+        foretold: by other keyframe that was sought before, the evidence that its best place had then.
     """
 
     poses: dict[int, NDArray[np.float64]]
@@ -56,7 +56,7 @@ def placed_surest_first(jury: Jury) -> NDArray[np.float64] | None:
 
     None where a keyframe is found in no map.
     """
-    maps = [_PartialMap({0: np.eye(4)}, 0.0, dict.fromkeys(range(1, len(jury)), np.inf))]
+    maps = [_PartialMap({0: np.eye(4)}, 0.0, {})]
     for _ in range(len(jury) - 1):
         maps = _best([extended for each in maps for extended in _extended(jury, each)])
     complete = [np.stack([each.poses[index] for index in range(len(jury))]) for each in maps]
@@ -67,7 +67,7 @@ def _extended(jury: Jury, partial: _PartialMap) -> list[_PartialMap]:
     """The maps with one keyframe more."""
     core = sorted(partial.poses)
     poses = np.stack([partial.poses.get(index, np.eye(4)) for index in range(len(jury))])
-    new = [index for index, evidence in partial.foretold.items() if evidence == np.inf]
+    new = [index for index in range(len(jury)) if index not in partial.poses | partial.foretold]
     surest = sorted(partial.foretold, key=lambda index: -partial.foretold[index])[:SOUGHT]
     places = {index: jury.sought(poses, index, core)[:PLACES] for index in new or surest}
     evidence = {

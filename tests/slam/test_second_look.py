@@ -51,24 +51,19 @@ def with_a_turned_cluster() -> NDArray[np.float64]:
 
 
 def test_what_agrees_is_left_alone():
-    """At true poses no keyframe contradicts, so that nothing is sought; turned ones do, and are told."""
+    """At true poses no keyframe contradicts; turned ones do, and are told."""
     of_all = jury(seed=1)
 
-    assert placed_anew(of_all, seen_from_all_sides()) is None
+    assert agreeing(of_all, seen_from_all_sides()) == [0, 1, 2, 3, 4]
     assert agreeing(of_all, with_a_turned_cluster()) == [0, 1, 2]
     assert of_all.log_joint(seen_from_all_sides()) > of_all.log_joint(with_a_turned_cluster())
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="in a room of bare walls the search anywhere ranks places that meet nothing of the map first",
-)
 def test_a_turned_cluster_is_put_right():
     """A cluster 20 degrees off comes back to within a centimetre and half a degree."""
-    placed = placed_anew(jury(seed=2), with_a_turned_cluster())
+    placed = placed_anew(jury(seed=2), with_a_turned_cluster(), [0, 1, 2])
 
-    assert placed is not None
     relative = np.linalg.inv(seen_from_all_sides()) @ placed
     assert np.linalg.norm(relative[:, :3, 3], axis=1).max() < 0.01
     assert np.degrees(Rotation.from_matrix(relative[:, :3, :3]).magnitude()).max() < 0.5
@@ -91,9 +86,7 @@ def test_particles_keep_their_displacements(key: jax.Array):
 
 def test_narrow_steps_are_no_reason_to_look_again():
     """A fifth of a circle is a wide step, twelve degrees are not."""
-    rotations = [Rotation.from_euler("y", angle, degrees=True).as_matrix() for angle in (0, 12, 24, 96)]
-    poses = np.tile(np.eye(4), (4, 1, 1))
-    poses[:, :3, :3] = rotations
+    here, near, far = (box_room.pose(0.0, 0.0, 0.0, np.radians(angle)) for angle in (0, 12, 72))
 
-    assert not second_look.has_wide_steps(poses[:3])
-    assert second_look.has_wide_steps(poses)
+    assert not second_look.is_wide(here, near)
+    assert second_look.is_wide(here, far)
