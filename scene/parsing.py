@@ -28,8 +28,6 @@ from scene.summary import summarise
 from scene.unseen import PlacedObject, unseen_share
 from shapes.poses import matrices_of, poses_of
 
-UNINFORMATIVE = 0.5
-"""Probability of no return, with and without a surface: dark and grazing surfaces make it say little."""
 NEW_M = 0.015
 """What is so far from all that the first frame shows is new, and counts by cells of that edge."""
 AGREE_M = 0.01
@@ -69,12 +67,7 @@ def parse_scene(
     seed = int(jax.random.randint(seed_key, (), 0, 2**31 - 1))
     views = _views(frames, first_camera_from_camera, intrinsics, seed)
     renderer = ObjectRenderer.of(objects)
-    noise = replace(
-        noise,
-        outlier_probability=config.outlier_probability,
-        none_hit_probability=UNINFORMATIVE,
-        none_miss_probability=UNINFORMATIVE,
-    )
+    noise = replace(noise, outlier_probability=config.outlier_probability)
     search = partial(_searched, objects=objects, renderer=renderer, noise=noise, config=config)
     number, start = 0, search(search_key, views[0])
     if len(views) > 1:
