@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,13 +52,17 @@ class SupportPlane:
 
 
 def support_plane(
-    points_m: NDArray[np.floating], seed: int, tolerance_m: float = 0.006
+    points_m: NDArray[np.floating],
+    seed: int,
+    is_seen: Callable[[SupportPlane], bool],
+    tolerance_m: float = 0.006,
 ) -> SupportPlane | None:
     """The plane with the most points standing over its own extent, seen from above; None where none has.
 
     Args:
         points_m: (N, 3) in the camera frame.
         seed: of the random samples.
+        is_seen: whether the image shows a table where it would be seen; others are cuts through things.
         tolerance_m: distance at which a point lies in a plane.
     """
     rng = np.random.default_rng(seed)
@@ -76,7 +80,7 @@ def support_plane(
             planes.append(rest[piece])
         rest = np.delete(rest, piece, axis=0)
     tables = [_table(members) for members in planes]
-    tables = [table for table in tables if table.half_size_m.min() > NARROWEST_HALF_M]
+    tables = [table for table in tables if table.half_size_m.min() > NARROWEST_HALF_M and is_seen(table)]
     standing = [_count_standing(table, sampled) for table in tables]
     if not tables or max(standing) == 0:
         return None

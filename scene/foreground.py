@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +29,8 @@ HIGHEST_M = 0.5
 WARP_M, STEP_M, LEVEL_COSINE, SMOOTHED_PX = 0.02, 0.004, 0.9, 5
 """A table may be warped so far; steps this high and slopes are the sides of things on it."""
 TABLE_MARGIN_M = 0.05
+SEEN_SHARE = 0.6
+"""Of a table's rectangle that nothing hides; a round one shows 79%."""
 FARTHEST_M = 2.5
 FEWEST_PIXELS = 100
 COMPANY_PX = 5
@@ -43,8 +46,9 @@ def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed:
     near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
     if near.sum() < FEWEST_PIXELS:
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
-    table = support_plane(points[near], seed)
-    return _data_over(table, depth_m, points, intrinsics)
+    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
+    table = support_plane(points[near], seed, partial(_is_seen, view))
+    return _data_over(table, depth_m, points, view, intrinsics)
 
 
 def frame_data(
@@ -58,17 +62,18 @@ def frame_data(
     if table is not None:
         moved = np.linalg.inv(first_camera_from_camera) @ table.camera_from_table
         table = replace(table, camera_from_table=moved)
-    return _data_over(table, depth_m, unprojected(depth_m, intrinsics), intrinsics)
+    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
+    return _data_over(table, depth_m, unprojected(depth_m, intrinsics), view, intrinsics)
 
 
 def _data_over(
     table: SupportPlane | None,
     depth_m: NDArray[np.float32],
     points: NDArray[np.float64],
+    view: DepthView,
     intrinsics: CameraIntrinsics,
 ) -> SceneData:
     near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
-    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
     foreground = near & _over(table, points)
     if table is not None:
@@ -89,6 +94,29 @@ def _data_over(
         detail_rest_m=_background(table, detail.of(foreground), detail, intrinsics),
         table=table,
     )
+
+
+def _is_seen(view: DepthView, table: SupportPlane) -> bool:
+    """Whether most of what nothing hides of the table's rectangle shows the table.
+
+    A plane that cuts through things that hang in the air lets most of what is behind it be seen.
+    """
+    observed_m = np.asarray(view.depth_m)
+    points = unprojected(observed_m, view.camera)
+    plane_m = _plane_depth(table, unprojected(np.ones_like(observed_m), view.camera), 0.0)
+    shows = (observed_m != NO_RETURN) & (np.abs(table.in_table_frame(points)[..., 2]) < WARP_M)
+    hidden = (observed_m != NO_RETURN) & (observed_m < plane_m) & ~shows
+    expected = np.isfinite(plane_m) & ~hidden
+    return bool((shows & expected).sum() > SEEN_SHARE * expected.sum())
+
+
+def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float) -> NDArray[np.float64]:
+    """Depth (...) of the table along rays (..., 3) of unit depth, +inf beyond its rectangle."""
+    normal, origin = table.camera_from_table[:3, 2], table.camera_from_table[:3, 3]
+    depth = (normal @ origin) / (rays @ normal)
+    inside = table.in_table_frame(rays * depth[..., None])
+    on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + margin_m).all(axis=-1)
+    return np.where(on_table, depth, np.inf)
 
 
 def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -141,11 +169,7 @@ def _background(
     plane = np.full(observed_m.shape, np.inf)
     if table is not None:
         rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
-        normal, origin = table.camera_from_table[:3, 2], table.camera_from_table[:3, 3]
-        depth = (normal @ origin) / (rays @ normal)
-        inside = table.in_table_frame(rays * depth[..., None])
-        on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + TABLE_MARGIN_M).all(axis=-1)
-        plane = np.where(on_table, depth, np.inf)
+        plane = _plane_depth(table, rays, TABLE_MARGIN_M)
     elsewhere = ~foreground & (observed_m != NO_RETURN)
     return np.where(elsewhere, observed_m, plane).astype(np.float32)
 

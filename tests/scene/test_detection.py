@@ -27,7 +27,7 @@ def test_heights_over_the_seen_table(seed: int, bend_m: float) -> None:
     block = rng.uniform([-0.05, -0.05, 0.1], [0.05, 0.05, 0.1], (1500, 3))
     floor = rng.uniform([-1, -1, -0.7], [1, 1, -0.7], (8000, 3))
     flat = surface(rng, bend_m)
-    table = support_plane(in_camera(np.concatenate([flat, block, floor])), 1)
+    table = support_plane(in_camera(np.concatenate([flat, block, floor])), 1, lambda _: True)
     assert table is not None
     assert np.abs(table.heights(in_camera(flat))).max() < 0.002 + 4 * 0.001
     assert abs(np.median(table.heights(in_camera(block))) - 0.1) < 0.002
@@ -38,7 +38,7 @@ def test_heights_over_the_seen_table(seed: int, bend_m: float) -> None:
 def test_a_cloud_without_anything_on_a_plane_has_no_table(seed: int) -> None:
     """A bare wall supports nothing."""
     wall = np.random.default_rng(seed).uniform([-1, -1, 2], [1, 1, 2], (5000, 3))
-    assert support_plane(wall, 1) is None
+    assert support_plane(wall, 1, lambda _: True) is None
 
 
 def test_clusters_come_apart_at_the_finer_scale(seed: int) -> None:

@@ -1,0 +1,58 @@
+"""The table of a depth image, and what may stand on it."""
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+
+from recordings.types import NO_RETURN, CameraIntrinsics
+from scene.foreground import scene_data
+
+INTRINSICS = CameraIntrinsics(width=320, height=240, fx=300.0, fy=300.0, cx=159.5, cy=119.5)
+CAMERA_FROM_TABLE = np.array([[1, 0, 0, 0.0], [0, -0.6, -0.8, 0.0], [0, 0.8, -0.6, 0.9], [0, 0, 0, 1.0]])
+BLOCK_M = 0.08
+
+
+def seen_plane(height_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (H, W) of the level plane at a height over the table's, and the table's coordinates (H, W, 2)."""
+    rays = INTRINSICS.rays(np.arange(320)[None, :], np.arange(240)[:, None])
+    normal = CAMERA_FROM_TABLE[:3, 2]
+    origin = CAMERA_FROM_TABLE[:3, 3] + height_m * normal
+    depth_m = (normal @ origin) / (rays @ normal)
+    return depth_m, ((rays * depth_m[..., None] - origin) @ CAMERA_FROM_TABLE[:3, :2])
+
+
+def image(squares_m: float, gaps_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (H, W) of squares in a plane with nothing between them and a lid over them; the lid's mask."""
+    depth_m, places_m = seen_plane(0.0)
+    extent = (np.abs(places_m) < 0.28).all(axis=-1)
+    square = (np.mod(places_m, squares_m + gaps_m) < squares_m).all(axis=-1)
+    depth_m = np.where(extent & square, depth_m, NO_RETURN)
+    lid_m, places_m = seen_plane(BLOCK_M)
+    lid = (np.abs(places_m) < 0.05).all(axis=-1)
+    return np.where(lid, lid_m, depth_m).astype(np.float32), lid
+
+
+def test_what_is_over_a_table_is_foreground() -> None:
+    """The lid but for its rim of a pixel, and not the table, which is the background behind it."""
+    depth_m, lid = image(squares_m=1.0, gaps_m=0.0)
+
+    data = scene_data(depth_m, INTRINSICS, 1)
+
+    assert data.table is not None
+    np.testing.assert_allclose(data.table.camera_from_table[:3, 2], CAMERA_FROM_TABLE[:3, 2], atol=0.01)
+    assert not (data.foreground & ~lid).any()
+    inner = binary_erosion(lid)
+    assert data.foreground[inner].all()
+    behind = data.window.of(inner) & data.window.inside
+    np.testing.assert_allclose(data.rest_m[behind], data.window.of(seen_plane(0.0)[0])[behind], atol=0.003)
+
+
+def test_things_in_the_air_have_no_table() -> None:
+    """A plane through many of them is none if most of what is behind it can be seen; all is foreground."""
+    depth_m, _ = image(squares_m=0.04, gaps_m=0.03)
+
+    data = scene_data(depth_m, INTRINSICS, 1)
+
+    assert data.table is None
+    np.testing.assert_array_equal(data.foreground, depth_m != NO_RETURN)
+    foreground = data.window.of(depth_m) != NO_RETURN
+    assert np.isinf(data.rest_m[foreground & data.window.inside]).all()
