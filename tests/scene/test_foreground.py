@@ -27,7 +27,7 @@ def image(squares_m: float, gaps_m: float) -> tuple[np.ndarray, np.ndarray]:
     square = (np.mod(places_m, squares_m + gaps_m) < squares_m).all(axis=-1)
     depth_m = np.where(extent & square, depth_m, NO_RETURN)
     lid_m, places_m = seen_plane(BLOCK_M)
-    lid = (np.abs(places_m) < 0.05).all(axis=-1)
+    lid = np.asarray((np.abs(places_m) < 0.05).all(axis=-1))
     return np.where(lid, lid_m, depth_m).astype(np.float32), lid
 
 
@@ -40,7 +40,7 @@ def test_what_is_over_a_table_is_foreground() -> None:
     assert data.table is not None
     np.testing.assert_allclose(data.table.camera_from_table[:3, 2], CAMERA_FROM_TABLE[:3, 2], atol=0.01)
     assert not (data.foreground & ~lid).any()
-    inner = binary_erosion(lid)
+    inner = np.asarray(binary_erosion(lid), bool)
     assert data.foreground[inner].all()
     behind = data.window.of(inner) & data.window.inside
     np.testing.assert_allclose(data.rest_m[behind], data.window.of(seen_plane(0.0)[0])[behind], atol=0.003)
