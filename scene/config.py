@@ -12,7 +12,7 @@ class ParseConfig:
 
     Attributes:
         objects: names of the objects to look for; none means all that are known.
-        frames: numbers of the depth frames that are used.
+        frames: numbers of the depth frames that are used; none means the first that shows enough.
         graph: `infer` samples scene graphs, `fixed` keeps every object floating (the ablation 3DP3*).
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
         presence: prior probability that an object is there.
@@ -38,7 +38,7 @@ class ParseConfig:
     """
 
     objects: tuple[str, ...] = ()
-    frames: tuple[int, ...] = (0,)
+    frames: tuple[int, ...] = ()
     graph: Literal["infer", "fixed"] = "infer"
     likelihood: Literal["depth", "cloud"] = "depth"
     presence: float = 0.9
@@ -61,7 +61,7 @@ class ParseConfig:
     floating_weight: float = 0.02
 
     def __post_init__(self) -> None:
-        if not self.frames or min(self.frames) < 0 or list(self.frames) != sorted(set(self.frames)):
+        if min(self.frames, default=0) < 0 or list(self.frames) != sorted(set(self.frames)):
             raise ValueError(f"frames must be increasing numbers from 0, got {self.frames}")
         if not 0 < self.presence < 1:
             raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")

@@ -36,6 +36,11 @@ FEWEST_PIXELS = 100
 COMPANY_PX = 5
 
 
+def shows_enough(depth_m: NDArray[np.float32]) -> bool:
+    """Whether a depth image (H, W) can be parsed."""
+    return bool(_near(depth_m).sum() >= FEWEST_PIXELS)
+
+
 def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed: int) -> SceneData:
     """The table, the foreground and the background of a depth image.
 
@@ -43,11 +48,10 @@ def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed:
         ValueError: nothing is in front of the camera.
     """
     points = unprojected(depth_m, intrinsics)
-    near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
-    if near.sum() < FEWEST_PIXELS:
+    if not shows_enough(depth_m):
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
-    table = support_plane(points[near], seed, partial(_is_seen, view))
+    table = support_plane(points[_near(depth_m)], seed, partial(_is_seen, view))
     return _data_over(table, depth_m, points, view, intrinsics)
 
 
@@ -73,9 +77,8 @@ def _data_over(
     view: DepthView,
     intrinsics: CameraIntrinsics,
 ) -> SceneData:
-    near = (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
-    foreground = near & _over(table, points)
+    foreground = _near(depth_m) & _over(table, points)
     if table is not None:
         foreground &= ~_enlarged(_surface_of(table, view), factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
@@ -117,6 +120,10 @@ def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float
     inside = table.in_table_frame(rays * depth[..., None])
     on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + margin_m).all(axis=-1)
     return np.where(on_table, depth, np.inf)
+
+
+def _near(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
 
 
 def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -44,7 +44,12 @@ class FrameNumbers(click.ParamType):
 )
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of meshes; metres unless BOP's.")
 @click.option("--objects", metavar="A,B|any", help="What to look for; any of the shapes by default.")
-@click.option("--frames", type=FrameNumbers(), metavar="N|N:M", help="Depth frames; the first by default.")
+@click.option(
+    "--frames",
+    type=FrameNumbers(),
+    metavar="N|N:M",
+    help="Depth frames; the first that shows enough by default.",
+)
 @click.option(
     "--graph", type=click.Choice(["infer", "fixed"]), help="Infer what rests on what, or let all float."
 )

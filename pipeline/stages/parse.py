@@ -20,6 +20,7 @@ from pipeline.stages.slam import slam_stage
 from pipeline.surfaces import Surfaces
 from recordings.types import DepthNoise, Frame
 from scene.config import ParseConfig
+from scene.foreground import shows_enough
 from scene.parsing import parse_scene
 from scene.result import SceneResult
 from scene.scene_object import scene_object
@@ -61,10 +62,11 @@ def parse_stage(
         ]
         with session.common.progress("parse", "blocks") as progress:
             try:
+                numbers, frames = zip(*_frames(session, config.frames), strict=True)
                 return parse_scene(
                     key,
-                    _frames(session, config.frames),
-                    config.frames,
+                    frames,
+                    numbers,
                     poses,
                     session.recording.intrinsics,
                     DepthNoise(),
@@ -77,7 +79,7 @@ def parse_stage(
 
     scene = session.stage("parse", SceneResult.load, compute, {"parse": config}, inputs)
     if session.run.record("slam") is None:
-        view_stage(session, min(config.frames))
+        view_stage(session, int(scene.frames[0]))
     return scene
 
 
@@ -104,15 +106,20 @@ def _draws(
     return [[(one.vertices_m, one.faces) for one in draws] for draws in drawn]
 
 
-def _frames(session: Session, numbers: tuple[int, ...]) -> list[Frame]:
-    """The depth frames of these numbers.
+def _frames(session: Session, numbers: tuple[int, ...]) -> list[tuple[int, Frame]]:
+    """The depth frames of these numbers, or the first that shows enough.
 
     Raises:
         PipelineError: the recording ends before the last of them.
     """
+    numbered = enumerate(session.recording)
+    if not numbers:
+        shown = next((one for one in numbered if shows_enough(one[1].depth_m)), None)
+        if shown is None:
+            raise PipelineError(f"{session.source.path} has no depth frame that shows enough to parse")
+        return [shown]
     wanted = set(numbers)
-    head = itertools.islice(session.recording, max(numbers) + 1)
-    frames = [frame for number, frame in enumerate(head) if number in wanted]
+    frames = [one for one in itertools.islice(numbered, max(numbers) + 1) if one[0] in wanted]
     if len(frames) < len(numbers):
         raise PipelineError(f"{session.source.path} has no depth frame {max(numbers)}")
     return frames

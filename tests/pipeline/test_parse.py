@@ -19,6 +19,7 @@ from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
 from pipeline.synthesis.world import Part, RayCaster
 from pipeline.synthesis.writing import write_recording
+from recordings.types import Frame
 from recordings.writer import RecordingWriter
 from scene.result import SceneResult
 from shapes.prior import ShapePrior
@@ -118,6 +119,28 @@ def test_truth_and_recorded_poses_are_not_used(
     assert result.exit_code == 0, result.output
     for name in ("parse.npz", "summary.json", "poses.csv"):
         assert (tmp_path / "run" / name).read_bytes() == (parsed / name).read_bytes()
+
+
+def test_blank_first_frames_are_passed_over(
+    table: SyntheticRecording, meshes: Path, parsed: Path, tmp_path: Path
+) -> None:
+    """The first frame that shows enough is parsed as if it stood alone; a recording of none is refused."""
+    (seen,) = table
+    blank = Frame(time_ns=seen.time_ns - 1_000_000, depth_m=np.zeros_like(seen.depth_m))
+    unit = 0.001 if table.sensor.in_millimetres else None
+    for name, frames in (("late.mcap", (blank, seen)), ("blank.mcap", (blank,))):
+        with RecordingWriter(tmp_path / name, table.intrinsics, depth_unit_m=unit) as writer:
+            for frame in frames:
+                writer.write_depth(frame)
+    assert parse(tmp_path / "late.mcap", meshes, tmp_path / "run").exit_code == 0
+    late, alone = (
+        json.loads((run / "summary.json").read_text())["parse"] for run in (tmp_path / "run", parsed)
+    )
+    assert late["frames"] == [1]
+    assert late["objects"] == alone["objects"]
+    refused = parse(tmp_path / "blank.mcap", meshes, tmp_path / "other")
+    assert refused.exit_code == 1
+    assert "no depth frame that shows enough" in refused.output
 
 
 def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Path) -> None:
