@@ -7,11 +7,13 @@ Once samples are kept the proposals stay as they are, so that the chains are exa
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 
+from scene.ahead import SELDOM
 from scene.pose_mixture import PoseMixture
 from scene.proposals import own_components, spin
 
@@ -21,7 +23,7 @@ LEAST_M, LEAST_RAD = 0.00005, 0.0005
 MEAN_STEPS = 3
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SELDOM)
 def adapted(
     mixture: PoseMixture, axes: jax.Array, poses: jax.Array, log_posteriors: jax.Array
 ) -> PoseMixture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from scene.ahead import SELDOM
 from scene.pose_choice import PoseLayers
 from scene.scene_data import SceneData
 from scene.unknown_things import log_density_without_objects
@@ -108,7 +110,7 @@ def _rest_log_density(pixels: ComparedPixels) -> jax.Array:
     return _without_objects(pixels)[pixels.places] * pixels.weight
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SELDOM)
 def _with_layers(
     pixels: ComparedPixels, layers: PoseLayers, depth_m: jax.Array, first: jax.Array
 ) -> PoseLayers:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logit
 
+from scene.ahead import SELDOM
 from scene.pose_choice import PoseLayers, front, improve_pairs, log_density_of_choice, none
 
 LOG_SHARE_OF_POSES = -20.0
@@ -45,7 +46,7 @@ def log_odds_of_presence(
     return np.logaddexp(log_odds_where_seen, logit(presence) + log_unseen)
 
 
-@partial(jax.jit, static_argnames="candidates")
+@partial(jax.jit, static_argnames="candidates", compiler_options=SELDOM)
 def best_scene(layers: PoseLayers, choices: jax.Array, candidates: int) -> jax.Array:
     """The best scene (N,) found from some (S, N); pairs try the `candidates` best poses of each object."""
 
@@ -58,7 +59,7 @@ def best_scene(layers: PoseLayers, choices: jax.Array, candidates: int) -> jax.A
     return choices[jnp.argmax(jax.vmap(partial(log_density_of_choice, layers))(choices))]
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SELDOM)
 def rivals(layers: PoseLayers, choice: jax.Array) -> tuple[jax.Array, jax.Array]:
     """For every object the best scene (N, N) without it, or with it where it is absent; its log odds (N,).
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
+from scene.ahead import compiled_beside
 from scene.compared_pixels import ComparedPixels
 from scene.detection import SupportPlane, clusters
 from scene.existence import best_scene, rivals
@@ -100,6 +101,7 @@ def initialise(
     pools = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), everywhere, 1))
     layers = pixels.no_layers(len(objects), everywhere)
     chosen = np.full(len(objects), everywhere)
+    starts = jnp.zeros((2, len(objects)), jnp.int32)
 
     def put(found: NDArray[np.float32], first: int) -> PoseLayers:
         pools[:, first : first + found.shape[1]] = found
@@ -108,17 +110,25 @@ def initialise(
         )
         return pixels.with_layers(layers, drawn, len(objects), first)
 
-    for turn, round_key in enumerate(jax.random.split(key, rounds + 1)):
-        found = _hypotheses(data, objects, rotations, unexplained, rng, pool)
-        layers = put(found, turn * pool)
-        choices, log_densities = choose(round_key, layers, HOT, COLD, PARTICLES, SWEEPS)
-        starts = jnp.stack([choices[jnp.argmax(log_densities)], jnp.asarray(chosen)])
-        chosen = np.asarray(best_scene(layers, starts, PAIRED))
-        shown = _shown(renderer, data, pools, chosen)
-        shown[_fit(data, shown) < FITTING] = np.inf
-        unexplained = [_unexplained(data, np.delete(shown, one, axis=0)) for one in range(len(objects))]
+    keys = jax.random.split(key, rounds + 1)
+    with compiled_beside(
+        lambda: renderer.compile(data.window),
+        lambda: best_scene.lower(layers, starts, PAIRED).compile(),
+        lambda: choose.lower(keys[0], layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
+        lambda: rivals.lower(layers, starts[0]).compile(),
+    ):
+        for turn, round_key in enumerate(keys):
+            found = _hypotheses(data, objects, rotations, unexplained, rng, pool)
+            layers = put(found, turn * pool)
+            choices, log_densities = choose(round_key, layers, HOT, COLD, PARTICLES, SWEEPS)
+            starts = jnp.stack([choices[jnp.argmax(log_densities)], jnp.asarray(chosen)])
+            chosen = np.asarray(best_scene(layers, starts, PAIRED))
+            shown = _shown(renderer, data, pools, chosen)
+            shown[_fit(data, shown) < FITTING] = np.inf
+            unexplained = [_unexplained(data, np.delete(shown, one, axis=0)) for one in range(len(objects))]
     layers = put(_polished_rivals(data, objects, renderer, layers, pools, chosen), searched)
-    chosen = np.asarray(best_scene(layers, jnp.asarray(chosen)[None], PAIRED))
+    starts = jnp.asarray(np.stack([chosen, chosen]))  # two as before, for one kernel
+    chosen = np.asarray(best_scene(layers, starts, PAIRED))
     _, log_odds = rivals(layers, jnp.asarray(chosen))
     return Initialisation(
         poses=_placed(pools, chosen).astype(np.float64),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, CameraIntrinsics
+from scene.ahead import SELDOM
 from shapes.camera import Camera
 
 NORMAL_WINDOW = 2
@@ -68,7 +70,7 @@ def _median_pool(depth_m: NDArray[np.float32], factor: int) -> NDArray[np.float3
     return np.where(count > 0, middle, NO_RETURN).astype(np.float32)
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SELDOM)
 def _normals(depth_m: jax.Array, camera: Camera) -> jax.Array:
     """Tangent planes by least squares: on a plane, inverse depth is linear in the pixel's place."""
     height, width = depth_m.shape

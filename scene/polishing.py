@@ -11,6 +11,7 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.ahead import SELDOM
 from scene.icp import ViewTable, align, look_up, rotated
 from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData
@@ -44,7 +45,7 @@ def polished(
     return current
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SELDOM)
 def _polished_once(
     view: ViewTable,
     points_m: jax.Array,

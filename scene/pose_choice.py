@@ -13,6 +13,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from scene.ahead import SELDOM
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class PoseLayers:
     rest_log_density: jax.Array
 
 
-@partial(jax.jit, static_argnames=("particles", "sweeps"))
+@partial(jax.jit, static_argnames=("particles", "sweeps"), compiler_options=SELDOM)
 def choose(
     key: jax.Array, layers: PoseLayers, hot: float, cold: float, particles: int, sweeps: int
 ) -> tuple[jax.Array, jax.Array]:

@@ -50,6 +50,11 @@ class ObjectRenderer:
         centres = np.tile([one.centre_m for one in objects], (len(libraries) // len(objects), 1))
         return cls(joined(libraries), jnp.asarray(centres, jnp.float32))
 
+    def compile(self, window: PixelWindow) -> None:
+        """What `layers` runs."""
+        nowhere = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (LAYERS, 1))
+        _layers.lower(self, np.zeros(LAYERS, np.int32), nowhere, window.camera).compile()
+
     def layers(
         self, indices: NDArray[np.integer], poses: NDArray[np.floating], window: PixelWindow
     ) -> NDArray[np.float32]:
