@@ -39,6 +39,17 @@ class SupportPlane:
     half_size_m: NDArray[np.float64]
     bend: NDArray[np.float64]
 
+    def spanning(self, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> SupportPlane:
+        """The same surface with another rectangle, of which these (2,) are corners in this one's frame."""
+        x, y = (low_m + high_m) / 2
+        _, by_x, by_y, by_xx, by_xy, by_yy = self.bend
+        height = _quadratic(np.array([x, y])) @ self.bend
+        slopes = by_x + 2 * by_xx * x + by_xy * y, by_y + by_xy * x + 2 * by_yy * y
+        bend = np.array([height, *slopes, by_xx, by_xy, by_yy])
+        pose = self.camera_from_table.copy()
+        pose[:3, 3] += pose[:3, 0] * x + pose[:3, 1] * y
+        return SupportPlane(camera_from_table=pose, half_size_m=(high_m - low_m) / 2, bend=bend)
+
     def in_table_frame(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """Camera points (..., 3) in the table's frame."""
         rotation, origin = self.camera_from_table[:3, :3], self.camera_from_table[:3, 3]
@@ -74,8 +85,7 @@ def support_plane(
         inliers = _plane_inliers(rest, tolerance_m, rng)
         if len(inliers) < fewest:
             break
-        labels = np.asarray(_cloud(rest[inliers]).cluster_dbscan(CONNECTED_M, 5))
-        piece = inliers[labels == np.bincount(labels[labels >= 0]).argmax()] if labels.max() >= 0 else inliers
+        piece = inliers[_largest_piece(rest[inliers], sampled)]
         if len(piece) >= fewest:
             planes.append(rest[piece])
         rest = np.delete(rest, piece, axis=0)
@@ -111,10 +121,32 @@ def _plane_inliers(
     normal, offset = normals[best], offsets[best]
     for _ in range(REFITS):
         members = points_m[np.abs(points_m @ normal - offset) < tolerance_m]
-        middle = members.mean(axis=0)
-        normal = np.linalg.svd(members - middle, full_matrices=False)[2][2]
+        middle, normal = _fitted_plane(members)
         offset = normal @ middle
     return np.flatnonzero(np.abs(points_m @ normal - offset) < tolerance_m)
+
+
+def _largest_piece(members: NDArray[np.floating], points_m: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Which points (M,) of a plane belong to its largest connected piece.
+
+    What stands before a plane does not part it: where a point of (N, 3) hides it, it is taken to go on.
+    """
+    middle, normal = _fitted_plane(members)
+    with np.errstate(divide="ignore"):
+        farther = (normal @ middle) / (points_m @ normal)
+    hidden = points_m[farther > 1] * farther[farther > 1, None]
+    hidden = hidden[((hidden > members.min(axis=0)) & (hidden < members.max(axis=0))).all(axis=1)]
+    labels = np.asarray(_cloud(np.concatenate([members, hidden])).cluster_dbscan(CONNECTED_M, 5))
+    labels = labels[: len(members)]
+    if labels.max() < 0:
+        return np.ones(len(members), bool)
+    return labels == np.bincount(labels[labels >= 0]).argmax()
+
+
+def _fitted_plane(members: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A point of the least-squares plane, and its unit normal."""
+    middle = members.mean(axis=0)
+    return middle, np.linalg.svd(members - middle, full_matrices=False)[2][2]
 
 
 def clusters(
@@ -135,8 +167,7 @@ def clusters(
 
 def _table(members: NDArray[np.float64]) -> SupportPlane:
     """The plane's least-squares fit, its normal towards the camera, its extent that of its points."""
-    middle = members.mean(axis=0)
-    normal = np.linalg.svd(members - middle, full_matrices=False)[2][2]
+    middle, normal = _fitted_plane(members)
     normal = normal * np.sign(-normal @ middle)
     right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     if np.linalg.norm(right) < 0.1:

@@ -29,6 +29,8 @@ HIGHEST_M = 0.5
 WARP_M, STEP_M, LEVEL_COSINE, SMOOTHED_PX = 0.02, 0.004, 0.9, 5
 """A table may be warped so far; steps this high and slopes are the sides of things on it."""
 TABLE_MARGIN_M = 0.05
+UNSEEN_M = 0.2
+"""A table that the image cuts off may go on so far."""
 SEEN_SHARE = 0.6
 """Of a table's rectangle that nothing hides; a round one shows 79%."""
 FARTHEST_M = 2.5
@@ -52,6 +54,8 @@ def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed:
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
     table = support_plane(points[_near(depth_m)], seed, partial(_is_seen, view))
+    if table is not None:
+        table = _continued(table, points[_near(depth_m)], view)
     return _data_over(table, depth_m, points, view, intrinsics)
 
 
@@ -129,6 +133,21 @@ def _near(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
 def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels most of whose neighbours are of the foreground too: stray ones must not widen the window."""
     return foreground & (uniform_filter(foreground.astype(np.float32), COMPANY_PX) > 0.5)
+
+
+def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: DepthView) -> SupportPlane:
+    """The table, going on beyond the image under what is seen at the border and has its foot out of sight."""
+    inside = table.in_table_frame(points_m)
+    beside = np.maximum(np.abs(inside[:, :2]) - table.half_size_m, 0)
+    heights = table.heights(points_m)
+    standing = (heights > LOWEST_M) & (heights < HIGHEST_M) & (beside < UNSEEN_M).all(axis=-1)
+    feet = inside[standing, :2]
+    rotation, origin = table.camera_from_table[:3, :3], table.camera_from_table[:3, 3]
+    feet = feet[~view.pixels(feet @ rotation[:, :2].T + origin)[2]]
+    if len(feet) < FEWEST_PIXELS:
+        return table
+    half = table.half_size_m
+    return table.spanning(np.minimum(feet.min(axis=0), -half), np.maximum(feet.max(axis=0), half))
 
 
 def _over(table: SupportPlane | None, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:

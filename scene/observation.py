@@ -38,6 +38,19 @@ class DepthView:
     normals: jax.Array
     unexplained: jax.Array
 
+    def pixels(
+        self, points_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """Row and column of camera points (..., 3), 0 outside the image, and whether they are inside."""
+        height, width = self.depth_m.shape
+        z = np.where(points_m[..., 2] > 0, points_m[..., 2], np.inf)
+        columns = np.rint(points_m[..., 0] / z * float(self.camera.fx) + float(self.camera.cx)).astype(
+            np.intp
+        )
+        rows = np.rint(points_m[..., 1] / z * float(self.camera.fy) + float(self.camera.cy)).astype(np.intp)
+        inside = np.isfinite(z) & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
+
 
 def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, width: int) -> DepthView:
     """The view with about `width` columns: medians of square blocks, and their normals."""

@@ -89,7 +89,7 @@ def _share_seen(
     turn = camera_from_table[:3, :3].T
     placed = points_m @ turn + camera_from_table[:3, 3]
     facing = ((normals @ turn) * placed).sum(axis=-1) < 0
-    rows, columns, inside = _pixels(view, placed)
+    rows, columns, inside = view.pixels(placed)
     observed_m = np.asarray(view.depth_m)[rows, columns]
     seen = inside & (observed_m != NO_RETURN) & (observed_m > placed[..., 2] - NEARER_M)
     return (seen & facing).sum(axis=1) / np.maximum(facing.sum(axis=1), 1)
@@ -98,19 +98,7 @@ def _share_seen(
 def _in_image(
     view: DepthView, camera_from_table: NDArray[np.float64], points_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    return _pixels(view, points_m @ camera_from_table[:3, :3].T + camera_from_table[:3, 3])[2]
-
-
-def _pixels(
-    view: DepthView, placed_m: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Row and column of camera points (..., 3), 0 outside the image, and whether they are inside."""
-    camera, (height, width) = view.camera, view.depth_m.shape
-    depth_m = np.where(placed_m[..., 2] > 0, placed_m[..., 2], np.inf)
-    columns = np.rint(placed_m[..., 0] / depth_m * float(camera.fx) + float(camera.cx)).astype(np.intp)
-    rows = np.rint(placed_m[..., 1] / depth_m * float(camera.fy) + float(camera.cy)).astype(np.intp)
-    inside = np.isfinite(depth_m) & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
+    return view.pixels(points_m @ camera_from_table[:3, :3].T + camera_from_table[:3, 3])[2]
 
 
 def _meets(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scene.detection import clusters, support_plane
+from scene.detection import SupportPlane, clusters, support_plane
 
 CAMERA_FROM_TABLE = np.array([[1, 0, 0, 0.02], [0, -0.8, -0.6, 0.1], [0, 0.6, -0.8, 0.9], [0, 0, 0, 1.0]])
 
@@ -32,6 +32,35 @@ def test_heights_over_the_seen_table(seed: int, bend_m: float) -> None:
     assert np.abs(table.heights(in_camera(flat))).max() < 0.002 + 4 * 0.001
     assert abs(np.median(table.heights(in_camera(block))) - 0.1) < 0.002
     np.testing.assert_allclose(table.camera_from_table[:3, 2], CAMERA_FROM_TABLE[:3, 2], atol=0.02)
+    np.testing.assert_allclose(table.half_size_m, [0.4, 0.3], atol=0.02)
+
+
+def test_another_rectangle_is_of_the_same_surface(seed: int) -> None:
+    """Heights over a bent table are the same in the frame of a larger rectangle round another middle."""
+    rng = np.random.default_rng(seed)
+    bent = SupportPlane(
+        camera_from_table=CAMERA_FROM_TABLE,
+        half_size_m=np.array([0.4, 0.3]),
+        bend=rng.normal(0, 0.01, 6),
+    )
+    wider = bent.spanning(np.array([-0.4, -0.5]), np.array([0.7, 0.3]))
+    points = in_camera(rng.uniform([-0.4, -0.3, -0.1], [0.4, 0.3, 0.3], (100, 3)))
+    np.testing.assert_allclose(wider.heights(points), bent.heights(points), atol=1e-12)
+    np.testing.assert_allclose(wider.half_size_m, [0.55, 0.4])
+
+
+def test_what_hides_a_table_does_not_part_it(seed: int) -> None:
+    """A fence across the table hides a band of it wider than a gap between two tables; both sides are one."""
+    rng = np.random.default_rng(seed)
+    flat = surface(rng, 0.0)
+    eye = -CAMERA_FROM_TABLE[:3, :3].T @ CAMERA_FROM_TABLE[:3, 3]
+    crossing = eye + (flat - eye) * (eye[1] / (eye[1] - flat[:, 1]))[:, None]
+    between = (eye[1] > 0) != (flat[:, 1] > 0)
+    hidden = between & (crossing[:, 2] < 0.12)
+    assert np.ptp(flat[hidden, 1]) > 0.07
+    fence = rng.uniform([-0.4, 0, 0], [0.4, 0, 0.12], (6000, 3))
+    table = support_plane(in_camera(np.concatenate([flat[~hidden], fence])), 1, lambda _: True)
+    assert table is not None
     np.testing.assert_allclose(table.half_size_m, [0.4, 0.3], atol=0.02)
 
 

@@ -56,3 +56,20 @@ def test_things_in_the_air_have_no_table() -> None:
     np.testing.assert_array_equal(data.foreground, depth_m != NO_RETURN)
     foreground = data.window.of(depth_m) != NO_RETURN
     assert np.isinf(data.rest_m[foreground & data.window.inside]).all()
+
+
+def test_a_table_that_the_image_cuts_off_goes_on() -> None:
+    """A level camera sees the floor from 1 m on; a block across that line is foreground as a whole."""
+    x, y, _ = np.moveaxis(INTRINSICS.rays(np.arange(320)[None, :], np.arange(240)[:, None]), -1, 0)
+    floor_m = np.where(y > 0.25, 0.4 / np.maximum(y, 1e-6), NO_RETURN)
+    top_m = 0.25 / np.maximum(y, 1e-6)
+    top = (top_m > 0.85) & (top_m < 1.05) & (np.abs(x * top_m) < 0.1)
+    face = (np.abs(x * 0.85) < 0.1) & (y * 0.85 > 0.25)
+    depth_m = np.where(face, 0.85, np.where(top, top_m, floor_m)).astype(np.float32)
+
+    data = scene_data(depth_m, INTRINSICS, 1)
+
+    assert data.table is not None
+    np.testing.assert_allclose(data.table.camera_from_table[:3, 2], [0, -1, 0], atol=0.01)
+    assert data.foreground[np.asarray(binary_erosion(face | top), bool)].all()
+    assert not (data.foreground & ~(face | top)).any()
