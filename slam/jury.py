@@ -49,10 +49,20 @@ class Jury:
         found = searcher.anywhere(group, single_precision_poses(poses[nearest]), distances)
         return [located for located in found if located.is_plausible]
 
-    def log_joint(self, poses: NDArray[np.float64]) -> float:
-        """Log density of all images but the first, each given those before it, next to `poses`."""
-        located = (self.located(poses, index, range(index)) for index in range(1, len(self)))
-        return sum(float(one.optimum.log_density) for one in located)
+    def log_composite(self, poses: NDArray[np.float64]) -> float:
+        """Half the log densities of all images, each given all the others, next to `poses`.
+
+        A composite likelihood (Besag 1975); half, for each overlap counts from both sides. By the chain rule
+        the first images are given little, and wrong places win by how the unknown is foreseen: of five views
+        round an object, some turned by 18 and 42 degrees beat the true ones by 57 nats, and by 32 and 32
+        degrees by 285; given all the others the true ones win, by 55 and 188 (development, objects 701).
+        """
+        located = (self.located(poses, index, self.all_but(index)) for index in range(len(self)))
+        return 0.5 * sum(float(one.optimum.log_density) for one in located)
+
+    def all_but(self, index: int) -> list[int]:
+        """The other keyframes."""
+        return [other for other in range(len(self)) if other != index]
 
     def _searcher(
         self, poses: NDArray[np.float64], index: int, others: Sequence[int]

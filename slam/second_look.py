@@ -9,8 +9,8 @@ handful, none may stand right: they are placed without regard to their order fir
 
 It is a mode-jumping Metropolis-Hastings step (Tjelmeland and Hegland 2001): a deterministic search proposes
 another mode, particles keep their displacements from the mean, so that volumes stay, and the ratio of the
-joint density of all images, by the chain rule, decides. An approximation: the way back is not proposed, for
-from the better mode nothing contradicts and no search begins.
+composite likelihood of all images decides (`Jury.log_composite`). An approximation: the way back is not
+proposed, for from the better mode nothing contradicts and no search begins.
 """
 
 from __future__ import annotations
@@ -96,10 +96,10 @@ def _chosen(
         proposed = search(poses, core)
         if proposed is None:
             continue
-        present = jury.log_joint(poses) if present is None else present
-        log_joint = jury.log_joint(proposed)
-        if log_uniform < exponent * (log_joint - present):
-            poses, present, accepted = proposed, log_joint, True
+        present = jury.log_composite(poses) if present is None else present
+        log_composite = jury.log_composite(proposed)
+        if log_uniform < exponent * (log_composite - present):
+            poses, present, accepted = proposed, log_composite, True
             core = agreeing(jury, poses)
         else:
             refused = search

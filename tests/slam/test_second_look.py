@@ -56,7 +56,7 @@ def test_what_agrees_is_left_alone():
 
     assert agreeing(of_all, seen_from_all_sides()) == [0, 1, 2, 3, 4]
     assert agreeing(of_all, with_a_turned_cluster()) == [0, 1, 2]
-    assert of_all.log_joint(seen_from_all_sides()) > of_all.log_joint(with_a_turned_cluster())
+    assert of_all.log_composite(seen_from_all_sides()) > of_all.log_composite(with_a_turned_cluster())
 
 
 @pytest.mark.slow

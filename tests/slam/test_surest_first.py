@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from slam import surest_first
 from slam.second_look import Jury
-from slam.surest_first import KEPT_MAPS, _best, _PartialMap, placed_surest_first
+from slam.surest_first import KEPT_MAPS, _best, _improved_singly, _PartialMap, placed_surest_first
 
 RING = (0, 3, 1, 4, 2, 5)
 """The keyframes as they stand on a ring; neighbours see the same."""
@@ -31,6 +31,7 @@ class _Place:
 
     x: float
     evidence: float
+    is_finite = True
 
     @property
     def optimum(self) -> _Optimum:
@@ -52,8 +53,17 @@ class RingJury:
         right = sum(other in beside and abs(poses[other, 0, 3] - other) < 1e-6 for other in others)
         return [*([_Place(index, 100.0 * right)] if right else []), _Place(-5.0 - index, 30.0)]
 
-    def log_joint(self, poses: NDArray[np.float64]) -> float:
-        """Least where all stand right."""
+    def located(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> _Place:
+        """Where it is."""
+        del others
+        return _Place(float(poses[index, 0, 3]), 0.0)
+
+    def all_but(self, index: int) -> list[int]:
+        """The other keyframes."""
+        return [other for other in range(len(RING)) if other != index]
+
+    def log_composite(self, poses: NDArray[np.float64]) -> float:
+        """Most where all stand right."""
         return -float(np.abs(poses[:, 0, 3] - np.arange(len(RING))).sum())
 
 
@@ -65,6 +75,17 @@ def test_the_surest_comes_next(monkeypatch: pytest.MonkeyPatch) -> None:
 
     assert placed is not None
     np.testing.assert_allclose(placed[:, 0, 3], np.arange(len(RING)), atol=1e-6)
+
+
+def test_what_stands_wrong_alone_is_moved() -> None:
+    """Placed by few, one keyframe may stand wrong: in the map of all the others it is put right."""
+    poses = np.tile(np.eye(4), (len(RING), 1, 1))
+    poses[:, 0, 3] = np.arange(len(RING))
+    poses[2, 0, 3] = -7.0
+
+    improved = _improved_singly(cast("Jury", RingJury()), poses)
+
+    np.testing.assert_allclose(improved[:, 0, 3], np.arange(len(RING)), atol=1e-6)
 
 
 def test_the_maps_of_most_evidence_are_kept_once() -> None:
