@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.ahead import SELDOM
 from scene.initialisation import Initialisation
 from scene.pose_mixture import PoseMixture
 from scene.poses import composed
@@ -111,7 +108,7 @@ def pose_proposals(
     return _in_world(world_from_camera, *map(filled, every), axes)
 
 
-@partial(jax.jit, compiler_options=SELDOM)
+@jax.jit
 def _in_world(
     world_from_camera: jax.Array,
     means: jax.Array,
