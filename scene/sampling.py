@@ -107,16 +107,16 @@ def sampled(
 
     def compile_block() -> None:
         with jax.enable_x64(True):  # of this thread
-            rough = jax.eval_shape(lambda: kernel(Refinement.rough(start)))
-            group = jax.eval_shape(lambda: _groups(states())[0])
-            run_block.lower(run_key, group, model, rough, _sweeps(config), _scene_and_value).compile()
+            rough = kernel(Refinement.rough(start))
+            run_block.lower(run_key, groups[0], model, rough, _sweeps(config), _scene_and_value).compile()
 
     if not start.found.any():
         nothing = states()
         recorded = _samples(_scene_and_value(nothing), jnp.zeros_like(nothing.log_prior))
         return jax.tree.map(lambda leaf: leaf[None], recorded), 0.0
+    groups = _groups(states())
     with compiled_beside(compile_block):
-        groups, moves = _groups(states()), kernel(refining.result())
+        moves = kernel(refining.result())
     return _sample(run_key, model, moves, axes, groups, config, progress)
 
 
