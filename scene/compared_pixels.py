@@ -91,18 +91,19 @@ class ComparedPixels:
         )
 
     def with_layers(
-        self, layers: PoseLayers, depth_m: NDArray[np.float32], objects: int, first: int
+        self, layers: PoseLayers, depth_m: NDArray[np.float32], log_prior: NDArray[np.floating], first: int
     ) -> PoseLayers:
         """Layers with poses `first`, `first` + 1, ... of every object replaced by those of the given depth.
 
         Args:
-            layers: of `objects` objects.
-            depth_m: (objects * n, pixels) of n poses of each object, alone.
-            objects: how many.
+            layers: of N objects.
+            depth_m: (N * n, H, W) of n poses of each object, alone.
+            log_prior: (N, n) of these poses, beside the odds of being there.
             first: place of the first of them.
         """
-        by_object = jnp.asarray(depth_m.reshape(objects, -1, depth_m[0].size))
-        return _with_layers(self, layers, by_object, jnp.asarray(first, jnp.int32))
+        by_object = jnp.asarray(depth_m.reshape(*log_prior.shape, -1))
+        prior = jnp.asarray(log_prior, jnp.float32)
+        return _with_layers(self, layers, by_object, prior, jnp.asarray(first, jnp.int32))
 
 
 @jax.jit
@@ -112,9 +113,13 @@ def _rest_log_density(pixels: ComparedPixels) -> jax.Array:
 
 @partial(jax.jit, compiler_options=SELDOM)
 def _with_layers(
-    pixels: ComparedPixels, layers: PoseLayers, depth_m: jax.Array, first: jax.Array
+    pixels: ComparedPixels,
+    layers: PoseLayers,
+    depth_m: jax.Array,
+    log_prior: jax.Array,
+    first: jax.Array,
 ) -> PoseLayers:
-    """The layers with depth (N, n, pixels) put in from `first` on."""
+    """The layers with depth (N, n, pixels) and priors (N, n) put in from `first` on."""
     rest = _without_objects(pixels)
 
     def shown(layer_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -130,7 +135,7 @@ def _with_layers(
     return PoseLayers(
         depth_m=put(layers.depth_m, shown_m, first, 1),
         log_density=put(layers.log_density, density, first, 1),
-        log_alone=put(layers.log_alone, log_alone, first, 1),
+        log_alone=put(layers.log_alone, log_alone + log_prior, first, 1),
         rest_m=layers.rest_m,
         rest_log_density=layers.rest_log_density,
     )

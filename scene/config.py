@@ -29,7 +29,8 @@ class ParseConfig:
         cloud_radius_m: of the ball round a rendered point in which observed points lie.
         cloud_outlier_probability: share of points that show what nobody models.
         contact_sigma_m: standard deviation of the gap between faces in contact.
-        loose_sigma_m: the same of rests whose surfaces meet elsewhere than on the faces.
+        loose_sigma_m: the same of rests whose surfaces meet elsewhere than on the faces, and by which the
+            search lets objects reach below the table.
         contact_concentration: kappa of the direction of contact about flush.
         slack_share: weight of rests that are not flush with a face.
         upward_concentration: kappa of the face that carries another about the one that points up; of

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from scene.ahead import compiled_beside
+from scene.burial import log_not_buried
 from scene.compared_pixels import ComparedPixels
 from scene.detection import SupportPlane, clusters
 from scene.existence import best_scene, rivals
@@ -75,7 +76,9 @@ def initialise(
     noise: DepthNoise,
     surface_sigma_m: float,
     *,
+    sunk_sigma_m: float,
     log_odds: float,
+    pixel_weight: float,
     rounds: int,
     pool: int,
 ) -> Initialisation:
@@ -88,12 +91,14 @@ def initialise(
         renderer: of the same objects.
         noise: of the sensor.
         surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
-        log_odds: of an object in one pose against its absence, over the likelihood's exponent.
+        sunk_sigma_m: by which an object may reach below the table.
+        log_odds: of an object in one pose against its absence.
+        pixel_weight: the likelihood's exponent.
         rounds: of renewed search on what is left unexplained.
         pool: poses an object and round.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    pixels = ComparedPixels.of(data, noise, surface_sigma_m, log_odds, rng)
+    pixels = ComparedPixels.of(data, noise, surface_sigma_m, log_odds / pixel_weight, rng)
     rotations = [_orientations(one, data.table) for one in objects]
     unexplained = [data.foreground] * len(objects)
     searched = pool * (rounds + 1)
@@ -108,7 +113,8 @@ def initialise(
         drawn = renderer.layers(
             np.repeat(np.arange(len(objects)), found.shape[1]), found.reshape(-1, 7), data.window
         )
-        return pixels.with_layers(layers, drawn, len(objects), first)
+        log_prior = log_not_buried(data.table, objects, found, sunk_sigma_m) / pixel_weight
+        return pixels.with_layers(layers, drawn, log_prior, first)
 
     keys = jax.random.split(key, rounds + 1)
     with compiled_beside(

@@ -147,7 +147,9 @@ def _searched(
         renderer,
         noise,
         config.search_error_m,
-        log_odds=log_prior_odds(config.presence) / config.pixel_weight,
+        sunk_sigma_m=config.loose_sigma_m,
+        log_odds=log_prior_odds(config.presence),
+        pixel_weight=config.pixel_weight,
         rounds=config.rounds,
         pool=config.pool,
     )
