@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -81,14 +80,12 @@ def parse_scene(
     noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
     found = FoundObjects.of(start)
     chosen, their_start = found.taken(objects), found.only(start)
+    refined = refine(refine_key, data, renderer, found.placed, their_start, noise, config.pixel_weight)
     camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
     world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
     poses = np.stack([np.linalg.inv(world_from_first @ pose) for pose in first_camera_from_camera])
-    with ThreadPoolExecutor(1) as beside, jax.enable_x64(True):
-        refining = beside.submit(
-            refine, refine_key, data, renderer, found.placed, their_start, noise, config.pixel_weight
-        )
+    with jax.enable_x64(True):
         samples, variance = sampled(
             chain_key,
             views,
@@ -97,7 +94,7 @@ def parse_scene(
             data.table,
             chosen,
             their_start,
-            refining,
+            refined,
             noise,
             config,
             progress,
@@ -106,7 +103,7 @@ def parse_scene(
         samples,
         found,
         start,
-        found.spread(refining.result().visible_fraction[None], np.zeros((1, len(objects))))[0],
+        found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0],
         _unseen(unseen_key, views, objects, start, world_from_camera),
         world_from_camera,
         objects,

@@ -49,18 +49,6 @@ class Refinement:
     covariances: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]
 
-    @classmethod
-    def rough(cls, start: Initialisation) -> Refinement:
-        """What is known before the image is asked once more."""
-        count = len(start.poses)
-        covariances = np.tile(np.diag(FIRST_SIGMA**2), (count, 1, 1))
-        return cls(
-            poses=start.poses,
-            means=start.poses,
-            covariances=covariances,
-            visible_fraction=np.zeros(count),
-        )
-
 
 def refine(
     key: jax.Array,

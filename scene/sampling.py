@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.adaptation import adapted
-from scene.ahead import compiled_beside
 from scene.chain import Kernel, run_block, scene_kernel
 from scene.cloud_images import CloudImages
 from scene.config import ParseConfig
@@ -47,8 +46,8 @@ LARGEST_VARIANCE = 3.0
 """Of the log likelihood's estimate; above it only a share of the shapes is drawn anew with a pose."""
 CORRELATED_SHARE = 0.2
 ESTIMATES = 16
-BLOCKS, BURN_IN_BLOCKS = 6, 2
-"""Parts of the run; after each of the first ones proposals are fitted anew, the others are kept."""
+BURN_IN_BLOCKS = 2
+"""Parts of the run after each of which proposals are fitted anew; as many again, twice, are kept."""
 TOGETHER = 2
 """Chains in a kernel; kernels run side by side, each on a core."""
 
@@ -61,7 +60,7 @@ def sampled(
     table: SupportPlane | None,
     objects: Sequence[SceneObject],
     start: Initialisation,
-    refining: Future[Refinement],
+    refined: Refinement,
     noise: DepthNoise,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
@@ -76,7 +75,7 @@ def sampled(
         table: in that frame's camera.
         objects: that a scene may hold.
         start: the best scene of these objects, in the searched frame's camera.
-        refining: makes Gaussians on their poses; meanwhile the chains' kernel is compiled.
+        refined: Gaussians on their poses.
         noise: of the sensor and the surfaces together.
         config: settings.
         progress: called with blocks of moves done and in all.
@@ -87,45 +86,16 @@ def sampled(
     world = pose_of(jnp.asarray(world_from_camera))
     bodies = len(model.bodies.movable)
     axes = jnp.asarray([round_axis(one) for one in objects] + [-1] * (bodies - len(objects)))
-
-    def kernel(refined: Refinement) -> Kernel:
-        return scene_kernel(
-            pose_proposals(start, refined, config.pixel_weight, world, axes),
-            prior_share=PRIOR_SHARE,
-            translation_m=jnp.full(bodies, WALK_M),
-            rotation_rad=jnp.full(bodies, WALK_RAD),
-            axes=axes,
-            structure=PairMove() if config.graph == "infer" else None,
-            repeats=max(len(objects) - 1, 1),
-        )
-
-    start_key, run_key = jax.random.split(key)
-
-    def states() -> ChainState:
-        keys = jax.random.split(start_key, config.chains)
-        return _start(keys, model, start.poses, start.found, world, bodies - len(start.poses))
-
-    def compile_block() -> None:
-        with jax.enable_x64(True):  # of this thread
-            rough = kernel(Refinement.rough(start))
-            run_block.lower(run_key, groups[0], model, rough, _sweeps(config), _scene_and_value).compile()
-
-    if not start.found.any():
-        nothing = states()
-        recorded = _samples(_scene_and_value(nothing), jnp.zeros_like(nothing.log_prior))
-        return jax.tree.map(lambda leaf: leaf[None], recorded), 0.0
-    groups = _groups(states())
-    with compiled_beside(compile_block):
-        moves = kernel(refining.result())
-    return _sample(run_key, model, moves, axes, groups, config, progress)
-
-
-def _groups(states: ChainState) -> list[ChainState]:
-    """Chains (B, ...) in groups, each for a core."""
-    return [
-        jax.tree.map(lambda leaf, first=first: leaf[first : first + TOGETHER], states)
-        for first in range(0, len(states.log_prior), TOGETHER)
-    ]
+    kernel = scene_kernel(
+        pose_proposals(start, refined, config.pixel_weight, world, axes),
+        prior_share=PRIOR_SHARE,
+        translation_m=jnp.full(bodies, WALK_M),
+        rotation_rad=jnp.full(bodies, WALK_RAD),
+        axes=axes,
+        structure=PairMove() if config.graph == "infer" else None,
+        repeats=max(len(objects) - 1, 1),
+    )
+    return _sample(key, model, kernel, axes, start, world, config, progress)
 
 
 def _likelihood(
@@ -208,21 +178,35 @@ def _sample(
     model: SceneModel,
     kernel: Kernel,
     axes: jax.Array,
-    groups: Sequence[ChainState],
+    start: Initialisation,
+    world: jax.Array,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Samples, float]:
-    """Groups of chains, run; the first third of their sweeps teaches the proposals.
+    """Chains from the best scene found; the first third of their sweeps teaches the proposals.
 
     Then the variance of the log likelihood's estimate, which is returned too, tells whether all shapes are
     drawn anew for a new pose, or a share of them.
     """
-    run_key, variance_key = jax.random.split(key)
+    start_key, run_key, variance_key = jax.random.split(key, 3)
+    spare = len(model.bodies.movable) - len(start.poses)
+    keys = jax.random.split(start_key, config.chains)
+    states = _start(keys, model, start.poses, start.found, world, spare)
+    if not start.found.any():
+        nothing = jnp.zeros_like(states.log_prior)
+        recorded = _samples(_scene_and_value(states), nothing)
+        return jax.tree.map(lambda leaf: leaf[None], recorded), 0.0
+    groups = [
+        jax.tree.map(lambda leaf, first=first: leaf[first : first + TOGETHER], states)
+        for first in range(0, config.chains, TOGETHER)
+    ]
+    blocks = BURN_IN_BLOCKS * 3
+    count = -(-config.sweeps // blocks)
     kept: list[Samples] = []
     variance = 0.0
-    for block in range(BLOCKS):
+    for block in range(blocks):
         block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
-        groups, samples = _advanced(block_keys, groups, model, kernel, _sweeps(config))
+        groups, samples = _advanced(block_keys, groups, model, kernel, count)
         if block < BURN_IN_BLOCKS:
             kernel = _taught(kernel, axes, samples)
         else:
@@ -235,13 +219,8 @@ def _sample(
             share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
             model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
         if progress:
-            progress(block + 1, BLOCKS)
+            progress(block + 1, blocks)
     return Samples.joined(kept), variance
-
-
-def _sweeps(config: ParseConfig) -> int:
-    """Of a block."""
-    return -(-config.sweeps // BLOCKS)
 
 
 def _advanced(
