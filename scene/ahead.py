@@ -1,6 +1,7 @@
 """Kernels compiled beside other work: a first parse waits for its compiler more than for anything else.
 
-JAX compiles a kernel once: whoever calls one that is being compiled waits for it.
+JAX compiles a kernel once: whoever calls one that is being compiled waits for it. Threads must not differ in
+`jax.enable_x64` meanwhile: JAX 0.10 then hands host arrays of one precision to kernels of the other.
 """
 
 from __future__ import annotations

@@ -68,14 +68,9 @@ def parse_scene(
     views = _views(frames, first_camera_from_camera, intrinsics, seed)
     renderer = ObjectRenderer.of(objects)
     noise = replace(noise, outlier_probability=config.outlier_probability)
-    search = partial(_searched, objects=objects, renderer=renderer, noise=noise, config=config)
-    number, start = 0, search(search_key, views[0])
-    if len(views) > 1:
-        other = _most_new(views, first_camera_from_camera)
-        again = search(again_key, views[other])
-        agreement = partial(_agreement, renderer, views, first_camera_from_camera)
-        if agreement(again, first_camera_from_camera[other]) > agreement(start, np.eye(4)):
-            number, start = other, again
+    number, start = _best_start(
+        (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config
+    )
     data, first_from_searched = views[number], first_camera_from_camera[number]
     noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
     found = FoundObjects.of(start)
@@ -126,6 +121,27 @@ def _views(
         frame_data(frame.depth_m, intrinsics, first, pose)
         for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)
     ]
+
+
+def _best_start(
+    keys: tuple[jax.Array, jax.Array],
+    views: Sequence[SceneData],
+    first_camera_from_camera: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    renderer: ObjectRenderer,
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> tuple[int, Initialisation]:
+    """Which view was searched, and what was found in it that agrees best with all of them."""
+    start = _searched(keys[0], views[0], objects, renderer, noise, config)
+    if len(views) == 1:
+        return 0, start
+    other = _most_new(views, first_camera_from_camera)
+    again = _searched(keys[1], views[other], objects, renderer, noise, config)
+    agreement = partial(_agreement, renderer, views, first_camera_from_camera)
+    if agreement(again, first_camera_from_camera[other]) > agreement(start, np.eye(4)):
+        return other, again
+    return 0, start
 
 
 def _searched(
