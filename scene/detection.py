@@ -77,7 +77,7 @@ def support_plane(
         tolerance_m: distance at which a point lies in a plane.
     """
     rng = np.random.default_rng(seed)
-    sampled = points_m[rng.permutation(len(points_m))[:SAMPLED_POINTS]]
+    sampled = points_m[rng.permutation(len(points_m))[:SAMPLED_POINTS]].astype(np.float64)
     rest = sampled
     fewest = max(int(SMALLEST_SHARE * len(rest)), 50)
     planes = []
@@ -126,21 +126,29 @@ def _plane_inliers(
     return np.flatnonzero(np.abs(points_m @ normal - offset) < tolerance_m)
 
 
-def _largest_piece(members: NDArray[np.floating], points_m: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _largest_piece(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which points (M,) of a plane belong to its largest connected piece.
 
-    What stands before a plane does not part it: where a point of (N, 3) hides it, it is taken to go on.
+    What stands before a table does not part it: where a point of (N, 3) hides the plane it is taken to go on,
+    from that piece to others too long for an object's face.
     """
     middle, normal = _fitted_plane(members)
     with np.errstate(divide="ignore"):
         farther = (normal @ middle) / (points_m @ normal)
     hidden = points_m[farther > 1] * farther[farther > 1, None]
     hidden = hidden[((hidden > members.min(axis=0)) & (hidden < members.max(axis=0))).all(axis=1)]
-    labels = np.asarray(_cloud(np.concatenate([members, hidden])).cluster_dbscan(CONNECTED_M, 5))
-    labels = labels[: len(members)]
-    if labels.max() < 0:
+    parts, joined = _pieces(members), _pieces(np.concatenate([members, hidden]))[: len(members)]
+    if parts.max() < 0:
         return np.ones(len(members), bool)
-    return labels == np.bincount(labels[labels >= 0]).argmax()
+    largest = parts == np.bincount(parts[parts >= 0]).argmax()
+    mates = np.unique(parts[(parts >= 0) & np.isin(joined, joined[largest])])
+    large = [part for part in mates if _table(members[parts == part]).half_size_m.max() > NARROWEST_HALF_M]
+    return largest | np.isin(parts, large)
+
+
+def _pieces(points_m: NDArray[np.floating]) -> NDArray[np.int64]:
+    """The piece (N,) that each point belongs to, -1 for strays."""
+    return np.asarray(_cloud(points_m).cluster_dbscan(CONNECTED_M, 5))
 
 
 def _fitted_plane(members: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -64,6 +64,17 @@ def test_what_hides_a_table_does_not_part_it(seed: int) -> None:
     np.testing.assert_allclose(table.half_size_m, [0.4, 0.3], atol=0.02)
 
 
+def test_faces_of_several_objects_are_no_table(seed: int) -> None:
+    """Squares of 10 cm in one plane, with things before the gaps between them: too narrow to stand on."""
+    rng = np.random.default_rng(seed)
+    plane = np.append(rng.uniform(-0.35, 0.35, (30_000, 2)), np.zeros((30_000, 1)), axis=1)
+    on_face = (np.mod(plane[:, :2] + 0.05, 0.2) < 0.1).all(axis=1)
+    eye = -CAMERA_FROM_TABLE[:3, :3].T @ CAMERA_FROM_TABLE[:3, 3]
+    gaps = plane[~on_face][:2000]
+    before = eye + (gaps - eye) * (1 - rng.uniform(0.05, 0.3, (len(gaps), 1)) / eye[2])
+    assert support_plane(in_camera(np.concatenate([plane[on_face], before])), 1, lambda _: True) is None
+
+
 def test_a_cloud_without_anything_on_a_plane_has_no_table(seed: int) -> None:
     """A bare wall supports nothing."""
     wall = np.random.default_rng(seed).uniform([-1, -1, 2], [1, 1, 2], (5000, 3))
