@@ -60,7 +60,9 @@ class LearnedObject:
 
     Attributes:
         trajectory_error_cm: root mean square over the frames, from the first pose.
-        iou: of the learned shape with the truth over voxels that were seen.
+        iou: of the learned shape, its hidden inside included, with the truth, as the bench tells it. Of the
+            seen voxels alone, a layer thick, a flat face is right or wrong as a whole where it falls on voxel
+            centres.
     """
 
     trajectory_error_cm: float
@@ -139,7 +141,7 @@ def evaluate(project: Project, run: Path) -> DemoResult:
         reference_from_object = truth.reference_from_object(one, slam)
         learned[recording.shape] = LearnedObject(
             trajectory_error_cm=100 * slam_errors(slam, truth.trajectory)["ate_first_pose_m"],
-            iou=shape_agreement(shape, true_mesh(one), reference_from_object).observed,
+            iou=shape_agreement(shape, true_mesh(one), reference_from_object).solid,
         )
         shape_from_object[recording.shape] = np.linalg.inv(shape.reference_from_grid) @ reference_from_object
     parsed = [
