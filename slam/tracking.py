@@ -45,7 +45,7 @@ def track(
         on_frame: called after every frame.
 
     Raises:
-        ValueError: there is no frame, or none with a return.
+        ValueError: there is no frame, or none that a map can begin with.
     """
     state: FilterState | None = None
     history = History()
@@ -76,7 +76,10 @@ def track(
     if state is None and not waiting:
         raise ValueError("the recording has no depth frame")
     if state is None:
-        raise ValueError("no depth frame has a return; is it the right depth topic, scale and range?")
+        raise ValueError(
+            f"no depth frame has a return in more than {LEAST_RETURNS:.0%} of its pixels;"
+            " is it the right depth topic, scale and range?"
+        )
     refinement_key = jax.random.fold_in(key, len(history.frames))
     state = reconsidered(jax.random.fold_in(key, len(history.frames) + 1), state, config)
     state, placed = refined(refinement_key, state, details, full_detail_noise)
