@@ -83,7 +83,9 @@ def _nearest_triangle(triangles: NDArray[np.float32], size: tuple[int, int, int]
     for start in range(0, len(padded), CHUNK):
         best = _lower(best, *_reached(padded[start : start + CHUNK], start, np.asarray(size, np.int32)))
     best = np.asarray(best)[:count].reshape(size)
-    return np.where(best == UNREACHED, -1, best & (2**20 - 1)).astype(np.int32)
+    nearest = (best & (2**20 - 1)).astype(np.int32)
+    nearest[best == UNREACHED] = -1
+    return nearest
 
 
 @partial(jax.jit, donate_argnums=0)
