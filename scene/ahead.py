@@ -10,8 +10,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
-SELDOM = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+import jax
+
+SELDOM: dict[str, bool | int] = {"xla_backend_optimization_level": 1}
 """Compiler options of kernels that run for less time than they take to compile: half of that."""
+if jax.__version_info__ < (0, 11, 1):  # newer ones refuse it, for their compiler has no other way
+    SELDOM["xla_cpu_use_fusion_emitters"] = False
 
 
 @contextmanager
