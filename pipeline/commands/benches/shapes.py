@@ -90,33 +90,24 @@ def command(
     from pipeline.benchmarks.shape_summary import summary
     from pipeline.benchmarks.shapes import growth as growth_of
     from pipeline.benchmarks.shapes import shape_rows
-    from pipeline.errors import ConfigError, PipelineError
     from pipeline.jax_setup import keep_compiled_kernels
     from pipeline.meshes import load_meshes
-    from pipeline.options import numbers
     from pipeline.quiet_stdout import stdout_to_stderr
     from shapes.learning.config import LearnConfig
 
     keep_compiled_kernels()
     peers = _installed(words("--against", against, PEERS))
-    kinds: Any = words("--poses", poses, POSES)
-    counts = [int(count) for count in numbers("--views", views)]
-    if min(counts) < 1:
-        raise ConfigError(f"--views {views}: every number must be at least 1")
-    if not kinds:
-        raise ConfigError("--poses: name at least one kind")
+    kinds, counts = _asked(poses, views)
     all_meshes = load_meshes(meshes, units)
-    chosen = [name for name in sorted(all_meshes) if any(word in name for word in only.split(","))]
-    if not chosen:
-        raise PipelineError(f"--only {only}: no mesh has that in its name")
+    chosen = _chosen(all_meshes, only)
     config = common.settings.section("learn", LearnConfig)
     talking = not (common.as_json or common.quiet)
-    rows, grown, total = [], [], len(counts) * len(chosen) * len(kinds)
     if talking:
         click.echo(
             f"pitch {1000 * config.pitch_m:g} mm; the paper does not state its pitch and interior rule"
         )
         click.echo(_line(["object", "poses", "T", *TITLES, "paper"]))
+    rows, grown, total = [], [], len(counts) * len(chosen) * len(kinds)
     remaining = shape_rows(all_meshes, chosen, counts, kinds, peers, config, common.seed, keep)
     try:
         with common.progress("shapes", "films") as progress:
@@ -135,6 +126,30 @@ def command(
             if csv_path is not None:
                 _write_csv(csv_path, document["rows"])
             common.report(document, _summary_lines(document))
+
+
+def _asked(poses: str, views: str) -> tuple[list[Any], list[int]]:
+    """Kinds of poses and numbers of views."""
+    from pipeline.errors import ConfigError
+    from pipeline.options import numbers
+
+    kinds = words("--poses", poses, POSES)
+    counts = [int(count) for count in numbers("--views", views)]
+    if min(counts) < 1:
+        raise ConfigError(f"--views {views}: every number must be at least 1")
+    if not kinds:
+        raise ConfigError("--poses: name at least one kind")
+    return kinds, counts
+
+
+def _chosen(meshes: Iterable[str], only: str) -> list[str]:
+    """The names that have one of the words in them."""
+    from pipeline.errors import PipelineError
+
+    chosen = [name for name in sorted(meshes) if any(word in name for word in only.split(","))]
+    if not chosen:
+        raise PipelineError(f"--only {only}: no mesh has that in its name")
+    return chosen
 
 
 def _installed(peers: list[str]) -> list[str]:
