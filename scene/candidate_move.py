@@ -17,8 +17,9 @@ from scene.dice import Dice, drawn_object
 from scene.graph import SceneGraph
 from scene.involution import Offer
 from scene.model import ChainState, SceneModel
-from scene.pose_moves import at_pose, normalised
+from scene.pose_moves import normalised
 from scene.pose_offer import PoseOffer
+from scene.turned_faces import placed
 
 SMALLEST, LARGEST = 0.15, 1.2
 """Scales of near steps over the standard deviations of the pose, log-uniform between these."""
@@ -37,7 +38,9 @@ class CandidateMove:
     the choice as auxiliary variable, h swaps two poses and the weight is 1. The choice is Metropolised
     (`decide`), which leaves the same weights invariant and stays less often.
 
-    What rests on the object stays where it is.
+    What rests on the object stays where it is, and contacts keep the faces that point the same way, whatever
+    their names (`placed`): the same state in other names, which are one to one at every pose, so that pi
+    and q are as if each pose had its own.
 
     Attributes:
         offer: draws the far candidates; a near step has the covariance of its mixture's first component.
@@ -67,7 +70,8 @@ class CandidateMove:
         scene = state.scene
         chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
         poses, log_offered = self._poses(dice.without(1), model, scene, chosen)
-        scenes = jax.vmap(partial(at_pose, scene, chosen))(poses)
+        reference = self.offer.mixture.centres[chosen, 0, :4]
+        scenes = jax.vmap(partial(placed, scene, chosen, reference))(poses)
         return Offer(scenes, log_offered, jnp.zeros_like(state.log_prior))
 
     def _poses(
@@ -75,7 +79,8 @@ class CandidateMove:
     ) -> tuple[jax.Array, jax.Array]:
         """The poses (K, 7), the present one first, and the log densities (K,) by which they were drawn."""
         present, axis = scene.poses[chosen], self.axes[chosen]
-        context = self.offer.context(model, scene, chosen)
+        reference = self.offer.mixture.centres[chosen, 0]
+        context = self.offer.context(model, placed(scene, chosen, reference[:4], reference), chosen)
         (coin, size, spin), uniform = dice.uniform[:3], dice.uniform[3:]
         normal = dice.normal[: self.normals].reshape(self.count, 6)
         each = Dice(uniform[: self.uniforms - 4].reshape(self.count - 1, -1), normal[1:])

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.result import SceneResult
+from shapes.poses import matrices_of
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """Over log posterior, coordinates of objects' centres, and indicators of edges.
+    """Over log posterior, coordinates of the middles of objects' bounding boxes, and indicators of edges.
+
+    An object's origin may lie at its edge: then it is elsewhere in each of two poses that look the same.
 
     Attributes:
         r_hat: largest split R-hat; 1 where chains agree, NaN with too few samples.
@@ -23,15 +26,21 @@ class Convergence:
     effective_samples: float
 
 
-def convergence(scene: SceneResult) -> Convergence:
-    """Of the samples of a parsed scene."""
+def convergence(scene: SceneResult, middles_m: NDArray[np.float64]) -> Convergence:
+    """Of the samples of a parsed scene.
+
+    Args:
+        scene: as parsed.
+        middles_m: (N, 3) of the bounding boxes, in the objects' frames.
+    """
     chains = int(scene.chain.max(initial=0)) + 1
     found = scene.found
+    in_camera = np.einsum("snij,nj->sni", matrices_of(scene.sample_poses), np.insert(middles_m, 3, 1, axis=1))
     edges = scene.sample_parents[:, found, None] == np.arange(-1, len(scene) + 1)[None, None]
     traces = np.concatenate(
         [
             scene.sample_log_posteriors[:, None],
-            scene.sample_poses[:, found, 4:].reshape(len(edges), -1),
+            in_camera[:, found, :3].reshape(len(edges), -1),
             edges.reshape(len(edges), -1),
         ],
         axis=1,

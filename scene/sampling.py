@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from scene.adaptation import adapted
+from scene.adaptation import adapted, modes_of
 from scene.chain import Kernel, run_block, scene_kernel
 from scene.cloud_images import CloudImages
 from scene.config import ParseConfig
@@ -24,6 +24,7 @@ from scene.graph import Bodies, SceneGraph, floating_scene
 from scene.initialisation import Initialisation
 from scene.model import ChainState, SceneModel, start_chain
 from scene.pair_move import PairMove
+from scene.pose_mixture import PoseMixture
 from scene.poses import composed, pose_of
 from scene.prior import PosePrior, WeightedTrees
 from scene.proposals import pose_proposals, round_axis
@@ -81,7 +82,8 @@ def sampled(
         progress: called with blocks of moves done and in all.
     """
     likelihood = _likelihood(views, camera_from_world, objects, noise, config)
-    starts = start.poses[start.found, 4:] @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
+    starts = refined.means[start.found, :, 4:].reshape(-1, 3)
+    starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
     model = _model(table, objects, likelihood, space_of(table, starts), config)
     world = pose_of(jnp.asarray(world_from_camera))
     bodies = len(model.bodies.movable)
@@ -191,7 +193,9 @@ def _sample(
     start_key, run_key, variance_key = jax.random.split(key, 3)
     spare = len(model.bodies.movable) - len(start.poses)
     keys = jax.random.split(start_key, config.chains)
-    states = _start(keys, model, start.poses, start.found, world, spare)
+    states = _start(
+        keys, model, kernel.candidates.offer.mixture, axes, start.poses, start.found, world, spare
+    )
     if not start.found.any():
         nothing = jnp.zeros_like(states.log_prior)
         recorded = _samples(_scene_and_value(states), nothing)
@@ -241,20 +245,47 @@ def _advanced(
 def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
     """The kernel with proposals fitted to the states that its chains went through."""
     states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
-    mixture = adapted(kernel.candidates.offer.mixture, axes, states.poses, states.log_posterior)
+    mixture = adapted(kernel.candidates.offer.mixture, axes, states.poses)
     offer = replace(kernel.candidates.offer, mixture=mixture)
     return replace(kernel, candidates=replace(kernel.candidates, offer=offer))
 
 
 @partial(jax.jit, static_argnames="spare")
 def _start(
-    keys: jax.Array, model: SceneModel, poses: jax.Array, found: jax.Array, world: jax.Array, spare: int
+    keys: jax.Array,
+    model: SceneModel,
+    mixture: PoseMixture,
+    axes: jax.Array,
+    poses: jax.Array,
+    found: jax.Array,
+    world: jax.Array,
+    spare: int,
 ) -> ChainState:
-    """The states of chains that all start at these poses (N, 7) camera_from_box, everything floating."""
+    """The states of chains, everything floating, that start apart: every object in one of its modes.
+
+    Args:
+        keys: (B,).
+        model: the target.
+        mixture: of the proposals.
+        axes: about which each body is round, or -1.
+        poses: (N, 7) camera_from_box of the best scene, where those stay that were not found.
+        found: (N,).
+        world: (7,) world_from_camera.
+        spare: 1 where there is a table.
+    """
     poses = jax.vmap(lambda pose: composed(world, pose))(poses)
     table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]]), (spare, 1))
-    scene = floating_scene(jnp.concatenate([poses, table]), jnp.concatenate([found, jnp.ones(spare, bool)]))
-    return jax.vmap(lambda key: start_chain(key, model, scene))(keys)
+    log_weights = jnp.log(jax.vmap(modes_of)(mixture.log_weights, axes))[: len(poses)]
+
+    def start(key: jax.Array) -> ChainState:
+        mode_key, chain_key = jax.random.split(key)
+        modes = jax.random.categorical(mode_key, log_weights)
+        starts = jnp.take_along_axis(mixture.centres[: len(poses)], modes[:, None, None], axis=1)[:, 0]
+        placed = jnp.concatenate([jnp.where(found[:, None], starts, poses), table])
+        scene = floating_scene(placed, jnp.concatenate([found, jnp.ones(spare, bool)]))
+        return start_chain(chain_key, model, scene)
+
+    return jax.vmap(start)(keys)
 
 
 def _scene_and_value(state: ChainState) -> tuple[SceneGraph, jax.Array]:

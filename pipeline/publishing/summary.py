@@ -70,7 +70,8 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
     """Objects that were found, and the edges between them, in the camera of the first frame used."""
     found = np.flatnonzero(scene.found).tolist()
     names = [*scene.names.tolist(), TABLE]
-    agreement = convergence(scene)
+    middles_m = np.stack([surfaces.by_name[name].middle_m for name in scene.names.tolist()])
+    agreement = convergence(scene, middles_m)
     return {
         "frames": scene.frames.tolist(),
         "samples": len(scene.sample_poses),
