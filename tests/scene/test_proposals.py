@@ -100,7 +100,7 @@ def test_the_burn_in_teaches_mean_and_covariance(key: jax.Array, seed: int, axis
 def test_the_burn_in_teaches_every_mode(key: jax.Array, seed: int) -> None:
     """Of two modes that look alike in the world, one was visited: the other gets its covariance, too."""
     half_turn = jnp.concatenate(
-        [(jaxlie.SO3(jnp.asarray(MEAN[:4])) @ spin(jnp.array(0), jnp.pi)).wxyz, MEAN[4:]]
+        [(jaxlie.SO3(jnp.asarray(MEAN[:4])) @ spin(jnp.array(0), jnp.asarray(jnp.pi))).wxyz, MEAN[4:]]
     )
     mirrored = jnp.diag(jnp.array([1.0, 1, 1, 1, -1, -1]))
     one = covariance(seed)
