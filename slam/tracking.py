@@ -10,6 +10,7 @@ import numpy as np
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam import filter as camera_filter
+from slam.beginning import before_the_map, init
 from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
 from slam.filter_state import FilterState, FrameInfo
@@ -59,9 +60,9 @@ def track(
             waiting.append(frame.time_ns)
             continue
         if state is None:
-            state, info = camera_filter.init(view, frame.time_ns, config)
+            state, info = init(view, frame.time_ns, config)
             for number, time_ns in enumerate(waiting):
-                unseen = camera_filter.before_the_map(jax.random.fold_in(key, number), state)
+                unseen = before_the_map(jax.random.fold_in(key, number), state)
                 history.append(time_ns, unseen)
                 if on_frame is not None:
                     on_frame(unseen)

@@ -10,6 +10,7 @@ import pytest
 from recordings.types import DepthNoise
 from shapes.poses import matrices_of
 from slam import filter as camera_filter
+from slam.beginning import init
 from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, view_of_frame
 from slam.filter_state import FilterState
@@ -35,7 +36,7 @@ def tracked() -> FilterState:
     """Four keyframes that overlap."""
     frames = FRAMES
     views = [view_of_frame(frame, box_room.INTRINSICS) for frame in frames]
-    state, _ = camera_filter.init(views[0], frames[0].time_ns, CONFIG)
+    state, _ = init(views[0], frames[0].time_ns, CONFIG)
     for index, (view, frame) in enumerate(zip(views[1:], frames[1:], strict=True)):
         state, _ = camera_filter.step(jax.random.key(index), state, view, frame.time_ns, CONFIG)
     return state
@@ -85,7 +86,7 @@ def test_equal_keys_give_equal_poses(key, tracked):
 def test_a_lone_keyframe_stays(key):
     """Without overlaps there is nothing to repair."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
-    state, _ = camera_filter.init(view, 0, CONFIG)
+    state, _ = init(view, 0, CONFIG)
     after, placed = refined(key, state, DETAILS[:1], NOISE)
 
     assert placed is None
