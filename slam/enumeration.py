@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ TURNS_DEG = tuple(range(-180, 180, 15))
 TILTS_DEG = (-20, 0, 20)
 
 
+@cache
 def local_grid() -> NDArray[np.float32]:
     """Offsets (G, 6) around a prediction: 27 viewing angles at 7 positions, translation first."""
     angles = itertools.product(LOCAL_ANGLES_RAD, repeat=3)

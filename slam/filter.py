@@ -22,6 +22,7 @@ from slam.depth_view import DepthView
 from slam.filter_state import FilterState, FrameInfo
 from slam.finding import MOST_PLACES, found_places, last_step
 from slam.frame_report import frame_info
+from slam.keyframe_map import stacked
 from slam.map_update import with_calibration, with_frame, with_room
 from slam.motion import MotionHistory, MotionPrior
 from slam.particles import CameraParticles
@@ -99,7 +100,7 @@ def _components(found: list[Located], state: FilterState, predicted: jax.Array) 
     room = next(bucket for bucket in COMPONENT_BUCKETS if bucket >= len(components))
     unused = replace(components[0], group=jnp.asarray(-1, jnp.int32))
     components += [unused] * (room - len(components))
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *components)
+    return stacked(*components)
 
 
 @partial(jax.jit, static_argnames="ess_threshold")

@@ -184,11 +184,9 @@ def refined(
 
 
 def _surfaces(details: Sequence[Detail]) -> list[PlaneImage]:
-    planes = [jnp.where((detail.region_sizes > 0)[None], detail.planes, 0.0) for detail in details]
-    views = [detail.view for detail in details]
     return [
-        PlaneImage(view.depth_m, of_view, view.rays, view.camera)
-        for view, of_view in zip(views, planes, strict=True)
+        PlaneImage.of(detail.view, jnp.where((detail.region_sizes > 0)[None], detail.planes, 0.0))
+        for detail in details
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
@@ -42,15 +43,13 @@ def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> Fil
     best = found[0]
     anchor = int(best.indices[0])
     state = replace(with_calibration(state, best), last_found=best.optimum.pose)
-    relative = jaxlie.SE3(best.local_map.poses[0]).inverse() @ jaxlie.SE3(best.optimum.pose)
-    shift = float(jnp.linalg.norm(relative.translation()))
-    angle = float(jnp.linalg.norm(relative.rotation().log()))
-    far = shift > KEYFRAME_SHIFT * central_depth(view) or angle > KEYFRAME_ANGLE_RAD
+    relative, shift, angle = _motion(best.local_map.poses[0], best.optimum.pose)
+    far = float(shift) > KEYFRAME_SHIFT * central_depth(view) or float(angle) > KEYFRAME_ANGLE_RAD
     keyframe_map, noise = state.keyframe_map, state.calibration.noise
     if not far and best.covered >= KEYFRAME_COVERAGE:
         if len(found) > 1:
             return state
-        refined = fused(keyframe_map.surfaces[anchor], view, relative.wxyz_xyz, noise)
+        refined = fused(keyframe_map.surfaces[anchor], view, relative, noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
     keyframe_map = keyframe_map.with_refined(anchor, with_planes_refitted(keyframe_map.surfaces[anchor]))
     particles: CameraParticles = state.population.particles
@@ -59,6 +58,14 @@ def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> Fil
     return replace(
         state, population=population, keyframe_map=keyframe_map.with_keyframe(surface_of(view, noise))
     )
+
+
+@jax.jit
+def _motion(origin: jax.Array, pose: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """origin_from_pose (7,) of poses (7,), its length and its angle."""
+    relative = jaxlie.SE3(origin).inverse() @ jaxlie.SE3(pose)
+    shift = jnp.linalg.norm(relative.translation())
+    return relative.wxyz_xyz, shift, jnp.linalg.norm(relative.rotation().log())
 
 
 def with_calibration(state: FilterState, located: Located) -> FilterState:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -175,9 +176,13 @@ class Searcher:
         found = [self.near(group, [located.optimum.pose]) for located in rendered[:WIDE_REFINED]]
         return distinct_places(found)
 
+    @cached_property
+    def _framing(self) -> NDArray[np.float64]:
+        return framing(self.view)
+
     def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
         chosen = selected_keyframes(
-            self.keyframe_map, group.representative, matrices_of(pose), framing(self.view), self.compared
+            self.keyframe_map, group.representative, matrices_of(pose), self._framing, self.compared
         )
         return self._stacked(group, chosen, self.compared)
 

@@ -24,7 +24,7 @@ def _keyframe(pose: np.ndarray, seed: int) -> tuple[PlaneImage, PointSample]:
     view = view_of_frame(box_room.frames(pose[None], seed=seed)[0], box_room.INTRINSICS, FINE_CANVAS)
     planes, sizes = region_planes(view, NOISE)
     planes = jnp.where((sizes > 0)[None], planes, 0.0)
-    return PlaneImage(view.depth_m, planes, view.rays, view.camera), sampled(view, planes, sizes)
+    return PlaneImage.of(view, planes), sampled(view, planes, sizes)
 
 
 def _sigma(depth: np.ndarray) -> np.ndarray:
@@ -34,7 +34,8 @@ def _sigma(depth: np.ndarray) -> np.ndarray:
 def _met(surface: PlaneImage, sample: PointSample, relative: np.ndarray) -> tuple[np.ndarray, ...]:
     """Points (n, 3) of the sample, planes (n, 3) they fall on, and variances (n,) of their gaps."""
     points = np.asarray(sample.points, np.float64).T
-    normals, planes = (np.asarray(x, np.float64).reshape(3, -1).T for x in (sample.normals, surface.planes))
+    normals = np.asarray(sample.normals, np.float64).T
+    planes, rays, depths = np.split(np.asarray(surface.elements, np.float64).reshape(-1, 7), (3, 6), axis=1)
     there = points @ relative[:3, :3].T + relative[:3, 3]
     intrinsics, (rows, columns) = box_room.INTRINSICS, box_room.depth_image(SURFACE).shape
     ahead = np.where(there[:, 2] > 0.05, there[:, 2], np.inf)
@@ -45,9 +46,9 @@ def _met(surface: PlaneImage, sample: PointSample, relative: np.ndarray) -> tupl
     plane, length = planes[pixel], np.linalg.norm(planes[pixel], axis=1)
     inside &= length > 0
     unit = plane / np.where(length > 0, length, 1.0)[:, None]
-    depth, surface_depth = points[:, 2], np.asarray(surface.depth_m, np.float64).ravel()[pixel]
+    depth, surface_depth = points[:, 2], depths[pixel, 0]
     ray = (points / np.where(depth > 0, depth, 1.0)[:, None]) @ relative[:3, :3].T
-    surface_ray = np.asarray(surface.rays, np.float64).reshape(3, -1).T[pixel]
+    surface_ray = rays[pixel]
     along, surface_along = (unit * ray).sum(1), (unit * surface_ray).sum(1)
     inside &= (unit * (normals @ relative[:3, :3].T)).sum(1) > LEAST_COSINES[0]
     inside &= along > LEAST_COSINES[1] * np.linalg.norm(ray, axis=1)
