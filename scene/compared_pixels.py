@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.ahead import SELDOM
 from scene.pose_choice import PoseLayers
+from scene.rests import Rests
 from scene.scene_data import SceneData
 from scene.unknown_things import log_density_without_objects
 from shapes import depth_noise
 
-FOREGROUND_PIXELS = 1024
+FOREGROUND_PIXELS = 2048
 LOWEST_LOG_DENSITY = -20.0
 RIM_MISSED = 0.5
 """Probability that a pixel at an object's outline shows what is beside it: cameras shift outlines."""
@@ -86,6 +87,7 @@ class ComparedPixels:
             depth_m=jnp.asarray(np.full((*shape, FOREGROUND_PIXELS), np.inf, np.float32)),
             log_density=jnp.asarray(np.zeros((*shape, FOREGROUND_PIXELS), np.float32)),
             log_alone=jnp.asarray(log_alone),
+            rests=Rests.sure(*shape),
             rest_m=self.rest_m[self.places],
             rest_log_density=_rest_log_density(self),
         )
@@ -136,6 +138,7 @@ def _with_layers(
         depth_m=put(layers.depth_m, shown_m, first, 1),
         log_density=put(layers.log_density, density, first, 1),
         log_alone=put(layers.log_alone, log_alone + log_prior, first, 1),
+        rests=layers.rests,
         rest_m=layers.rest_m,
         rest_log_density=layers.rest_log_density,
     )

@@ -91,10 +91,11 @@ def filled(layers: PoseLayers, choice: jax.Array, banned: jax.Array) -> jax.Arra
         def best(one: jax.Array) -> tuple[jax.Array, jax.Array]:
             nearer = layers.depth_m[one] < front_m[None]
             gain = jnp.sum(jnp.where(nearer, layers.log_density[one] - density[None], 0.0), axis=1)
-            gain = gain + layers.log_alone[one]
+            gain = gain + layers.log_alone[one] + layers.rests.given(choice, one)
             return jnp.argmax(gain), jnp.max(gain)
 
         poses, gain = jax.lax.map(best, objects)
+        gain = gain - jnp.sum(layers.rests.of(choice))
         return poses, jnp.where(banned | (choice != none(layers)), -jnp.inf, gain)
 
     def add(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -9,7 +9,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.initialisation import Initialisation
 from scene.rendering import OUT_OF_SIGHT
 
 SLOTS = (1, 2, 3, 5, 8, 12, 18, 27)
@@ -33,12 +32,12 @@ class FoundObjects:
     count: int
 
     @classmethod
-    def of(cls, start: Initialisation) -> FoundObjects:
-        """Those of the best scene."""
-        indices = np.flatnonzero(start.found)
+    def of(cls, found: NDArray[np.bool_]) -> FoundObjects:
+        """Those that `found` (N,) tells."""
+        indices = np.flatnonzero(found)
         enough = [slots for slots in SLOTS if slots >= len(indices)]
         slots = enough[0] if enough else -(-len(indices) // SLOTS[-1]) * SLOTS[-1]
-        return cls(indices=indices, slots=slots, count=len(start.found))
+        return cls(indices=indices, slots=slots, count=len(found))
 
     @property
     def placed(self) -> NDArray[np.intp]:
@@ -49,17 +48,14 @@ class FoundObjects:
         """Of N things those of the slots."""
         return [values[index] for index in self.placed]
 
-    def only(self, start: Initialisation) -> Initialisation:
-        """The best scene and its pools of the slots alone; empty ones stand out of sight."""
-        placed = self.placed
-        is_empty = np.arange(self.slots) >= len(self.indices)
-        return Initialisation(
-            poses=np.where(is_empty[:, None], np.array(OUT_OF_SIGHT), start.poses[placed]),
-            found=~is_empty,
-            log_odds=start.log_odds[placed],
-            pools=start.pools[placed],
-            log_gains=start.log_gains[placed],
-        )
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(slots,) which slots are not empty."""
+        return np.arange(self.slots) < len(self.indices)
+
+    def poses(self, poses: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Poses (slots, 7) of those of all objects (N, 7); empty slots stand out of sight."""
+        return np.where(self.present[:, None], poses[self.placed], np.array(OUT_OF_SIGHT))
 
     def spread(self, values: NDArray, others: NDArray) -> NDArray:
         """Samples (S, slots, ...) in their objects' places among `others` (S, N, ...)."""

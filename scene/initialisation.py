@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -21,15 +21,17 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from scene.ahead import compiled_beside
-from scene.burial import log_not_buried
-from scene.compared_pixels import ComparedPixels
+from scene.config import ParseConfig
 from scene.detection import SupportPlane, clusters
 from scene.existence import best_scene, rivals
+from scene.found_objects import FoundObjects
 from scene.observation import unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.polishing import polished
-from scene.pose_choice import PoseLayers, choose, log_conditional
-from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
+from scene.pools import Pools
+from scene.pose_choice import PoseLayers, choose, log_conditional, log_density_of_choice
+from scene.refinement import refine
+from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.template_search import search
@@ -43,6 +45,8 @@ UNEXPLAINED_M = 0.012
 AGREE_M, FITTING = 0.006, 0.85
 """Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
 PAIRED = 32
+UNDECIDED = 100.0
+"""Log odds, with the likelihood's exponent 1, that better fits may turn."""
 RIVALS = 6
 """Scenes beside the best one that get a polish before they are compared for good."""
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
@@ -67,6 +71,16 @@ class Initialisation:
     pools: NDArray[np.float64]
     log_gains: NDArray[np.float64]
 
+    def of_slots(self, found: FoundObjects) -> Initialisation:
+        """The best scene and its pools of some objects alone, in their slots."""
+        return Initialisation(
+            poses=found.poses(self.poses),
+            found=found.present,
+            log_odds=self.log_odds[found.placed],
+            pools=self.pools[found.placed],
+            log_gains=self.log_gains[found.placed],
+        )
+
 
 def initialise(
     key: jax.Array,
@@ -74,101 +88,121 @@ def initialise(
     objects: Sequence[SceneObject],
     renderer: ObjectRenderer,
     noise: DepthNoise,
-    surface_sigma_m: float,
-    *,
-    sunk_sigma_m: float,
-    log_odds: float,
-    pixel_weight: float,
-    rounds: int,
-    pool: int,
+    config: ParseConfig,
 ) -> Initialisation:
-    """Search for the scene.
+    """Search for the scene in one frame.
 
     Args:
         key: random key.
-        data: one frame.
+        data: the frame.
         objects: what to look for.
         renderer: of the same objects.
         noise: of the sensor.
-        surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
-        sunk_sigma_m: by which an object may reach below the table.
-        log_odds: of an object in one pose against its absence.
-        pixel_weight: the likelihood's exponent.
-        rounds: of renewed search on what is left unexplained.
-        pool: poses an object and round.
+        config: settings.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    pixels = ComparedPixels.of(data, noise, surface_sigma_m, log_odds / pixel_weight, rng)
+    searched = config.pool * (config.rounds + 1)
+    pools = Pools.of(data, objects, renderer, noise, config, searched + 1 + RIVALS, rng)
     rotations = [_orientations(one, data.table) for one in objects]
-    unexplained = [data.foreground] * len(objects)
-    searched = pool * (rounds + 1)
-    everywhere = searched + 1 + RIVALS
-    pools = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), everywhere, 1))
-    layers = pixels.no_layers(len(objects), everywhere)
-    chosen = np.full(len(objects), everywhere)
-    starts = jnp.zeros((2, len(objects)), jnp.int32)
-
-    def put(found: NDArray[np.float32], first: int) -> PoseLayers:
-        pools[:, first : first + found.shape[1]] = found
-        drawn = renderer.layers(
-            np.repeat(np.arange(len(objects)), found.shape[1]), found.reshape(-1, 7), data.window
-        )
-        log_prior = log_not_buried(data.table, objects, found, sunk_sigma_m) / pixel_weight
-        return pixels.with_layers(layers, drawn, log_prior, first)
-
-    keys = jax.random.split(key, rounds + 1)
-    with compiled_beside(
-        lambda: renderer.compile(data.window),
-        lambda: best_scene.lower(layers, starts, PAIRED).compile(),
-        lambda: choose.lower(keys[0], layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
-        lambda: rivals.lower(layers, starts[0]).compile(),
-    ):
+    keys = jax.random.split(key, config.rounds + 1)
+    scene, masks = np.full(len(objects), pools.absent), [data.foreground] * len(objects)
+    with compiled_beside(*_kernels(pools)):
         for turn, round_key in enumerate(keys):
-            found = _hypotheses(data, objects, rotations, unexplained, rng, pool)
-            layers = put(found, turn * pool)
-            choices, log_densities = choose(round_key, layers, HOT, COLD, PARTICLES, SWEEPS)
-            starts = jnp.stack([choices[jnp.argmax(log_densities)], jnp.asarray(chosen)])
-            chosen = np.asarray(best_scene(layers, starts, PAIRED))
-            shown = _shown(renderer, data, pools, chosen)
-            shown[_fit(data, shown) < FITTING] = np.inf
-            unexplained = [_unexplained(data, np.delete(shown, one, axis=0)) for one in range(len(objects))]
-    layers = put(_polished_rivals(data, objects, renderer, layers, pools, chosen), searched)
-    starts = jnp.asarray(np.stack([chosen, chosen]))  # two as before, for one kernel
-    chosen = np.asarray(best_scene(layers, starts, PAIRED))
-    _, log_odds = rivals(layers, jnp.asarray(chosen))
+            found = _hypotheses(data, objects, rotations, masks, rng, config.pool)
+            pools = pools.with_poses(found, turn * config.pool)
+            choices, log_densities = choose(round_key, pools.layers, HOT, COLD, PARTICLES, SWEEPS)
+            scene = _best(pools, np.asarray(choices[jnp.argmax(log_densities)]), scene)
+            masks = _unexplained_by_others(pools, scene)
+    pools = pools.with_poses(_polished_rivals(pools, scene), searched)
+    pools, scene = _decided(key, pools, _best(pools, scene), searched, noise)
+    _, log_odds = rivals(pools.layers, jnp.asarray(scene))
     return Initialisation(
-        poses=_placed(pools, chosen).astype(np.float64),
-        found=chosen < everywhere,
+        poses=pools.placed(scene).astype(np.float64),
+        found=scene < pools.absent,
         log_odds=np.asarray(log_odds, np.float64),
-        pools=pools.astype(np.float64),
-        log_gains=np.asarray(_gains(layers, chosen), np.float64),
+        pools=pools.poses.astype(np.float64),
+        log_gains=np.asarray(_gains(pools.layers, scene), np.float64),
     )
 
 
-def _polished_rivals(
-    data: SceneData,
-    objects: Sequence[SceneObject],
-    renderer: ObjectRenderer,
-    layers: PoseLayers,
-    pools: NDArray[np.float32],
-    chosen: NDArray[np.int64],
-) -> NDArray[np.float32]:
+def _kernels(pools: Pools) -> list[Callable[[], object]]:
+    """What the search runs, to be compiled."""
+    layers, scenes = pools.layers, jnp.zeros((2, len(pools.objects)), jnp.int32)
+    return [
+        lambda: pools.renderer.compile(pools.data.window),
+        lambda: best_scene.lower(layers, scenes, PAIRED).compile(),
+        lambda: choose.lower(jax.random.key(0), layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
+        lambda: rivals.lower(layers, scenes[0]).compile(),
+    ]
+
+
+def _best(pools: Pools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]:
+    """The best scene (N,) found from one or two, by one kernel."""
+    two = np.stack([scenes[0], scenes[-1]]).astype(np.int32)
+    return np.asarray(best_scene(pools.layers, jnp.asarray(two), PAIRED))
+
+
+def _polished_rivals(pools: Pools, scene: NDArray[np.integer]) -> NDArray[np.float32]:
     """Poses (N, 1 + RIVALS, 7) polished in the scene and in those that come next, where fits are compared."""
-    scenes, log_odds = rivals(layers, jnp.asarray(chosen))
+    others, log_odds = rivals(pools.layers, jnp.asarray(scene))
     closest = np.argsort(np.abs(np.asarray(log_odds)), kind="stable")
-    scenes = [chosen, *np.asarray(scenes)[np.resize(closest, RIVALS)]]
+    scenes = [scene, *np.asarray(others)[np.resize(closest, RIVALS)]]
     return np.stack(
         [
-            polished(data, objects, renderer, _placed(pools, scene), scene < pools.shape[1])
-            for scene in scenes
+            polished(pools.data, pools.objects, pools.renderer, pools.placed(one), one < pools.absent)
+            for one in scenes
         ],
         axis=1,
     )
 
 
-def _placed(pools: NDArray[np.float32], chosen: NDArray[np.int64]) -> NDArray[np.float32]:
-    """The chosen poses (N, 7), of the absent ones any."""
-    return pools[np.arange(len(pools)), np.minimum(chosen, pools.shape[1] - 1)]
+def _decided(
+    key: jax.Array, pools: Pools, scene: NDArray[np.integer], first: int, noise: DepthNoise
+) -> tuple[Pools, NDArray[np.integer]]:
+    """The scene, or the better one of those that are about as good: they are refined to tell.
+
+    ICP looks at surfaces alone; outlines decide between objects that show the same face.
+
+    Args:
+        key: random key.
+        pools: of poses.
+        scene: the best one.
+        first: place of 1 + RIVALS poses that make room for the refined ones.
+        noise: of the sensor.
+    """
+    others, log_odds = map(np.asarray, rivals(pools.layers, jnp.asarray(scene)))
+    closest = np.argsort(np.abs(log_odds), kind="stable")[:RIVALS]
+    closest = closest[np.abs(log_odds[closest]) < UNDECIDED]
+    if not len(closest):
+        return pools, scene
+    noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, pools.config.search_error_m)))
+    scenes = list({one.tobytes(): one for one in (scene, *others[closest])}.values())
+    refined = np.stack([_refined(key, pools, one, noise) for one in scenes], axis=1)
+    pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)
+    scenes = [np.where(one < pools.absent, first + place, pools.absent) for place, one in enumerate(scenes)]
+    log_densities = [float(log_density_of_choice(pools.layers, jnp.asarray(one))) for one in scenes]
+    best = scenes[int(np.argmax(log_densities))]
+    return pools, _best(pools, best)
+
+
+def _refined(
+    key: jax.Array, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+) -> NDArray[np.float32]:
+    """Poses (N, 7) of a scene, those of what is there refined."""
+    found = FoundObjects.of(scene < pools.absent)
+    poses = pools.placed(scene)
+    refined = refine(
+        key,
+        pools.data,
+        pools.renderer,
+        found.placed,
+        found.poses(poses),
+        found.present,
+        noise,
+        pools.config.pixel_weight,
+    )
+    poses[found.indices] = refined.poses[: len(found.indices)]
+    return poses
 
 
 def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
@@ -215,13 +249,11 @@ def _places(
     )
 
 
-def _shown(
-    renderer: ObjectRenderer, data: SceneData, pools: NDArray[np.float32], chosen: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    """Depth (N, H, W) of every object's chosen pose alone in the window, +inf for absent ones."""
-    count, poses = pools.shape[:2]
-    depth = renderer.layers(np.arange(count), _placed(pools, chosen), data.window)
-    return np.where((chosen < poses)[:, None, None], depth, np.float32(np.inf))
+def _unexplained_by_others(pools: Pools, scene: NDArray[np.integer]) -> list[NDArray[np.bool_]]:
+    """For every object the view's foreground that a scene leaves unexplained without it."""
+    shown_m = pools.shown(scene)
+    shown_m[_fit(pools.data, shown_m) < FITTING] = np.inf
+    return [_unexplained(pools.data, np.delete(shown_m, one, axis=0)) for one in range(len(scene))]
 
 
 def _fit(data: SceneData, shown_m: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -13,7 +13,6 @@ from scipy.spatial import KDTree
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
-from scene.existence import log_prior_odds
 from scene.foreground import frame_data, scene_data
 from scene.found_objects import FoundObjects
 from scene.initialisation import Initialisation, initialise
@@ -73,9 +72,18 @@ def parse_scene(
     )
     data, first_from_searched = views[number], first_camera_from_camera[number]
     noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
-    found = FoundObjects.of(start)
-    chosen, their_start = found.taken(objects), found.only(start)
-    refined = refine(refine_key, data, renderer, found.placed, their_start, noise, config.pixel_weight)
+    found = FoundObjects.of(start.found)
+    chosen, their_start = found.taken(objects), start.of_slots(found)
+    refined = refine(
+        refine_key,
+        data,
+        renderer,
+        found.placed,
+        their_start.poses,
+        their_start.found,
+        noise,
+        config.pixel_weight,
+    )
     camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
     world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
@@ -133,39 +141,15 @@ def _best_start(
     config: ParseConfig,
 ) -> tuple[int, Initialisation]:
     """Which view was searched, and what was found in it that agrees best with all of them."""
-    start = _searched(keys[0], views[0], objects, renderer, noise, config)
+    start = initialise(keys[0], views[0], objects, renderer, noise, config)
     if len(views) == 1:
         return 0, start
     other = _most_new(views, first_camera_from_camera)
-    again = _searched(keys[1], views[other], objects, renderer, noise, config)
+    again = initialise(keys[1], views[other], objects, renderer, noise, config)
     agreement = partial(_agreement, renderer, views, first_camera_from_camera)
     if agreement(again, first_camera_from_camera[other]) > agreement(start, np.eye(4)):
         return other, again
     return 0, start
-
-
-def _searched(
-    key: jax.Array,
-    view: SceneData,
-    objects: Sequence[SceneObject],
-    renderer: ObjectRenderer,
-    noise: DepthNoise,
-    config: ParseConfig,
-) -> Initialisation:
-    """The best scene in one view."""
-    return initialise(
-        key,
-        view,
-        objects,
-        renderer,
-        noise,
-        config.search_error_m,
-        sunk_sigma_m=config.loose_sigma_m,
-        log_odds=log_prior_odds(config.presence),
-        pixel_weight=config.pixel_weight,
-        rounds=config.rounds,
-        pool=config.pool,
-    )
 
 
 def _unseen(

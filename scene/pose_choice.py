@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from scene.ahead import SELDOM
+from scene.rests import Rests
 
 
 @jax.tree_util.register_dataclass
@@ -26,6 +27,7 @@ class PoseLayers:
         log_density: (N, K, X) of the pixel if that pose is what it shows.
         log_alone: (N, K) what a pose adds outside these pixels, where nothing else competes, and the log
             odds of its object being there at all; 0 for the absent object.
+        rests: what carries them.
         rest_m: (X,) depth of the background.
         rest_log_density: (X,).
     """
@@ -33,6 +35,7 @@ class PoseLayers:
     depth_m: jax.Array
     log_density: jax.Array
     log_alone: jax.Array
+    rests: Rests
     rest_m: jax.Array
     rest_log_density: jax.Array
 
@@ -82,7 +85,8 @@ def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax
     def put(choice: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
         others = front(layers, choice, (objects != a) & (objects != b))
         places = [_best_given(layers, others, choice, one, candidates) for one in (a, b)]
-        joint = _joint_log_density(layers, others, (a, places[0]), (b, places[1]))
+        pair = (a, places[0]), (b, places[1])
+        joint = _joint_log_density(layers, others, *pair) + layers.rests.of_pair(choice, *pair)
         best = jnp.unravel_index(jnp.argmax(joint), joint.shape)
         return choice.at[a].set(places[0][best[0]]).at[b].set(places[1][best[1]])
 
@@ -92,7 +96,10 @@ def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax
 def _best_given(
     layers: PoseLayers, others: tuple[jax.Array, jax.Array], choice: jax.Array, one: jax.Array, count: int
 ) -> jax.Array:
-    """Places (at most `count`) of an object's best poses before a front, the chosen one first, none last."""
+    """Places (at most `count`) of an object's best poses before a front, the chosen one first, none last.
+
+    Whether they rest on anything is left open.
+    """
     front_m, shown = others
     nearer = layers.depth_m[one] < front_m[None]
     log_given = jnp.sum(jnp.where(nearer, layers.log_density[one] - shown[None], 0.0), axis=1)
@@ -107,7 +114,10 @@ def _joint_log_density(
     one: tuple[jax.Array, jax.Array],
     other: tuple[jax.Array, jax.Array],
 ) -> jax.Array:
-    """Log density (A, B) of two objects, each given with its places, before the front of the others."""
+    """Log density (A, B) of two objects, each given with its places, before the front of the others.
+
+    Without what carries them.
+    """
     (a, a_places), (b, b_places) = one, other
     b_m, b_log = layers.depth_m[b, b_places], layers.log_density[b, b_places]
 
@@ -125,7 +135,8 @@ def _joint_log_density(
 def log_density_of_choice(layers: PoseLayers, choice: jax.Array) -> jax.Array:
     """Log density of the observation under one choice (N,)."""
     _, shown = front(layers, choice, jnp.ones(len(choice), bool))
-    return jnp.sum(shown) + jnp.sum(layers.log_alone[jnp.arange(len(choice)), choice])
+    alone = jnp.sum(layers.log_alone[jnp.arange(len(choice)), choice])
+    return jnp.sum(shown) + alone + jnp.sum(layers.rests.of(choice))
 
 
 def log_conditional(layers: PoseLayers, choice: jax.Array, index: jax.Array) -> jax.Array:
@@ -133,7 +144,7 @@ def log_conditional(layers: PoseLayers, choice: jax.Array, index: jax.Array) -> 
     others_m, others = front(layers, choice, jnp.arange(len(choice)) != index)
     nearer = layers.depth_m[index] < others_m[None]
     shown = jnp.where(nearer, layers.log_density[index], others[None])
-    return jnp.sum(shown, axis=1) + layers.log_alone[index]
+    return jnp.sum(shown, axis=1) + layers.log_alone[index] + layers.rests.given(choice, index)
 
 
 def none(layers: PoseLayers) -> int:

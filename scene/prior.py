@@ -34,6 +34,8 @@ from scene.rotation_densities import (
     von_mises_fisher_direction,
 )
 
+FLOATING_HEIGHT_M = 0.6
+"""Floating objects are up to this far over the table."""
 POSE_UNIFORMS = 9
 """Uniform numbers that `sample_pose` takes."""
 _CHILD_FACES = 6
@@ -66,6 +68,19 @@ class PosePrior:
     contact_concentration: jax.Array
     slack_share: jax.Array
     upward_concentration: jax.Array
+
+
+class GapPrior(Protocol):
+    """The parameters of `gap_density`, those of `PosePrior`."""
+
+    @property
+    def contact_sigma_m(self) -> jax.Array | float: ...  # noqa: D102
+
+    @property
+    def loose_sigma_m(self) -> jax.Array | float: ...  # noqa: D102
+
+    @property
+    def slack_share(self) -> jax.Array | float: ...  # noqa: D102
 
 
 class StructurePrior(Protocol):
@@ -164,7 +179,7 @@ def supporting_face_probabilities(prior: PosePrior, supporting: jax.Array, pose:
     return weights / jnp.sum(weights, axis=-1, keepdims=True)
 
 
-def gap_density(prior: PosePrior, gap_m: jax.Array) -> jax.Array:
+def gap_density(prior: GapPrior, gap_m: jax.Array) -> jax.Array:
     """Density of the gap z between two faces: two normals, of mean zero."""
     sigmas = prior.contact_sigma_m, prior.loose_sigma_m
     shares = 1 - prior.slack_share, prior.slack_share

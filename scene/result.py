@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shapes.archive import load_fields, save_fields
 from shapes.poses import matrices_of, poses_of
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 TABLE = "table"
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 
@@ -26,9 +26,9 @@ class SceneResult:
     Attributes:
         names: (N,) str.
         frames: (F,) int64 indices of the depth frames used.
-        camera_from_object: (N, 4, 4) float64, the most probable scene found.
-        mean: (N, 4, 4) posterior mean within the mode of that scene.
+        camera_from_object: (N, 4, 4) float64, posterior mean within the heaviest mode.
         covariance: (N, 6, 6) in the right tangent at the mean, translation first, within that mode.
+        most_probable: (N, 4, 4) the sample of the greatest posterior density.
         presence: (N,) probability that the object is there.
         visible_fraction: (N,) share of its pixels that nothing hides, in the frame that was searched.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.
@@ -47,8 +47,8 @@ class SceneResult:
     names: NDArray[np.str_]
     frames: NDArray[np.int64]
     camera_from_object: NDArray[np.float64]
-    mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    most_probable: NDArray[np.float64]
     presence: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]
     mode_poses: NDArray[np.float64]
@@ -102,7 +102,7 @@ class SceneResult:
         return replace(
             self,
             camera_from_object=camera_from_this @ self.camera_from_object,
-            mean=camera_from_this @ self.mean,
+            most_probable=camera_from_this @ self.most_probable,
             mode_poses=camera_from_this @ self.mode_poses,
             sample_poses=poses_of(camera_from_this @ matrices_of(self.sample_poses)),
         )

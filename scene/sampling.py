@@ -26,7 +26,7 @@ from scene.model import ChainState, SceneModel, start_chain
 from scene.pair_move import PairMove
 from scene.pose_mixture import PoseMixture
 from scene.poses import composed, pose_of
-from scene.prior import PosePrior, WeightedTrees
+from scene.prior import FLOATING_HEIGHT_M, PosePrior, WeightedTrees
 from scene.proposals import pose_proposals, round_axis
 from scene.refinement import Refinement
 from scene.rendering import ObjectRenderer
@@ -34,8 +34,6 @@ from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.summary import Samples
 
-HEIGHT_M = 0.6
-"""Floating objects are up to this far over the table."""
 TABLE_HALF_THICKNESS_M = 0.01
 FREE_HALF_SIZE_M = 1.5
 """Of the cuboid in front of the camera that holds objects where there is no table."""
@@ -139,7 +137,7 @@ def space_of(
         high = np.array([FREE_HALF_SIZE_M, FREE_HALF_SIZE_M, 2 * FREE_HALF_SIZE_M])
     else:
         low = np.append(-table.half_size_m, -TABLE_HALF_THICKNESS_M)
-        high = np.append(table.half_size_m, HEIGHT_M)
+        high = np.append(table.half_size_m, FLOATING_HEIGHT_M)
     return (
         np.minimum(low, np.min(starts_m - SPACE_MARGIN_M, axis=0, initial=np.inf)),
         np.maximum(high, np.max(starts_m + SPACE_MARGIN_M, axis=0, initial=-np.inf)),

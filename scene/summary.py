@@ -87,16 +87,16 @@ def summarise(
     in_camera = np.where(
         start.found[:, None, None], np.linalg.inv(world_from_camera) @ in_world, starts[None]
     )
-    poses, best = in_camera @ box_from_object, starts @ box_from_object
+    poses = in_camera @ box_from_object
     modes = [_modes(poses[:, one]) for one in range(count)]
-    moments = [_moments(poses[:, one], best[one], modes[one][0][0]) for one in range(count)]
+    moments = [_moments(poses[:, one], modes[one][0][0]) for one in range(count)]
     edges, faces = _edges(flat, count)
     return SceneResult(
         names=np.array([one.name for one in objects]),
         frames=np.asarray(frames, np.int64),
-        camera_from_object=best,
-        mean=np.stack([mean for mean, _ in moments]),
+        camera_from_object=np.stack([mean for mean, _ in moments]),
         covariance=np.stack([covariance for _, covariance in moments]),
+        most_probable=poses[int(flat.log_posterior.argmax())],
         presence=expit(log_odds_of_presence(config.pixel_weight * start.log_odds, unseen, config.presence)),
         visible_fraction=visible_fraction,
         mode_poses=np.stack([poses for poses, _ in modes]),
@@ -129,18 +129,12 @@ def _of_all(flat: Samples, chosen: FoundObjects) -> Samples:
 
 
 def _moments(
-    poses: NDArray[np.float64], best: NDArray[np.float64], likeliest: NDArray[np.float64]
+    poses: NDArray[np.float64], centre: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean (4, 4) and right covariance (6, 6) of the samples (S, 4, 4) in the mode of `best`.
-
-    In the mode of `likeliest` where the chains have left that one for good.
-    """
-    near = _near(poses, best)
-    if not near.any():
-        best, near = likeliest, _near(poses, likeliest)
-    tangents = tangents_of(np.linalg.inv(best) @ poses)
+    """Mean (4, 4) and right covariance (6, 6) of the samples (S, 4, 4) in the mode round one of them."""
+    near = _near(poses, centre)
     weights = near / near.sum()
-    mean = best
+    mean = centre
     for _ in range(MEAN_STEPS):
         mean = mean @ motions_of(weights @ tangents_of(np.linalg.inv(mean) @ poses))
     tangents = tangents_of(np.linalg.inv(mean) @ poses)

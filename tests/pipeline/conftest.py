@@ -73,7 +73,7 @@ def parsed_run(true_trajectory: SlamResult) -> RunValues:
         names=np.array(["mug", "box", "can"]),
         frames=np.array([2]),
         camera_from_object=poses,
-        mean=poses,
+        most_probable=poses,
         covariance=np.tile(1e-6 * np.eye(6), (3, 1, 1)),
         presence=np.array([0.99, 0.98, 0.1]),
         visible_fraction=np.ones(3),

@@ -18,7 +18,7 @@ def scene_result(names: Sequence[str], poses: ArrayLike, parents: Sequence[int])
         names=np.array(names),
         frames=np.array([0]),
         camera_from_object=placed,
-        mean=placed,
+        most_probable=placed,
         covariance=np.tile(np.eye(6), (count, 1, 1)),
         presence=np.ones(count),
         visible_fraction=np.ones(count),

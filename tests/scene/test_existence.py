@@ -10,6 +10,7 @@ import pytest
 
 from scene.existence import best_scene, log_prior_odds, rivals
 from scene.pose_choice import PoseLayers, log_density_of_choice
+from scene.rests import Rests
 
 PIXELS = 24
 
@@ -25,6 +26,7 @@ def _layers(covers: np.ndarray, gain: float, log_odds: float) -> PoseLayers:
         depth_m=jnp.asarray(depth),
         log_density=jnp.full(depth.shape, gain, jnp.float32),
         log_alone=jnp.asarray(alone),
+        rests=Rests.sure(count, 2),
         rest_m=jnp.ones(PIXELS, jnp.float32),
         rest_log_density=jnp.zeros(PIXELS, jnp.float32),
     )
@@ -80,6 +82,7 @@ def test_two_objects_are_found_as_well_as_by_enumeration() -> None:
             depth_m=jnp.asarray(depth, jnp.float32),
             log_density=jnp.asarray(rng.standard_normal((2, 6, PIXELS)), jnp.float32),
             log_alone=jnp.asarray(np.where(np.arange(6) < 5, -2.0, 0.0) * np.ones((2, 1)), jnp.float32),
+            rests=Rests.sure(2, 6),
         )
         scenes = jnp.asarray(list(itertools.product(range(6), repeat=2)))
         densities = jax.vmap(lambda scene, layers=layers: log_density_of_choice(layers, scene))(scenes)

@@ -24,9 +24,9 @@ def test_values_return_to_their_objects(count: int, seed: int) -> None:
     """Poses and parents by slot are those of the objects that were found; the others keep what they had."""
     rng = np.random.default_rng(seed)
     start = beginning(rng.random(count) < 0.5, rng)
-    some = FoundObjects.of(start)
+    some = FoundObjects.of(start.found)
 
-    theirs = some.only(start)
+    theirs = start.of_slots(some)
 
     indices = np.flatnonzero(start.found)
     assert len(theirs.poses) == len(some.taken(range(count))) == some.slots >= max(len(indices), 1)
@@ -39,10 +39,9 @@ def test_values_return_to_their_objects(count: int, seed: int) -> None:
     np.testing.assert_array_equal(some.parents(np.array([table, -1])), [count, -1])
 
 
-def test_few_sizes_are_compiled(seed: int) -> None:
+def test_few_sizes_are_compiled() -> None:
     """Any number of objects found leads to one of few sizes, at most half as large again."""
-    rng = np.random.default_rng(seed)
-    sizes = {count: FoundObjects.of(beginning(np.ones(count, bool), rng)).slots for count in range(1, 55)}
+    sizes = {count: FoundObjects.of(np.ones(count, bool)).slots for count in range(1, 55)}
 
     assert set(sizes.values()) == {*SLOTS, 2 * SLOTS[-1]}
     assert all(count <= size <= max(1.7 * count, count + 1) for count, size in sizes.items() if count <= 27)

@@ -77,4 +77,4 @@ def test_what_the_first_frame_hides_is_found_in_another(key: jax.Array, seed: in
     for one, (name, mesh) in enumerate(meshes.items()):
         true = np.linalg.inv(cameras[0]) @ trimesh.transformations.translation_matrix(PLACES_M[name])
         assert add_s_m(model_points(mesh), true, scene.camera_from_object[one]) < 0.005
-        assert add_s_m(model_points(mesh), true, scene.mean[one]) < 0.005
+        assert add_s_m(model_points(mesh), true, scene.most_probable[one]) < 0.005

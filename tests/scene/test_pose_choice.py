@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from scene.pose_choice import PoseLayers, improve_pairs, log_conditional, log_density_of_choice
+from scene.rests import Rests
 
 
 def _layers(objects: int, poses: int, pixels: int, seed: int = 0) -> PoseLayers:
@@ -20,9 +21,24 @@ def _layers(objects: int, poses: int, pixels: int, seed: int = 0) -> PoseLayers:
         depth_m=jnp.asarray(depth, jnp.float32),
         log_density=jnp.asarray(rng.standard_normal((objects, poses, pixels)), jnp.float32),
         log_alone=jnp.asarray(alone, jnp.float32),
+        rests=_rests(rng, objects, poses),
         rest_m=jnp.asarray(_rest(rng, pixels), jnp.float32),
         rest_log_density=jnp.asarray(rng.standard_normal(pixels), jnp.float32),
     )
+
+
+def _rests(rng: np.random.Generator, objects: int, poses: int) -> Rests:
+    """Random ones; of the poses a third is over another's, the absent object over and under none."""
+    alone = -rng.exponential(2.0, (objects, poses))
+    on = np.where(
+        rng.random((objects, poses, objects, poses)) < 0.33,
+        -rng.exponential(0.5, alone.shape + alone.shape),
+        -np.inf,
+    )
+    alone[:, -1] = 0
+    on[:, -1] = on[..., -1] = -np.inf
+    on[np.arange(objects), :, np.arange(objects)] = -np.inf
+    return Rests(jnp.asarray(alone, jnp.float32), jnp.asarray(on, jnp.float32))
 
 
 def _rest(rng: np.random.Generator, pixels: int) -> np.ndarray:
@@ -36,6 +52,13 @@ def test_pixels_show_what_is_nearest() -> None:
     depth_m, log_density = np.asarray(layers.depth_m), np.asarray(layers.log_density)
     for choice in itertools.product(range(4), repeat=3):
         expected = sum(np.asarray(layers.log_alone)[one, pose] for one, pose in enumerate(choice))
+        expected += sum(
+            max(
+                float(layers.rests.log_alone[one, pose]),
+                *(float(layers.rests.log_on[one, pose, other, choice[other]]) for other in range(3)),
+            )
+            for one, pose in enumerate(choice)
+        )
         for pixel in range(40):
             nearest, shown = float(layers.rest_m[pixel]), float(layers.rest_log_density[pixel])
             for one, pose in enumerate(choice):

@@ -1,0 +1,83 @@
+"""What hangs in the air is improbable, by how far it is over what is below it."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from scipy.stats import norm
+
+from scene.detection import SupportPlane
+from scene.gravity import Gravity
+from scene.prior import FLOATING_HEIGHT_M
+from scene.scene_object import scene_object
+from shapes.poses import poses_of
+
+HALF_M = np.array([0.04, 0.05, 0.03])
+TABLE = SupportPlane(
+    camera_from_table=np.array([[1, 0, 0, 0.02], [0, -0.8, -0.6, 0.1], [0, 0.6, -0.8, 0.9], [0, 0, 0, 1.0]]),
+    half_size_m=np.array([0.4, 0.3]),
+    bend=np.zeros(6),
+)
+GRAVITY = Gravity(contact_sigma_m=0.005, loose_sigma_m=0.02, slack_share=0.1, floating_weight=0.02)
+ABSENT = 1
+
+
+def expected(gap_m: float) -> float:
+    """Log density of a gap, or of floating, over that of no gap."""
+
+    def density(gap_m: float) -> float:
+        return float(0.9 * norm.pdf(gap_m, scale=0.005) + 0.1 * norm.pdf(gap_m, scale=0.02))
+
+    return float(np.log(max(density(gap_m), 0.02 / FLOATING_HEIGHT_M) / density(0.0)))
+
+
+def log_rests(table: SupportPlane | None, *bottoms_m: tuple[float, float]) -> list[float]:
+    """Of boxes, alike, with places along x and heights of their bottoms; the last one is absent."""
+    mesh = trimesh.creation.box(2 * HALF_M)
+    box = scene_object("box", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    table_from_box = np.tile(np.eye(4), (len(bottoms_m), 1, 1))
+    for pose, (x_m, bottom_m) in zip(table_from_box, bottoms_m, strict=True):
+        pose[:3, 3] = [x_m, 0.0, bottom_m + HALF_M[2]]
+    poses = poses_of(TABLE.camera_from_table @ table_from_box)[:, None]
+    rests = GRAVITY.rests(table, [box] * len(bottoms_m), poses, 2.0)
+    choice = np.append(np.zeros(len(bottoms_m) - 1, int), ABSENT)
+    return [float(value) / 2 for value in rests.of(jnp.asarray(choice))]
+
+
+@pytest.mark.parametrize("height_m", [0.0, 0.004, 0.012, 0.035, 0.2])
+def test_boxes_over_the_table_pay_for_the_gap_or_for_floating(height_m: float) -> None:
+    """By the prior's own densities; nothing beside the table, below it, or where there is none."""
+    alone = [(0.0, height_m), (0.3, 0.0)]
+    np.testing.assert_allclose(log_rests(TABLE, *alone), [expected(height_m), 0], atol=1e-4)
+    np.testing.assert_allclose(log_rests(TABLE, (0.5, height_m), alone[1]), 0, atol=1e-4)
+    np.testing.assert_allclose(log_rests(TABLE, (0.0, -height_m), alone[1]), 0, atol=1e-4)
+    np.testing.assert_allclose(log_rests(None, *alone), 0)
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.004, 0.012, 0.2])
+def test_boxes_rest_on_boxes_that_are_below_them_and_there(gap_m: float) -> None:
+    """The upper of two pays for its gap to the lower; beside it or without it for that to the table."""
+    top_m = 2 * HALF_M[2]
+    upper, floats = (0.01, top_m + gap_m), expected(top_m + gap_m)
+    absent = (0.3, 0.0)
+    np.testing.assert_allclose(
+        log_rests(TABLE, upper, (0.0, 0.0), absent), [expected(gap_m), 0, 0], atol=1e-4
+    )
+    np.testing.assert_allclose(log_rests(TABLE, upper, (0.2, 0.0), absent), [floats, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(log_rests(TABLE, upper, (0.0, 0.0)), [floats, 0], atol=1e-4)
+
+
+def test_a_box_rests_by_its_edge_on_what_its_middle_is_not_over() -> None:
+    """Tilted, its lowest edge over another box."""
+    mesh = trimesh.creation.box(2 * HALF_M)
+    box = scene_object("box", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    tilted = trimesh.transformations.rotation_matrix(0.6, [0, 1, 0])
+    points = box.points_m @ tilted[:3, :3].T
+    lowest = points[points[:, 2].argmin()]
+    tilted[:3, 3] = [0.03, 0.0, 2 * HALF_M[2] - lowest[2]]
+    lower = np.eye(4)
+    lower[:3, 3] = [np.sign(lowest[0]) * (HALF_M[0] + 0.01) + 0.03, 0.0, HALF_M[2]]
+    poses = poses_of(TABLE.camera_from_table @ np.stack([tilted, lower]))[:, None]
+    rests = GRAVITY.rests(TABLE, [box, box], poses, 1.0)
+    np.testing.assert_allclose(rests.of(jnp.zeros(2, int)), 0, atol=1e-3)
+    assert float(rests.of(jnp.array([0, ABSENT]))[0]) < -5
