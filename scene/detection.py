@@ -132,18 +132,25 @@ def _largest_piece(members: NDArray[np.float64], points_m: NDArray[np.float64]) 
     What stands before a table does not part it: where a point of (N, 3) hides the plane it is taken to go on,
     from that piece to others too long for an object's face.
     """
+    parts = _pieces(members)
+    if parts.max() < 0:
+        return np.ones(len(members), bool)
+    first, *others = np.argsort(-np.bincount(parts[parts >= 0]), kind="stable")
+    largest = parts == first
+    large = [part for part in others if _table(members[parts == part]).half_size_m.max() > NARROWEST_HALF_M]
+    if not large:
+        return largest
+    joined = _pieces(np.concatenate([members, _hidden(members, points_m)]))[: len(members)]
+    return largest | (np.isin(parts, large) & np.isin(parts, parts[np.isin(joined, joined[largest])]))
+
+
+def _hidden(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where (H, 3) points hide a plane within the bounds of its members."""
     middle, normal = _fitted_plane(members)
     with np.errstate(divide="ignore"):
         farther = (normal @ middle) / (points_m @ normal)
     hidden = points_m[farther > 1] * farther[farther > 1, None]
-    hidden = hidden[((hidden > members.min(axis=0)) & (hidden < members.max(axis=0))).all(axis=1)]
-    parts, joined = _pieces(members), _pieces(np.concatenate([members, hidden]))[: len(members)]
-    if parts.max() < 0:
-        return np.ones(len(members), bool)
-    largest = parts == np.bincount(parts[parts >= 0]).argmax()
-    mates = np.unique(parts[(parts >= 0) & np.isin(joined, joined[largest])])
-    large = [part for part in mates if _table(members[parts == part]).half_size_m.max() > NARROWEST_HALF_M]
-    return largest | np.isin(parts, large)
+    return hidden[((hidden > members.min(axis=0)) & (hidden < members.max(axis=0))).all(axis=1)]
 
 
 def _pieces(points_m: NDArray[np.floating]) -> NDArray[np.int64]:

@@ -45,8 +45,9 @@ UNEXPLAINED_M = 0.012
 AGREE_M, FITTING = 0.006, 0.85
 """Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
 PAIRED = 32
-UNDECIDED = 100.0
-"""Log odds, with the likelihood's exponent 1, that better fits may turn."""
+UNDECIDED = 60.0
+"""Log odds, with the likelihood's exponent 1, that better fits may turn; greater than this are those of an
+object that shows nothing."""
 RIVALS = 6
 """Scenes beside the best one that get a polish before they are compared for good."""
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
@@ -104,7 +105,7 @@ def initialise(
     searched = config.pool * (config.rounds + 1)
     pools = Pools.of(data, objects, renderer, noise, config, searched + 1 + RIVALS, rng)
     rotations = [_orientations(one, data.table) for one in objects]
-    keys = jax.random.split(key, config.rounds + 1)
+    *keys, last_key = jax.random.split(key, config.rounds + 2)
     scene, masks = np.full(len(objects), pools.absent), [data.foreground] * len(objects)
     with compiled_beside(*_kernels(pools)):
         for turn, round_key in enumerate(keys):
@@ -114,7 +115,7 @@ def initialise(
             scene = _best(pools, np.asarray(choices[jnp.argmax(log_densities)]), scene)
             masks = _unexplained_by_others(pools, scene)
     pools = pools.with_poses(_polished_rivals(pools, scene), searched)
-    pools, scene = _decided(key, pools, _best(pools, scene), searched, noise)
+    pools, scene = _decided(last_key, pools, _best(pools, scene), searched, noise)
     _, log_odds = rivals(pools.layers, jnp.asarray(scene))
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
