@@ -2,8 +2,9 @@
 
 Hypotheses come from observed points and from DBSCAN clusters of points that the scene without the object
 leaves unexplained, in resting, cube and spread orientations, refined by ICP; whole scenes are annealed
-over the pools; then the search is repeated on what is left unexplained. The result is a maximum and a
-set of hypotheses, never samples (MATH.md section K).
+over the pools; then the search is repeated on what is left unexplained. Scenes that are about as good are
+refined before they are told apart. The result is a maximum and a set of hypotheses, never samples (MATH.md
+section K).
 """
 
 from __future__ import annotations
