@@ -13,7 +13,7 @@ import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from scene.config import ParseConfig
 from scene.detection import SupportPlane, clusters
 from scene.existence import best_scene, rivals
 from scene.found_objects import FoundObjects
+from scene.initial_scene import Initialisation
 from scene.observation import unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.polishing import polished
@@ -52,36 +53,6 @@ object that shows nothing."""
 RIVALS = 6
 """Scenes beside the best one that get a polish before they are compared for good."""
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Initialisation:
-    """The best scene found and the pools that it was chosen from.
-
-    Attributes:
-        poses: (N, 7) camera_from_box, wxyz_xyz; meaningless where not found.
-        found: (N,) bool.
-        log_odds: (N,) of each object being there against not, with the likelihood's exponent 1.
-        pools: (N, K, 7).
-        log_gains: (N, K) log density of the scene with each pose of the pool in place of the best one,
-            less that of the best scene; the last column is without the object.
-    """
-
-    poses: NDArray[np.float64]
-    found: NDArray[np.bool_]
-    log_odds: NDArray[np.float64]
-    pools: NDArray[np.float64]
-    log_gains: NDArray[np.float64]
-
-    def of_slots(self, found: FoundObjects) -> Initialisation:
-        """The best scene and its pools of some objects alone, in their slots."""
-        return Initialisation(
-            poses=found.poses(self.poses),
-            found=found.present,
-            log_odds=self.log_odds[found.placed],
-            pools=self.pools[found.placed],
-            log_gains=self.log_gains[found.placed],
-        )
 
 
 def initialise(
@@ -193,17 +164,16 @@ def _refined(
     """Poses (N, 7) of a scene, those of what is there refined."""
     found = FoundObjects.of(scene < pools.absent)
     poses = pools.placed(scene)
-    refined = refine(
-        key,
-        pools.data,
-        pools.renderer,
-        found.placed,
-        found.poses(poses),
-        found.present,
-        noise,
-        pools.config.pixel_weight,
+    start = Initialisation(
+        poses=found.poses(poses),
+        found=found.present,
+        log_odds=np.zeros(found.slots),
+        pools=np.zeros((found.slots, 0, 7)),
+        log_gains=np.zeros((found.slots, 1)),
     )
-    poses[found.indices] = refined.poses[: len(found.indices)]
+    weight = pools.config.pixel_weight
+    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, weight)
+    poses[found.indices] = refined.means[: len(found.indices), 0]
     return poses
 
 

@@ -15,7 +15,8 @@ from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
 from scene.foreground import frame_data, scene_data
 from scene.found_objects import FoundObjects
-from scene.initialisation import Initialisation, initialise
+from scene.initial_scene import Initialisation
+from scene.initialisation import initialise
 from scene.observation import unprojected
 from scene.refinement import refine
 from scene.rendering import ObjectRenderer
@@ -74,16 +75,7 @@ def parse_scene(
     noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
     found = FoundObjects.of(start.found)
     chosen, their_start = found.taken(objects), start.of_slots(found)
-    refined = refine(
-        refine_key,
-        data,
-        renderer,
-        found.placed,
-        their_start.poses,
-        their_start.found,
-        noise,
-        config.pixel_weight,
-    )
+    refined = refine(refine_key, data, renderer, found.placed, their_start, noise, config.pixel_weight)
     camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
     world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)

@@ -10,7 +10,7 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.initialisation import Initialisation
+from scene.initial_scene import Initialisation
 from scene.pose_mixture import PoseMixture
 from scene.poses import composed
 from scene.refinement import MODES, Refinement

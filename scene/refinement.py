@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from recordings.types import DepthNoise
-from scene.initialisation import Initialisation
+from scene.initial_scene import Initialisation
 from scene.likelihood import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData

@@ -21,7 +21,7 @@ from scene.contact import TOP_FACE
 from scene.depth_images import DepthImages, log_estimates
 from scene.detection import SupportPlane
 from scene.graph import Bodies, SceneGraph, floating_scene
-from scene.initialisation import Initialisation
+from scene.initial_scene import Initialisation
 from scene.model import ChainState, SceneModel, start_chain
 from scene.pair_move import PairMove
 from scene.pose_mixture import PoseMixture

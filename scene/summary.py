@@ -14,7 +14,7 @@ from scene.config import ParseConfig
 from scene.existence import log_odds_of_presence
 from scene.found_objects import FoundObjects
 from scene.graph import ROOT
-from scene.initialisation import Initialisation
+from scene.initial_scene import Initialisation
 from scene.poses import motions_of, tangents_of
 from scene.result import SceneResult
 from scene.scene_object import SceneObject

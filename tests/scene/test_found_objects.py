@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scene.found_objects import SLOTS, FoundObjects
-from scene.initialisation import Initialisation
+from scene.initial_scene import Initialisation
 
 
 def beginning(found: np.ndarray, rng: np.random.Generator) -> Initialisation:
