@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from shapes.poses import matrices_of
-from slam import pose_gaussian, pose_graph
+from slam import keyframe_kernels, pose_graph
 from slam.depth_view import DepthView, framing
 from slam.filter_state import FilterState
 from slam.keyframe_map import KeyframeMap, selected_keyframes
@@ -139,17 +139,16 @@ def refined(
     """
     particles: CameraParticles = state.population.particles
     used = len(state.keyframe_map)
-    poses = particles.keyframe_poses[:, :used]
+    poses = np.array(particles.keyframe_poses)
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
-    modes = grouped(matrices_of(poses), weights)
+    modes = grouped(matrices_of(poses[:, :used]), weights)
     of_particle = np.full(len(modes), -1, np.int32)
     surfaces, samples = _surfaces(details), _samples(details)
-    placed: list[tuple[jax.Array, NDArray[np.float64], NDArray[np.bool_]]] = []
+    placed: list[tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_]]] = []
     for mode in range(modes.max() + 1):
         members = modes == mode
-        filtered = mean_keyframes(
-            poses, jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum())
-        )
+        share = jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum())
+        filtered = np.asarray(mean_keyframes(particles.keyframe_poses, share))[:used]
         keyframes = Keyframes(
             surfaces=surfaces,
             samples=samples,
@@ -161,23 +160,23 @@ def refined(
             continue
         centres, graph, exponents = optimum
         draw_key, choice_key = jax.random.split(jax.random.fold_in(key, mode))
-        before, after = _log_densities(keyframes, jnp.stack([filtered, centres]), exponents)
+        before, after = _log_densities(keyframes, np.stack([filtered, centres]), exponents)
         if np.log(float(jax.random.uniform(choice_key))) >= after - before:
             centres = filtered
         held = pose_graph.tied_to_first(graph)
         displacements = pose_graph.draws(draw_key, graph, len(modes))
-        drawn = _drawn(centres, jnp.asarray(displacements, jnp.float32))
-        poses = jnp.where(jnp.asarray(members[:, None] & held)[..., None], drawn, poses)
+        drawn = keyframe_kernels.drawn(centres, displacements)
+        poses[:, :used] = np.where((members[:, None] & held)[..., None], drawn, poses[:, :used])
         of_particle[members] = len(placed)
         placed.append((centres, pose_graph.marginals(graph), held))
     if not placed:
         return state, None
-    keyframe_poses = particles.keyframe_poses.at[:, :used].set(poses)
-    population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
+    moved = replace(particles, keyframe_poses=jnp.asarray(poses))
+    population = replace(state.population, particles=moved)
     centres, covariances, held = zip(*placed, strict=True)
     return replace(state, population=population), Placed(
         mode=jnp.asarray(of_particle),
-        poses=jnp.stack(centres),
+        poses=jnp.asarray(np.stack(centres)),
         covariances=jnp.asarray(np.stack(covariances), jnp.float32),
         held=jnp.asarray(np.stack(held)),
     )
@@ -223,8 +222,8 @@ class _Linearised:
 
 
 def _optimum(
-    keyframes: Keyframes, poses: jax.Array
-) -> tuple[jax.Array, PoseGraph, NDArray[np.float64]] | None:
+    keyframes: Keyframes, poses: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], PoseGraph, NDArray[np.float64]] | None:
     """Poses (N, 7) at the optimum near `poses`, the tempered graph there and each image's exponent (N,).
 
     None where no keyframes overlap.
@@ -237,9 +236,9 @@ def _optimum(
         step = pose_graph.damped_step(linearised.graph, DAMPING)
         if round_ > len(INFLATIONS) and _gain(linearised, step) < CONVERGED * 0.5 * step[1:].size:
             break
-        poses = _displaced(poses, jnp.asarray(step, jnp.float32))
-        astray |= np.abs(np.asarray(_coordinates(start, poses))).max(axis=1) > FARTHEST
-        poses = jnp.where(astray[:, None], start, poses)
+        poses = keyframe_kernels.displaced(poses, step)
+        astray |= np.abs(keyframe_kernels.coordinates(start, poses)).max(axis=1) > FARTHEST
+        poses = np.where(astray[:, None], start, poses)
         inflation = INFLATIONS[round_] if round_ < len(INFLATIONS) else 1.0
         linearised = _linearised(keyframes, poses, inflation, astray)
     if linearised is None:
@@ -251,14 +250,13 @@ def _optimum(
 
 
 def _linearised(
-    keyframes: Keyframes, poses: jax.Array, inflation: float, astray: NDArray[np.bool_]
+    keyframes: Keyframes, poses: NDArray[np.float32], inflation: float, astray: NDArray[np.bool_]
 ) -> _Linearised | None:
     """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
     stride = 1 if inflation == 1.0 else THINNED
     overlaps, parts = [], []
-    placed = np.asarray(poses)
     for surface, samples, index, images in keyframes.batches(stride):
-        relative = _relative(placed[index], placed[np.resize(images, IMAGE_BUCKET)])
+        relative = _relative(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
         terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation)
         parts.append([np.asarray(leaf, np.float64)[: len(images)] for leaf in jax.tree.leaves(terms)])
         overlaps.append(np.stack([images, np.full(len(images), index)], axis=1))
@@ -301,13 +299,13 @@ def _exponents(linearised: _Linearised) -> NDArray[np.float64]:
 
 
 def _log_densities(
-    keyframes: Keyframes, poses: jax.Array, exponents: NDArray[np.float64]
+    keyframes: Keyframes, poses: NDArray[np.float32], exponents: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Tempered log densities (L,) of all overlaps at keyframes (L, N, 7)."""
-    total, placed = np.zeros(len(poses)), np.asarray(poses)
+    total = np.zeros(len(poses))
     for surface, samples, index, images in keyframes.batches(1):
         padded = np.resize(images, IMAGE_BUCKET)
-        relative = _relative_by_image(placed[:, index], placed[:, padded])
+        relative = _relative_by_image(poses[:, index], poses[:, padded])
         densities = log_overlap_densities(surface, samples, relative, keyframes.noise)
         total += exponents[images] @ np.asarray(densities, np.float64)[: len(images)]
     return total
@@ -324,13 +322,3 @@ def _relative(origin: jax.Array, poses: jax.Array) -> jax.Array:
 def _relative_by_image(origins: jax.Array, poses: jax.Array) -> jax.Array:
     """origin_from_pose (n, L, 7) of L poses (L, 7) and of n others each (L, n, 7)."""
     return jax.vmap(_relative)(origins, poses).swapaxes(0, 1)
-
-
-_displaced = jax.jit(jax.vmap(pose_gaussian.displaced))
-_coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
-
-
-@jax.jit
-def _drawn(centres: jax.Array, displacements: jax.Array) -> jax.Array:
-    """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
-    return jax.vmap(jax.vmap(pose_gaussian.displaced), (None, 0))(centres, displacements)
