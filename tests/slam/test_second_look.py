@@ -14,6 +14,7 @@ from slam.depth_view import view_of_frame
 from slam.keyframe_map import KeyframeMap
 from slam.keyframes import surface_of
 from slam.second_look import Jury, agreeing, placed_anew
+from slam.surest_first import _log_evidence
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -57,6 +58,25 @@ def test_what_agrees_is_left_alone():
     assert agreeing(of_all, seen_from_all_sides()) == [0, 1, 2, 3, 4]
     assert agreeing(of_all, with_a_turned_cluster()) == [0, 1, 2]
     assert of_all.log_composite(seen_from_all_sides()) > of_all.log_composite(with_a_turned_cluster())
+
+
+def test_what_two_images_share_counts_once():
+    """Seeing each other instead of nothing, two images gain p(2 | 1) / p(2), as by the chain rule, and once.
+
+    p(1 | 2) / p(1) is the same number but for what each image sees alone: 1,099 and 1,224 nats here. A
+    composite twice or half as large would be off by half at least.
+    """
+    of_all = jury(seed=5).keyframe_map
+    of_two = Jury(KeyframeMap(surfaces=of_all.surfaces[:2], samples=of_all.samples[:2]), NOISE, compared=4)
+    together = seen_from_all_sides()[:2]
+    apart = together.copy()
+    apart[1, :3, 3] += (0.0, 0.0, 50.0)
+
+    gained = of_two.log_composite(together) - of_two.log_composite(apart)
+
+    by_chain_rule = _log_evidence(of_two.located(together, 1, [0]), NOISE)
+    assert by_chain_rule > 300.0
+    np.testing.assert_allclose(gained, by_chain_rule, rtol=0.2)
 
 
 @pytest.mark.slow
