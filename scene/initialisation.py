@@ -87,12 +87,16 @@ def initialise(
             scene = _best(pools, np.asarray(choices[jnp.argmax(log_densities)]), scene)
             masks = _unexplained_by_others(pools, scene)
     pools = pools.with_poses(_polished_rivals(pools, scene), searched)
-    pools, scene = _decided(last_key, pools, _best(pools, scene), searched, noise)
-    _, log_odds = rivals(pools.layers, jnp.asarray(scene))
+    scene = _best(pools, scene)
+    others, log_odds = _rivals(pools, scene)
+    close = [one for one in _closest(log_odds)[:RIVALS] if abs(log_odds[one]) < UNDECIDED]
+    if close:
+        pools, scene = _decided(last_key, pools, [scene, *others[close]], searched, noise)
+        _, log_odds = _rivals(pools, scene)
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
         found=scene < pools.absent,
-        log_odds=np.asarray(log_odds, np.float64),
+        log_odds=log_odds.astype(np.float64),
         pools=pools.poses.astype(np.float64),
         log_gains=np.asarray(_gains(pools.layers, scene), np.float64),
     )
@@ -115,11 +119,21 @@ def _best(pools: Pools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]:
     return np.asarray(best_scene(pools.layers, jnp.asarray(two), PAIRED))
 
 
+def _rivals(pools: Pools, scene: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
+    """For every object the best scene (N, N) with or without it, and its log odds (N,)."""
+    others, log_odds = rivals(pools.layers, jnp.asarray(scene))
+    return np.asarray(others), np.asarray(log_odds)
+
+
+def _closest(log_odds: NDArray[np.floating]) -> NDArray[np.intp]:
+    """The objects (N,), those first about which the scene and its rival are about as good."""
+    return np.argsort(np.abs(log_odds), kind="stable")
+
+
 def _polished_rivals(pools: Pools, scene: NDArray[np.integer]) -> NDArray[np.float32]:
     """Poses (N, 1 + RIVALS, 7) polished in the scene and in those that come next, where fits are compared."""
-    others, log_odds = rivals(pools.layers, jnp.asarray(scene))
-    closest = np.argsort(np.abs(np.asarray(log_odds)), kind="stable")
-    scenes = [scene, *np.asarray(others)[np.resize(closest, RIVALS)]]
+    others, log_odds = _rivals(pools, scene)
+    scenes = [scene, *others[np.resize(_closest(log_odds), RIVALS)]]
     return np.stack(
         [
             polished(pools.data, pools.objects, pools.renderer, pools.placed(one), one < pools.absent)
@@ -130,26 +144,21 @@ def _polished_rivals(pools: Pools, scene: NDArray[np.integer]) -> NDArray[np.flo
 
 
 def _decided(
-    key: jax.Array, pools: Pools, scene: NDArray[np.integer], first: int, noise: DepthNoise
+    key: jax.Array, pools: Pools, scenes: Sequence[NDArray[np.integer]], first: int, noise: DepthNoise
 ) -> tuple[Pools, NDArray[np.integer]]:
-    """The scene, or the better one of those that are about as good: they are refined to tell.
+    """The best of scenes that are about as good: they are refined to tell.
 
     ICP looks at surfaces alone; outlines decide between objects that show the same face.
 
     Args:
         key: random key.
         pools: of poses.
-        scene: the best one.
+        scenes: the best one, and at most RIVALS others.
         first: place of 1 + RIVALS poses that make room for the refined ones.
         noise: of the sensor.
     """
-    others, log_odds = map(np.asarray, rivals(pools.layers, jnp.asarray(scene)))
-    closest = np.argsort(np.abs(log_odds), kind="stable")[:RIVALS]
-    closest = closest[np.abs(log_odds[closest]) < UNDECIDED]
-    if not len(closest):
-        return pools, scene
     noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, pools.config.search_error_m)))
-    scenes = list({one.tobytes(): one for one in (scene, *others[closest])}.values())
+    scenes = list({one.tobytes(): one for one in scenes}.values())
     refined = np.stack([_refined(key, pools, one, noise) for one in scenes], axis=1)
     pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)
     scenes = [np.where(one < pools.absent, first + place, pools.absent) for place, one in enumerate(scenes)]
