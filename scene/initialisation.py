@@ -37,6 +37,7 @@ from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.template_search import search
+from shapes.depth_noise import with_surface_error
 
 ORIENTATIONS, FREE_ORIENTATIONS = 416, 576
 YAWS = 24
@@ -157,7 +158,7 @@ def _decided(
         first: place of 1 + RIVALS poses that make room for the refined ones.
         noise: of the sensor.
     """
-    noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, pools.config.search_error_m)))
+    noise = with_surface_error(noise, pools.config.search_error_m)
     scenes = list({one.tobytes(): one for one in scenes}.values())
     refined = np.stack([_refined(key, pools, one, noise) for one in scenes], axis=1)
     pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)

@@ -26,6 +26,7 @@ from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.summary import summarise
 from scene.unseen import PlacedObject, unseen_share
+from shapes.depth_noise import with_surface_error
 from shapes.poses import matrices_of, poses_of
 
 NEW_M = 0.015
@@ -72,7 +73,7 @@ def parse_scene(
         (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config
     )
     data, first_from_searched = views[number], first_camera_from_camera[number]
-    noise = replace(noise, sigma_base_m=float(np.hypot(noise.sigma_base_m, config.model_error_m)))
+    noise = with_surface_error(noise, config.model_error_m)
     found = FoundObjects.of(start.found)
     chosen, their_start = found.taken(objects), start.of_slots(found)
     refined = refine(refine_key, data, renderer, found.placed, their_start, noise, config.pixel_weight)

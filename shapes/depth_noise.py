@@ -6,6 +6,9 @@ a point mass on `NO_RETURN`. All functions are elementwise and broadcast.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
@@ -17,6 +20,11 @@ jax.tree_util.register_dataclass(DepthNoise)
 def standard_deviation(noise: DepthNoise, rendered_m: jax.Array) -> jax.Array:
     """sigma(z~) in metres for a surface at `rendered_m`."""
     return noise.sigma_base_m + noise.sigma_growth_per_m * (rendered_m - 0.4) ** 2
+
+
+def with_surface_error(noise: DepthNoise, sigma_m: float) -> DepthNoise:
+    """The noise where surfaces are known to `sigma_m` only, which adds its variance at 0.4 m."""
+    return replace(noise, sigma_base_m=math.hypot(noise.sigma_base_m, sigma_m))
 
 
 def log_density_of_hit(
