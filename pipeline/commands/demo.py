@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 )
 @common_options("slam", "learn", "parse")
 def command(common: Common, out: Path) -> None:
-    """Film five objects, learn them, find them on a table, and compare everything with the truth.
+    """Film five objects, learn them and find them on a table.
 
-    Ends 0 only if the camera, the shapes and the poses are as good as they have to be.
+    Everything is compared with the truth: ends 0 only if the camera, the shapes and the poses are as good as
+    they have to be.
     """
     from pipeline.demo import demonstrate
     from pipeline.timing import timed

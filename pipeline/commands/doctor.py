@@ -11,9 +11,10 @@ from pipeline.options import Common, common_options
 @common_options()
 @click.pass_context
 def command(ctx: click.Context, common: Common) -> None:
-    """Versions, JAX device, and missing system libraries with the package that holds them.
+    """Versions, JAX device and missing system libraries.
 
-    Ends with exit code 1 where something that every command needs is missing.
+    Each library with the package that holds it. Ends with exit code 1 where something that every command
+    needs is missing.
     """
     from pipeline.quiet_stdout import stdout_to_stderr
     from pipeline.system_check import checks

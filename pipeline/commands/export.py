@@ -32,10 +32,11 @@ def command(
     units: Any,
     shells: bool,
 ) -> None:
-    """Write a learned shape, or what a RUN found, for other programs; manifest.json says what is what.
+    """Write a learned shape, or what a RUN found, for other programs.
 
-    Surfaces are closed and wound outward, with enclosed voxels filled. Meshes are in metres unless --units
-    says otherwise; BOP is in millimetres and GLB in metres by their own rules.
+    A manifest.json beside it says what is what. Surfaces are closed and wound outward, with enclosed voxels
+    filled. Meshes are in metres unless --units says otherwise; BOP is in millimetres and GLB in metres by
+    their own rules.
     """
     from pipeline.export.run_export import RUN_FORMATS, export_run
     from pipeline.export.shape_export import SHAPE_FORMATS, export_shape

@@ -43,7 +43,7 @@ def command(
     intrinsics: tuple[float, float, float, float] | None,
     common: Common,
 ) -> None:
-    """Write SRC, a folder or bag of another program, as the recording OUT.mcap.
+    """Write SRC, of another program, as the recording OUT.mcap.
 
     \b
     tum      depth.txt, rgb.txt, groundtruth.txt and their images (TUM RGB-D)

@@ -44,7 +44,10 @@ def command(
     pitch_m: float | None,
     poses: str,
 ) -> None:
-    """Learn the shape of the object that REC looks at; runs slam first if RUN has none."""
+    """Learn the shape of the object that REC looks at.
+
+    Runs slam first if RUN has none.
+    """
     from pipeline.project import FILE_NAME
     from pipeline.publishing.publish import stage_document
     from pipeline.session import open_session

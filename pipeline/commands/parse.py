@@ -83,7 +83,10 @@ def command(
     shape_samples: int | None,
     presence: float | None,
 ) -> None:
-    """Find the objects in REC, with their poses, what rests on what, and the uncertainty of both."""
+    """Find the objects in REC, their poses and what rests on what.
+
+    Each with its uncertainty. Runs slam first where several frames are used.
+    """
     from pipeline.publishing.publish import stage_document
     from pipeline.session import open_session
     from pipeline.stages.parse import parse_stage

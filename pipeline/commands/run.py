@@ -26,7 +26,9 @@ from pipeline.options import Common, common_options
 def command(
     ctx: click.Context, common: Common, project_file: Path, run_path: Path | None, force: bool
 ) -> None:
-    """Run every recording of PROJECT.toml through its stages; what is done and unchanged stays.
+    """Run every recording of PROJECT.toml through its stages.
+
+    What is done and unchanged stays.
 
     \b
     [[recording]]

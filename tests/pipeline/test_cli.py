@@ -67,6 +67,16 @@ def test_every_command_has_help_and_stands_in_the_readme(
     assert f"voxscene {' '.join(words)}" in readme or isinstance(command, click.Group)
 
 
+@pytest.mark.parametrize("words", [[], ["bench"], ["eval"], ["synth"]])
+def test_lists_of_commands_are_not_cut_off(words: list[str]) -> None:
+    """In a terminal of 80 columns."""
+    listed = CliRunner().invoke(voxscene, [*words, "--help"], terminal_width=80).stdout
+    lines = listed.split("Commands:")[1].strip().splitlines()
+
+    assert lines
+    assert all(line.endswith(".") and not line.endswith("...") for line in lines)
+
+
 @pytest.mark.parametrize(
     ("error", "line"),
     [

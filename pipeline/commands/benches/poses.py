@@ -65,7 +65,9 @@ def command(
     growth: bool,
     csv_path: Path | None,
 ) -> None:
-    """ADD-S on synthetic tables, a third of the objects stacked; depth only, no masks, objects known.
+    """ADD-S on synthetic tables, beside registration and ICP.
+
+    A third of the objects is stacked; depth only, no masks, objects known.
 
     Objects of which less than a quarter is seen are not judged. Seconds are of a table, without compiling.
     Each table's line is printed when it is done; an interrupted run prints the figures of those before.

@@ -17,10 +17,11 @@ MOVES = 2_000_000
 )
 @common_options()
 def command(common: Common, moves: int) -> None:
-    """Total variation of visited scene graphs from the enumerated posterior, for 2, 3 and 4 objects.
+    """Scene graphs visited beside the enumerated posterior.
 
-    The kernel is the one that parses scenes; only the likelihood is replaced by a number for every graph:
-    the same for all, and, in the column `with data`, at random.
+    Their total variation, for 2, 3 and 4 objects. The kernel is the one that parses scenes; only the
+    likelihood is replaced by a number for every graph: the same for all, and, in the column `with data`, at
+    random.
     """
     from pipeline.jax_setup import keep_compiled_kernels
 

@@ -72,7 +72,9 @@ def command(
     against: str,
     csv_path: Path | None,
 ) -> None:
-    """Learned shapes against true meshes, filmed from rings at 25 and 55 degrees.
+    """Learned shapes against true meshes.
+
+    The objects are filmed from rings at 25 and 55 degrees.
 
     \b
     solid     occupied or enclosed voxels against the solid object

@@ -43,10 +43,10 @@ from pipeline.peers import PEERS
 def command(
     common: Common, rooms: int, runs: int, only: str, against: str, data: Path, csv_path: Path | None
 ) -> None:
-    """Tracking errors: real recordings first, then bare and furnished rooms, object views, whole circles.
+    """Tracking errors, in real recordings and seeded rooms.
 
-    Every peer is tuned, in rooms of other seeds or on the real recording itself. With all rows, peers and
-    ten rooms it takes about an hour.
+    Bare and furnished rooms, views round an object and whole circles. Every peer is tuned, in rooms of other
+    seeds or on the real recording itself. With all rows, peers and ten rooms it takes about an hour.
     """
     from pipeline.errors import PipelineError
     from pipeline.jax_setup import keep_compiled_kernels

@@ -12,10 +12,10 @@ from pipeline.options import Common, common_options
 @click.command(name="speed")
 @common_options()
 def command(common: Common) -> None:
-    """Hypotheses rendered and scored a second, by image side, objects and voxels; Embree beside it.
+    """Hypotheses rendered and scored a second, beside Embree.
 
-    Random distinct poses, results consumed; compile time apart. The object's circle spans a third of the
-    image's side. Takes about two minutes.
+    By image side, objects and voxels. Random distinct poses, results consumed; compile time apart. The
+    object's circle spans a third of the image's side. Takes about two minutes.
     """
     from pipeline.jax_setup import keep_compiled_kernels
 

@@ -27,10 +27,11 @@ SAME_SIZE = 0.01
 )
 @common_options()
 def command(common: Common, run: Path, truth: Path) -> None:
-    """ADD-S of each object in RUN, which was parsed with the objects' own meshes.
+    """ADD-S of each object in RUN.
 
-    ADD-S is the mean distance from points of the object at its true pose to its surface at the pose found.
-    Objects of the truth that RUN did not look for are named and left out; so are false finds.
+    RUN was parsed with the objects' own meshes. ADD-S is the mean distance from points of the object at its
+    true pose to its surface at the pose found. Objects of the truth that RUN did not look for are named and
+    left out; so are false finds.
     """
     from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
     from pipeline.evaluation.truth import RecordedTruth

@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 )
 @common_options()
 def command(common: Common, run: Path, truth: Path | None, held_back: Path | None) -> None:
-    """Intersection over union of the shapes in RUN with the truth of the recording they were learned from.
+    """Intersection over union of the shapes in RUN with the truth.
 
-    The truth is laid where the run's camera saw it, by all its frames together. Without a truth: how far,
-    along the rays, the learned surfaces lie from depth that learning did not get.
+    The truth is that of the recording they were learned from, laid where the run's camera saw it, by all its
+    frames together. Without a truth: how far, along the rays, the learned surfaces lie from depth that
+    learning did not get.
 
     \b
     solid     occupied or enclosed voxels against the solid object

@@ -32,9 +32,10 @@ from pipeline.peers import PEERS
 def command(
     run_path: Path, reference: Path, against: str | None, recording: Path | None, common: Common
 ) -> None:
-    """Trajectory errors of RUN: aligned (ATE), from the first pose, and of each step (RPE); coverage.
+    """Trajectory errors of RUN and the coverage of its regions.
 
-    Each peer is run with several settings, and its best result counts.
+    Aligned (ATE), from the first pose, and of each step (RPE). Each peer is run with several settings, and
+    its best result counts.
     """
     from pipeline.config import build
     from pipeline.evaluation.trajectories import (
