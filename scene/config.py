@@ -13,7 +13,8 @@ class ParseConfig:
     Attributes:
         objects: names of the objects to look for; none means all that are known.
         frames: numbers of the depth frames that are used; none means the first that shows enough.
-        graph: `infer` samples scene graphs, `fixed` keeps every object floating (the ablation 3DP3*).
+        graph: `infer` samples scene graphs, `fixed` keeps every object floating, which costs nothing then
+            (the ablation 3DP3*).
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
         presence: prior probability that an object is there.
         rounds: of renewed search on what is left unexplained.

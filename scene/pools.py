@@ -97,7 +97,8 @@ class Pools:
             slack_share=config.slack_share,
             floating_weight=config.floating_weight,
         )
-        return replace(layers, rests=gravity.rests(table, self.objects, poses, 1 / config.pixel_weight))
+        below = table if config.graph == "infer" else None
+        return replace(layers, rests=gravity.rests(below, self.objects, poses, 1 / config.pixel_weight))
 
     def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
         """The chosen poses (N, 7) of a scene (N,), of the absent ones any."""

@@ -1,0 +1,56 @@
+"""What the search holds against poses before it looks at the image."""
+
+from typing import Literal
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.synthesis.world import Part, RayCaster
+from recordings.types import CameraIntrinsics, DepthNoise
+from scene.config import ParseConfig
+from scene.foreground import scene_data
+from scene.pools import Pools
+from scene.rendering import ObjectRenderer
+from scene.scene_object import scene_object
+from shapes.poses import poses_of
+
+INTRINSICS = CameraIntrinsics(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
+DOWNWARD = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]])
+"""World_from_camera, 80 cm above the table."""
+EDGE_M = 0.06
+
+
+@pytest.mark.parametrize(("graph", "costs"), [("infer", True), ("fixed", False)])
+def test_only_graphs_in_which_things_rest_make_floating_costly(
+    graph: Literal["infer", "fixed"], costs: bool, seed: int
+) -> None:
+    """A box that stands on the table, and one 20 cm above it: with every object floating both are alike."""
+    mesh = trimesh.creation.box((EDGE_M,) * 3)
+    slab = trimesh.creation.box((1.0, 1.0, 0.02))
+    heights_m = (EDGE_M / 2, EDGE_M / 2 + 0.2)
+    places = [trimesh.transformations.translation_matrix((0, 0, height)) for height in heights_m]
+    below = trimesh.transformations.translation_matrix((0, 0, -0.01))
+    table = Part(name="table", mesh=slab, world_from_part=below)
+    hangs = Part(name="box", mesh=mesh, world_from_part=places[1])
+    depth_m = RayCaster([table, hangs]).view(INTRINSICS, DOWNWARD).depth_m
+    box = scene_object("box", mesh.vertices, mesh.faces)
+    data = scene_data(depth_m.astype(np.float32), INTRINSICS, seed)
+    poses = poses_of(np.linalg.inv(DOWNWARD) @ np.stack(places))[None].astype(np.float32)
+
+    with jax.enable_x64(False):  # as the program starts it
+        pools = Pools.of(
+            data,
+            [box],
+            ObjectRenderer.of([box]),
+            DepthNoise(),
+            ParseConfig(graph=graph),
+            2,
+            np.random.default_rng(seed),
+        )
+        standing, hanging = np.asarray(pools.with_poses(poses, 0).layers.rests.log_alone)[0, :2]
+
+    assert data.table is not None
+    assert standing == pytest.approx(0, abs=0.1)
+    assert hanging < -1 if costs else hanging == 0
