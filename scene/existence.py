@@ -92,6 +92,7 @@ def filled(layers: PoseLayers, choice: jax.Array, banned: jax.Array) -> jax.Arra
             nearer = layers.depth_m[one] < front_m[None]
             gain = jnp.sum(jnp.where(nearer, layers.log_density[one] - density[None], 0.0), axis=1)
             gain = gain + layers.log_alone[one] + layers.rests.given(choice, one)
+            gain = gain.at[none(layers)].set(-jnp.inf)  # rounding is no object
             return jnp.argmax(gain), jnp.max(gain)
 
         poses, gain = jax.lax.map(best, objects)
