@@ -22,6 +22,8 @@ NARROWEST_HALF_M = 0.12
 """A narrower plane is an object's face."""
 CONNECTED_M = 0.05
 """A gap in a plane's points at which another piece of furniture of the same height begins."""
+PIECE_POINTS = 5
+"""Within that distance of each other; pieces that a neighbour has taken points from have fewer."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,13 +137,18 @@ def _largest_piece(members: NDArray[np.float64], points_m: NDArray[np.float64]) 
     parts = _pieces(members)
     if parts.max() < 0:
         return np.ones(len(members), bool)
-    first, *others = np.argsort(-np.bincount(parts[parts >= 0]), kind="stable")
+    sizes = np.bincount(parts[parts >= 0])
+    first, *others = np.argsort(-sizes, kind="stable")
     largest = parts == first
-    large = [part for part in others if _table(members[parts == part]).half_size_m.max() > NARROWEST_HALF_M]
+    large = [part for part in others if sizes[part] >= PIECE_POINTS and _is_large(members[parts == part])]
     if not large:
         return largest
     joined = _pieces(np.concatenate([members, _hidden(members, points_m)]))[: len(members)]
     return largest | (np.isin(parts, large) & np.isin(parts, parts[np.isin(joined, joined[largest])]))
+
+
+def _is_large(members: NDArray[np.float64]) -> bool:
+    return bool(_table(members).half_size_m.max() > NARROWEST_HALF_M)
 
 
 def _hidden(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -155,7 +162,7 @@ def _hidden(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDAr
 
 def _pieces(points_m: NDArray[np.floating]) -> NDArray[np.int64]:
     """The piece (N,) that each point belongs to, -1 for strays."""
-    return np.asarray(_cloud(points_m).cluster_dbscan(CONNECTED_M, 5))
+    return np.asarray(_cloud(points_m).cluster_dbscan(CONNECTED_M, PIECE_POINTS))
 
 
 def _fitted_plane(members: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

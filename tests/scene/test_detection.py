@@ -75,6 +75,17 @@ def test_faces_of_several_objects_are_no_table(seed: int) -> None:
     assert support_plane(in_camera(np.concatenate([plane[on_face], before])), 1, lambda _: True) is None
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_strays_in_a_plane_come_in_pieces_of_two(seed: int) -> None:
+    """Sparse points all round at a table's height, of which a neighbouring piece leaves some two or one."""
+    rng = np.random.default_rng(seed)
+    flat, strays = surface(rng, 0.0)[:7000], rng.uniform([-2, -2, 0], [2, 2, 0], (13_000, 3))
+    block = rng.uniform([-0.05, -0.05, 0.1], [0.05, 0.05, 0.1], (1500, 3))
+    table = support_plane(in_camera(np.concatenate([flat, strays, block])), 1, lambda _: True)
+    assert table is not None
+    assert abs(np.median(table.heights(in_camera(flat)))) < 0.001
+
+
 def test_a_cloud_without_anything_on_a_plane_has_no_table(seed: int) -> None:
     """A bare wall supports nothing."""
     wall = np.random.default_rng(seed).uniform([-1, -1, 2], [1, 1, 2], (5000, 3))
