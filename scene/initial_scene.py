@@ -17,7 +17,7 @@ class Initialisation:
     Attributes:
         poses: (N, 7) camera_from_box, wxyz_xyz; meaningless where not found.
         found: (N,) bool.
-        log_odds: (N,) of each object being there against not, with the likelihood's exponent 1.
+        log_odds: (N,) of each object being there against not, or another thing in its place.
         pools: (N, K, 7).
         log_gains: (N, K) log density of the scene with each pose of the pool in place of the best one,
             less that of the best scene; the last column is without the object.

@@ -27,6 +27,7 @@ from scene.detection import SupportPlane, clusters
 from scene.existence import best_scene, rivals
 from scene.found_objects import FoundObjects
 from scene.initial_scene import Initialisation
+from scene.lookalikes import log_odds_against_lookalikes
 from scene.observation import unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.polishing import polished
@@ -93,11 +94,11 @@ def initialise(
     close = [one for one in _closest(log_odds)[:RIVALS] if abs(log_odds[one]) < UNDECIDED]
     if close:
         pools, scene = _decided(last_key, pools, [scene, *others[close]], searched, noise)
-        _, log_odds = _rivals(pools, scene)
+    pools, scene, log_odds = _without_lookalikes(pools, scene, noise)
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
         found=scene < pools.absent,
-        log_odds=log_odds.astype(np.float64),
+        log_odds=log_odds,
         pools=pools.poses.astype(np.float64),
         log_gains=np.asarray(_gains(pools.layers, scene), np.float64),
     )
@@ -166,6 +167,32 @@ def _decided(
     log_densities = [float(log_density_of_choice(pools.layers, jnp.asarray(one))) for one in scenes]
     best = scenes[int(np.argmax(log_densities))]
     return pools, _best(pools, best)
+
+
+def _without_lookalikes(
+    pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+) -> tuple[Pools, NDArray[np.integer], NDArray[np.float64]]:
+    """The scene without objects in whose place a lookalike is more probable, and everyone's log odds (N,).
+
+    One after the other they are left out, the least probable first, and others may take their places.
+    """
+    config, kept = pools.config, np.full(len(scene), np.nan)
+    noise = with_surface_error(noise, config.model_error_m)
+    while True:
+        _, by_scene = _rivals(pools, scene)
+        odds = config.pixel_weight * by_scene.astype(np.float64)
+        by_look = log_odds_against_lookalikes(
+            pools.data, noise, pools.shown(scene), config.presence, config.pixel_weight
+        )
+        found = scene < pools.absent
+        odds = np.where(found, -np.logaddexp(-odds, -by_look), odds)
+        odds = np.where(np.isnan(kept), odds, kept)
+        worst = int(np.argmin(np.where(found, odds, np.inf)))
+        if not found[worst] or odds[worst] >= 0:
+            return pools, scene, odds
+        kept[worst] = odds[worst]
+        pools = pools.without(worst)
+        scene = _best(pools, np.where(np.arange(len(scene)) == worst, pools.absent, scene))
 
 
 def _refined(

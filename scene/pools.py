@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,6 +81,11 @@ class Pools:
         numbers = np.repeat(np.arange(len(found)), found.shape[1])
         depth_m = self.renderer.layers(numbers, found.reshape(-1, 7), self.data.window)
         return replace(self, poses=poses, layers=self._with_layers(depth_m, poses, found, first))
+
+    def without(self, one: int) -> Pools:
+        """The pools with nothing but absence for an object."""
+        log_alone = self.layers.log_alone.at[one, : self.absent].set(-jnp.inf)
+        return replace(self, layers=replace(self.layers, log_alone=log_alone))
 
     def _with_layers(
         self,

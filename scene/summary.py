@@ -97,7 +97,7 @@ def summarise(
         camera_from_object=np.stack([mean for mean, _ in moments]),
         covariance=np.stack([covariance for _, covariance in moments]),
         most_probable=poses[int(flat.log_posterior.argmax())],
-        presence=expit(log_odds_of_presence(config.pixel_weight * start.log_odds, unseen, config.presence)),
+        presence=expit(log_odds_of_presence(start.log_odds, unseen, config.presence)),
         visible_fraction=visible_fraction,
         mode_poses=np.stack([poses for poses, _ in modes]),
         mode_probabilities=np.stack([shares for _, shares in modes]),
