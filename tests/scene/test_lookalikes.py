@@ -39,7 +39,7 @@ SHAPES = {
 }
 
 
-def seen(shape: str | None, turn_rad: float = 0.5) -> NDArray[np.float64]:
+def seen(shape: str | None, turn_rad: float = 0.5) -> NDArray[np.floating]:
     """Depth (240, 320) of one shape that stands on a table, or of the table alone."""
     stood = trimesh.transformations.rotation_matrix(turn_rad, (0, 0, 1))
     table = trimesh.creation.box((1.0, 1.0, 0.02))
@@ -70,7 +70,7 @@ def observed(shape: str, seed: int) -> SceneData:
     return scene_data(noisy_m.astype(np.float32), INTRINSICS, seed)
 
 
-def layer(data: SceneData, shape: str) -> NDArray[np.float64]:
+def layer(data: SceneData, shape: str) -> NDArray[np.floating]:
     """Depth (H, W) of a shape alone in the window, in the place where another may be."""
     whole_m = seen(shape)
     alone_m = np.where(whole_m < seen(None) - 1e-4, whole_m, np.inf)
