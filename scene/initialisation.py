@@ -94,7 +94,7 @@ def initialise(
     close = [one for one in _closest(log_odds)[:RIVALS] if abs(log_odds[one]) < UNDECIDED]
     if close:
         pools, scene = _decided(last_key, pools, [scene, *others[close]], searched, noise)
-    pools, scene, log_odds = _without_lookalikes(pools, scene, noise)
+    scene, log_odds = _without_lookalikes(pools, scene, noise)
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
         found=scene < pools.absent,
@@ -171,7 +171,7 @@ def _decided(
 
 def _without_lookalikes(
     pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
-) -> tuple[Pools, NDArray[np.integer], NDArray[np.float64]]:
+) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """The scene without objects in whose place a lookalike is more probable, and everyone's log odds (N,).
 
     One after the other they are left out, the least probable first, and others may take their places.
@@ -189,7 +189,7 @@ def _without_lookalikes(
         odds = np.where(np.isnan(kept), odds, kept)
         worst = int(np.argmin(np.where(found, odds, np.inf)))
         if not found[worst] or odds[worst] >= 0:
-            return pools, scene, odds
+            return scene, odds
         kept[worst] = odds[worst]
         pools = pools.without(worst)
         scene = _best(pools, np.where(np.arange(len(scene)) == worst, pools.absent, scene))

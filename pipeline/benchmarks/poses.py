@@ -17,9 +17,10 @@ import trimesh
 
 from pipeline.benchmarks.learned_objects import Sought
 from pipeline.benchmarks.pose_figures import Judged
-from pipeline.benchmarks.pose_tables import Table, make_table, observed_points
+from pipeline.benchmarks.pose_presence import Reported
+from pipeline.benchmarks.pose_tables import VISIBLE, Table, make_table, observed_points
 from pipeline.evaluation.object_poses import add_s_m, model_points
-from pipeline.evaluation.scenes import object_errors, parents_right
+from pipeline.evaluation.scenes import ObjectError, object_errors, parents_right
 from pipeline.peers.registration import Model, Register, settings
 from pipeline.timing import Timing, timed
 from recordings.truth import TrueObject
@@ -122,9 +123,43 @@ class PoseBench:
                 "under_1cm": float(np.mean(np.array(errors) < 0.01)) if errors else None,
             }
 
-    def _parsed(self, table: Table, config: ParseConfig) -> tuple[SceneResult, Timing]:
-        """The scene, and the time that it took."""
-        names = list(dict.fromkeys(one.shape for one in table.recording.truth.objects))
+    def presences(self, number: int, absent: int) -> list[Reported]:
+        """What is said on table `number` if of its objects so many others are asked for in the place of some.
+
+        The prior told is the share of those asked for that are there; those of which less than VISIBLE is
+        seen do not count.
+        """
+        table = make_table(self._meshes, self._count, self._seed + number)
+        names, rng = _shapes(table), np.random.default_rng([self._seed + number, absent])
+        others = [name for name in sorted(self._meshes) if name not in names]
+        swapped = min(absent, len(names), len(others))
+        asked = sorted({*rng.permutation(names)[swapped:], *rng.permutation(others)[:swapped]})
+        share = np.clip(1 - swapped / len(asked), 0.1, 0.9)
+        scene, _ = self._parsed(table, ParseConfig(presence=float(share)), asked)
+        truth = [one for one in table.recording.truth.objects if one.shape in asked]
+        errors = {one.name: one.add_s_m for one in self._errors(table, scene)}
+        there = {one.shape: one for one in truth}
+        return [
+            Reported(
+                shape=name,
+                presence=float(presence),
+                there=name in there,
+                error_m=errors[there[name].name] if name in there else np.inf,
+            )
+            for name, presence in zip(scene.names.tolist(), scene.presence, strict=True)
+            if name not in there or (there[name].visible_fraction or 0.0) >= VISIBLE
+        ]
+
+    def _errors(self, table: Table, scene: SceneResult) -> list[ObjectError]:
+        truth = table.recording.truth.objects
+        frames = {name: one.shape_from_object for name, one in self._sought.items()}
+        return object_errors(truth, self._meshes, table.camera_from_world, scene.found_poses, frames)
+
+    def _parsed(
+        self, table: Table, config: ParseConfig, names: Sequence[str] | None = None
+    ) -> tuple[SceneResult, Timing]:
+        """The scene of the table's own objects or those named, and the time that it took."""
+        names = _shapes(table) if names is None else names
         for name in names:
             if name not in self._sought:
                 self._sought[name] = self._make(name, self._meshes[name])
@@ -144,11 +179,8 @@ class PoseBench:
     def _judged(
         self, number: int, table: Table, method: str, scene: SceneResult, seconds: float
     ) -> list[Judged]:
-        truth = table.recording.truth.objects
-        frames = {name: one.shape_from_object for name, one in self._sought.items()}
-        errors = object_errors(truth, self._meshes, table.camera_from_world, scene.found_poses, frames)
-        by_name = {error.name: error.add_s_m for error in errors}
-        parents = parents_right(scene, truth)
+        by_name = {error.name: error.add_s_m for error in self._errors(table, scene)}
+        parents = parents_right(scene, table.recording.truth.objects)
         return [
             _judgement(number, method, "", one, by_name[one.name], parents.get(one.name), seconds)
             for one in table.judged
@@ -179,6 +211,10 @@ class PoseBench:
                     for setting, register in registers.items():
                         scores[setting].append(min(self._peer_error(table, one, register, seen), 0.1))
         return min(scores, key=lambda setting: float(np.mean(scores[setting] or [0.0])))
+
+
+def _shapes(table: Table) -> list[str]:
+    return list(dict.fromkeys(one.shape for one in table.recording.truth.objects))
 
 
 def _judgement(

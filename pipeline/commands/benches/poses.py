@@ -47,6 +47,12 @@ MOST_OBJECTS = 10
     "--growth", is_flag=True, help="Instead: seconds of a table against its number of objects, 1 to 10."
 )
 @click.option(
+    "--absent",
+    type=click.IntRange(min=1),
+    metavar="K",
+    help="Instead: ask for so many shapes that are not there in place of so many that are.",
+)
+@click.option(
     "--csv",
     "csv_path",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -63,6 +69,7 @@ def command(
     learned: int | None,
     against: str,
     growth: bool,
+    absent: int | None,
     csv_path: Path | None,
 ) -> None:
     """ADD-S on synthetic tables, beside registration and ICP.
@@ -89,6 +96,8 @@ def command(
     bench = PoseBench(known, objects, common.seed, sought)
     if growth:
         _growth(common, bench)
+    elif absent:
+        _presences(common, bench, range(first, first + tables), absent)
     else:
         _tables(common, bench, range(first, first + tables), peers, csv_path)
 
@@ -142,6 +151,33 @@ def _growth(common: Common, bench: PoseBench) -> None:
     common.report(
         {"growth": rows}, [f"{each:.2f} s an object of {MOST_OBJECTS}, {rows[0]['seconds']:.2f} s of one"]
     )
+
+
+def _presences(common: Common, bench: PoseBench, numbers: range, absent: int) -> None:
+    from pipeline.benchmarks.pose_presence import presence_figures
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    reported = []
+    for number in numbers:
+        with stdout_to_stderr():
+            table = bench.presences(number, absent)
+        reported += table
+        said = (f"{one.shape}{'' if one.there else ' (absent)'} {one.presence:.2f}" for one in table)
+        _say(common, f"table {number}: {', '.join(said)}")
+    figures = presence_figures(reported)
+    common.report(
+        figures,
+        [
+            f"{figures['asked']} asked for, {figures['absent']} of them absent:"
+            f" {figures['false']} found where they are not, {figures['missed']} missed",
+            "presence   count  right",
+            *map(_bin_line, figures["calibration"]),
+        ],
+    )
+
+
+def _bin_line(row: dict[str, Any]) -> str:
+    return f"{row['presence']:>8.2f}  {row['count']:>6}  {row['right']:>5.2f}"
 
 
 def _say(common: Common, line: str) -> None:

@@ -9,12 +9,14 @@ import trimesh
 
 from pipeline.benchmarks.learned_objects import true_object
 from pipeline.benchmarks.pose_figures import Judged, append_rows, pose_figures, read_rows
+from pipeline.benchmarks.pose_presence import Reported, presence_figures
 from pipeline.benchmarks.pose_tables import VISIBLE, Table, make_table, observed_points
 from pipeline.benchmarks.poses import PoseBench
 from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.peers.registration import Model, settings
 from pipeline.synthesis.objects import built_in_object
+from scene.config import ParseConfig
 from tests.scene.results import scene_result
 
 SHAPES = ("bracket", "mug", "bottle")
@@ -126,3 +128,50 @@ def test_rows_are_kept_between_runs(judged: list[Judged], tmp_path: Path) -> Non
     path.write_text("error_m\nfar\n")
     with pytest.raises(PipelineError, match=r"poses\.csv"):
         read_rows(path)
+
+
+def test_presence_is_counted_against_what_is_there() -> None:
+    """Absent or misplaced but found is false; there but not found is missed; each bin has its own share."""
+
+    def said(presence: float, there: bool, error_m: float = np.inf) -> Reported:
+        return Reported(shape="mug", presence=presence, there=there, error_m=error_m)
+
+    figures = presence_figures(
+        [
+            said(1.0, True, 0.001),
+            said(0.99, False),
+            said(0.7, True, 0.1),
+            said(0.4, True, 1.0),
+            said(0.01, False),
+        ]
+    )
+    assert (figures["asked"], figures["absent"]) == (5, 2)
+    assert (figures["false"], figures["missed"]) == (2, 1)
+    assert [one["count"] for one in figures["calibration"]] == [1, 1, 1, 2]
+    assert [one["right"] for one in figures["calibration"]] == [0.0, 1.0, 0.0, 0.5]
+    assert figures["calibration"][-1]["presence"] == pytest.approx(0.995)
+
+
+def test_absent_shapes_are_asked_for_in_place_of_present_ones(
+    meshes: dict[str, trimesh.Trimesh], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of two on the table, and the one that is not; what is found without being there has no error."""
+    bench = PoseBench(meshes, 2, 5, true_object)
+    table = make_table(meshes, 2, 5)
+    present = {one.shape for one in table.recording.truth.objects}
+    asked: list[str] = []
+
+    def parsed(_: PoseBench, table: Table, config: object, names: list[str]) -> tuple[object, None]:
+        assert config == ParseConfig(presence=0.5)
+        asked[:] = names
+        truth = table.recording.truth.objects
+        true = {one.shape: table.camera_from_world @ one.world_from_object for one in truth}
+        return scene_result(names, [true.get(name, np.eye(4)) for name in names], [2, 2]), None
+
+    monkeypatch.setattr(PoseBench, "_parsed", parsed)
+    reported = {one.shape: one for one in bench.presences(0, 1)}
+    assert len(present & set(asked)) == 1
+    assert len(set(asked) - present) == 1
+    for name, one in reported.items():
+        assert one.there == (name in present)
+        assert one.right == one.there
