@@ -14,12 +14,11 @@ import jax.numpy as jnp
 
 from scene import quaternions
 from scene.dice import Dice, drawn_object
-from scene.graph import SceneGraph
 from scene.involution import Offer
 from scene.model import ChainState, SceneModel
 from scene.pose_moves import normalised
-from scene.pose_offer import PoseOffer
-from scene.turned_faces import placed
+from scene.pose_offer import OfferContext, PoseOffer
+from scene.turned_faces import at_reference, placed
 
 SMALLEST, LARGEST = 0.15, 1.2
 """Scales of near steps over the standard deviations of the pose, log-uniform between these."""
@@ -69,18 +68,17 @@ class CandidateMove:
         """The poses, of which one is to be chosen."""
         scene = state.scene
         chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
-        poses, log_offered = self._poses(dice.without(1), model, scene, chosen)
-        reference = self.offer.mixture.centres[chosen, 0, :4]
-        scenes = jax.vmap(partial(placed, scene, chosen, reference))(poses)
+        turned = at_reference(scene, chosen, self.offer.mixture.centres[chosen, 0])
+        context = self.offer.context(model, turned, chosen)
+        poses, log_offered = self._poses(dice.without(1), context, scene.poses[chosen])
+        scenes = jax.vmap(partial(placed, turned, chosen))(poses)
         return Offer(scenes, log_offered, jnp.zeros_like(state.log_prior))
 
     def _poses(
-        self, dice: Dice, model: SceneModel, scene: SceneGraph, chosen: jax.Array
+        self, dice: Dice, context: OfferContext, present: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """The poses (K, 7), the present one first, and the log densities (K,) by which they were drawn."""
-        present, axis = scene.poses[chosen], self.axes[chosen]
-        reference = self.offer.mixture.centres[chosen, 0]
-        context = self.offer.context(model, placed(scene, chosen, reference[:4], reference), chosen)
+        axis = self.axes[context.chosen]
         (coin, size, spin), uniform = dice.uniform[:3], dice.uniform[3:]
         normal = dice.normal[: self.normals].reshape(self.count, 6)
         each = Dice(uniform[: self.uniforms - 4].reshape(self.count - 1, -1), normal[1:])

@@ -41,7 +41,7 @@ def drawn_place(weights: jax.Array, uniform: jax.Array) -> jax.Array:
     """Place in a short table (n,) of weights; the last place with a weight ends the table."""
     cumulative = jnp.cumsum(weights)
     place = jnp.sum(cumulative <= uniform * cumulative[-1])
-    return jnp.minimum(place, len(weights) - 1 - jnp.argmax(weights[::-1] > 0))
+    return jnp.minimum(place, jnp.max(jnp.where(weights > 0, jnp.arange(len(weights)), 0)))
 
 
 def drawn_object(eligible: jax.Array, uniform: jax.Array) -> jax.Array:

@@ -12,7 +12,7 @@ the move is accepted with probability min(1, weight) (Cusumano-Towner et al. 202
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,8 @@ import jax.numpy as jnp
 from scene.dice import Dice, drawn_object, drawn_other, drawn_place
 from scene.graph import SceneGraph
 from scene.model import ChainState, Estimate, SceneModel
+
+Tree = TypeVar("Tree")
 
 
 class Move(Protocol):
@@ -95,8 +97,8 @@ def propose(
     chosen = drawn_object(eligible, dice.uniform[0])
     if move.objects == 2:
         chosen = jnp.stack([chosen, drawn_other(eligible, chosen, dice.uniform[1])])
-    context = move.context(model, scene, chosen)
-    auxiliary = move.sample(dice.without(move.objects), context)
+    context = computed_once(move.context(model, scene, chosen))
+    auxiliary = computed_once(move.sample(dice.without(move.objects), context))
     there, reverse, log_jacobian = move.involution(model, scene, chosen, auxiliary)
     log_ratio = move.log_density(context, reverse) - move.log_density(context, auxiliary)
     log_forward = log_ratio + log_jacobian
@@ -110,7 +112,12 @@ def propose(
         error = jnp.maximum(_difference(scene, back), asymmetry)
     scenes = jax.tree.map(lambda new, old: repeated(old, count).at[1].set(new), there, scene)
     log_offered = jnp.full(count, jnp.inf, log_forward.dtype).at[:2].set(jnp.stack([0.0, -log_forward]))
-    return Offer(scenes, log_offered, error)
+    return computed_once(Offer(scenes, log_offered, error))
+
+
+def computed_once(values: Tree) -> Tree:
+    """The same values; XLA would compute them anew for every one that reads them."""
+    return jax.lax.optimization_barrier(values)
 
 
 def repeated(leaf: jax.Array, count: int) -> jax.Array:
@@ -140,7 +147,7 @@ def decide(
     to_others = weights.at[0].set(0.0)
     other = drawn_place(to_others, uniform[0])
     rest = jnp.sum(jnp.where(jnp.arange(len(weights)) == other, 0.0, weights))
-    place = jnp.where(uniform[1] * rest < jnp.sum(to_others), other, 0).astype(jnp.int32)
+    place = computed_once(jnp.where(uniform[1] * rest < jnp.sum(to_others), other, 0).astype(jnp.int32))
     scene = jax.tree.map(lambda leaf: leaf[place], offer.scenes)
     state = ChainState(scene, log_priors[place], model.likelihood.chosen(estimates, place))
     return state, MoveInfo(place > 0, offer.involution_error)

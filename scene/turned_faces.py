@@ -29,21 +29,29 @@ _FACE_THERE = np.argsort(_POINTS_AS, axis=1)
 """Its inverse: the face that points, after a turn, where a face points in the reference."""
 
 
-def placed(scene: SceneGraph, chosen: jax.Array, reference: jax.Array, pose: jax.Array) -> SceneGraph:
+def at_reference(scene: SceneGraph, chosen: jax.Array, reference: jax.Array) -> SceneGraph:
+    """The scene with one object at a reference pose (7,) that does not depend on it, for `placed`."""
+    names = jnp.asarray(_POINTS_AS)[_turn(reference, scene.poses[chosen])]
+    return _renamed(scene, chosen, reference, names)
+
+
+def placed(scene: SceneGraph, chosen: jax.Array, pose: jax.Array) -> SceneGraph:
     """The scene with one object at another pose, everything else in its place, contacts where they point.
 
     Args:
-        scene: as it is.
+        scene: `at_reference`.
         chosen: the object.
-        reference: wxyz (4,) an orientation of the object that does not depend on the scene.
         pose: (7,).
     """
-    names = jnp.asarray(_FACE_THERE)[_turn(reference, pose[:4])][
-        jnp.asarray(_POINTS_AS)[_turn(reference, scene.poses[chosen, :4])]
-    ].astype(scene.child_faces.dtype)
-    own = jnp.where(
-        scene.parents[chosen] == ROOT, scene.child_faces[chosen], names[scene.child_faces[chosen]]
-    )
+    names = jnp.asarray(_FACE_THERE)[_turn(scene.poses[chosen], pose)]
+    return _renamed(scene, chosen, pose, names)
+
+
+def _renamed(scene: SceneGraph, chosen: jax.Array, pose: jax.Array, names: jax.Array) -> SceneGraph:
+    """The scene with one object at another pose (7,) and new names (6,) of its faces."""
+    names = names.astype(scene.child_faces.dtype)
+    own = scene.child_faces[chosen]
+    own = jnp.where(scene.parents[chosen] == ROOT, own, names[own])
     return replace(
         scene,
         poses=scene.poses.at[chosen].set(pose),
@@ -52,7 +60,8 @@ def placed(scene: SceneGraph, chosen: jax.Array, reference: jax.Array, pose: jax
     )
 
 
-def _turn(reference: jax.Array, wxyz: jax.Array) -> jax.Array:
-    """Which of the cube's rotations is nearest to the turn from the reference."""
-    relative = quaternions.times(quaternions.inverse(reference), wxyz)
-    return jnp.argmax(jnp.abs(jnp.sum(_TURNS_WXYZ * relative[None], axis=1)))
+def _turn(reference: jax.Array, pose: jax.Array) -> jax.Array:
+    """Which of the cube's rotations is nearest to the turn from the reference (7,)."""
+    relative = quaternions.times(quaternions.inverse(reference[:4]), pose[:4])
+    alike = jnp.abs(jnp.sum(_TURNS_WXYZ * relative[None], axis=1))
+    return jnp.max(jnp.where(alike == jnp.max(alike), np.arange(len(_TURNS_WXYZ)), 0))

@@ -27,8 +27,8 @@ from scene.model import ChainState, SceneModel
 OBJECTS = (2, 3, 4)
 CHAINS, GROUPS = 256, 2
 """Chains that are compiled together, and groups of them that run side by side."""
-BLOCK = 68
-"""Sweeps of each chain compiled together; the first block is dropped."""
+BLOCKS = 17
+"""Parts of the run, whose sweeps are compiled together; one more before them is dropped."""
 VERIFIED_CHAINS, VERIFIED_SWEEPS = 64, 40
 
 
@@ -80,13 +80,15 @@ def _measure(rng: np.random.Generator, count: int, moves: int) -> SamplerFigures
         for key, model in zip(start_keys, models, strict=True)
     ]
 
+    sweeps = -(-moves // (GROUPS * CHAINS * kernel.moves))
+    together = -(-sweeps // BLOCKS)
     started = time.perf_counter()
-    block = run_block.lower(run_key, states[0][0], models[0], kernel, BLOCK, code_of).compile()
+    block = run_block.lower(run_key, states[0][0], models[0], kernel, together, code_of).compile()
     compiled = time.perf_counter()
 
     def visits(key: jax.Array, model: SceneModel, state: ChainState) -> NDArray[np.int64]:
         counts = np.zeros(len(trees), np.int64)
-        for index in range(1 + -(-moves // (GROUPS * CHAINS * BLOCK * kernel.moves))):
+        for index in range(1 + -(-sweeps // together)):
             state, codes, _ = block(jax.random.fold_in(key, index), state, model, kernel)
             if index:
                 codes, numbers = np.unique(np.asarray(codes), return_counts=True)

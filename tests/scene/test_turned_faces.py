@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.benchmarks.cubes import cube_model, start_chains
 from scene.graph import SceneGraph
 from scene.orientations import cube_rotations
-from scene.turned_faces import placed
+from scene.turned_faces import at_reference, placed
 from tests.scene.test_contact import random_poses
 
 
@@ -35,13 +35,13 @@ def test_a_turned_cube_rests_as_it_did(key: jax.Array) -> None:
     model = replace(model, prior=replace(model.prior, contact_concentration=jnp.array(500.0)))
     scene, chosen = stack(), jnp.array(0)
     turns = jnp.asarray(Rotation.from_matrix(cube_rotations()).as_quat()[:, [3, 0, 1, 2]])
-    reference = random_poses(key, 1)[0, :4]
+    reference = random_poses(key, 1)[0]
     before = Rotation.from_quat(np.roll(scene.poses[0, :4], -1))
     turned = before * Rotation.from_quat(np.roll(turns, -1, axis=1))
     wxyz = jnp.asarray(turned.as_quat()[:, [3, 0, 1, 2]])
     poses = jnp.concatenate([wxyz, jnp.broadcast_to(scene.poses[0, 4:], (24, 3))], axis=1)
 
-    scenes = jax.vmap(partial(placed, scene, chosen, reference))(poses)
+    scenes = jax.vmap(partial(placed, at_reference(scene, chosen, reference), chosen))(poses)
 
     expected = float(model.log_prior(scene))
     assert np.isfinite(expected)
@@ -64,9 +64,8 @@ def test_names_of_faces_compose(key: jax.Array) -> None:
     reference, *poses = random_poses(pose_key, 129)
     first, second = jnp.stack(poses).reshape(2, 64, 7)
     for chosen in (0, 1):
-        at = jax.vmap(
-            lambda scene, pose, chosen=chosen: placed(scene, jnp.array(chosen), reference[:4], pose)
-        )
+        known = partial(at_reference, chosen=jnp.array(chosen), reference=reference)
+        at = jax.vmap(lambda scene, pose, known=known: placed(known(scene), known.keywords["chosen"], pose))
         direct = at(scenes, second)
         for other in (at(at(scenes, first), second), at(at(direct, first), second)):
             for one, same in zip(jax.tree.leaves(other), jax.tree.leaves(direct), strict=True):
