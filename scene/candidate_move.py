@@ -74,9 +74,7 @@ class CandidateMove:
         scenes = jax.vmap(partial(placed, turned, chosen))(poses)
         return Offer(scenes, log_offered, jnp.zeros_like(state.log_prior))
 
-    def _poses(
-        self, dice: Dice, context: OfferContext, present: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
+    def _poses(self, dice: Dice, context: OfferContext, present: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The poses (K, 7), the present one first, and the log densities (K,) by which they were drawn."""
         axis = self.axes[context.chosen]
         (coin, size, spin), uniform = dice.uniform[:3], dice.uniform[3:]

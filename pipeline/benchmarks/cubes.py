@@ -43,7 +43,9 @@ def cube_model(
     return SceneModel(bodies, prior, structure or WeightedTrees.uniform(), likelihood or NoData())
 
 
-def cube_kernel(count: int, structure: Move | None = None, *, prior_share: float = 0.6) -> Kernel:
+def cube_kernel(
+    count: int, structure: Move | None = None, *, prior_share: float = 0.6, repeats: int = 4
+) -> Kernel:
     """The production kernel, or another move of the graph, with walks as wide as the cubes."""
     centres = jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0]), (count, 1, 1))
     covariances = jnp.tile(jnp.diag(jnp.array([0.3, 0.3, 0.3, 0.8, 0.8, 0.8]) ** 2), (count, 1, 1, 1))
@@ -56,6 +58,7 @@ def cube_kernel(count: int, structure: Move | None = None, *, prior_share: float
         rotation_rad=2 * scale,
         axes=jnp.full(count, -1),
         candidates=2,
+        repeats=repeats,
         structure=structure or PairMove(),
     )
 

@@ -27,8 +27,10 @@ from scene.model import ChainState, SceneModel
 OBJECTS = (2, 3, 4)
 CHAINS, GROUPS = 256, 2
 """Chains that are compiled together, and groups of them that run side by side."""
-BLOCKS = 17
+BLOCKS = 20
 """Parts of the run, whose sweeps are compiled together; one more before them is dropped."""
+REPEATS = 1
+"""Of moves that leave in place what rests on an object: cubes mix sooner where most carry it along."""
 VERIFIED_CHAINS, VERIFIED_SWEEPS = 64, 40
 
 
@@ -70,7 +72,7 @@ def measure_sampler(
 def _measure(rng: np.random.Generator, count: int, moves: int) -> SamplerFigures:
     trees = all_trees(count)
     no_data, data = np.zeros(len(trees)), rng.normal(size=len(trees))
-    kernel = cube_kernel(count)
+    kernel = cube_kernel(count, repeats=REPEATS)
     *start_keys, run_key, data_key, verify_key = jax.random.split(jax.random.key(rng.integers(2**32)), 5)
     models = [
         cube_model(count, likelihood=GraphTable.build(trees, log_values)) for log_values in (no_data, data)
