@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.ahead import SELDOM
 from scene.initial_scene import Initialisation
 from scene.pose_mixture import PoseMixture
 from scene.poses import composed
@@ -125,7 +127,7 @@ def pose_proposals(
     return _in_world(world_from_camera, *map(filled, every), axes)
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SELDOM)
 def _in_world(
     world_from_camera: jax.Array,
     log_weights: jax.Array,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.adaptation import adapted, modes_of
+from scene.ahead import SELDOM
 from scene.chain import Kernel, run_block, scene_kernel
 from scene.cloud_images import CloudImages
 from scene.config import ParseConfig
@@ -248,7 +249,7 @@ def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
     return replace(kernel, candidates=replace(kernel.candidates, offer=offer))
 
 
-@partial(jax.jit, static_argnames="spare")
+@partial(jax.jit, static_argnames="spare", compiler_options=SELDOM)
 def _start(
     keys: jax.Array,
     model: SceneModel,

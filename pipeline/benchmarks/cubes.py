@@ -44,7 +44,12 @@ def cube_model(
 
 
 def cube_kernel(
-    count: int, structure: Move | None = None, *, prior_share: float = 0.6, repeats: int = 4
+    count: int,
+    structure: Move | None = None,
+    *,
+    prior_share: float = 0.6,
+    candidates: int = 2,
+    repeats: int = 4,
 ) -> Kernel:
     """The production kernel, or another move of the graph, with walks as wide as the cubes."""
     centres = jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0]), (count, 1, 1))
@@ -57,7 +62,7 @@ def cube_kernel(
         translation_m=scale,
         rotation_rad=2 * scale,
         axes=jnp.full(count, -1),
-        candidates=2,
+        candidates=candidates,
         repeats=repeats,
         structure=structure or PairMove(),
     )

@@ -28,9 +28,11 @@ OBJECTS = (2, 3, 4)
 CHAINS, GROUPS = 256, 2
 """Chains that are compiled together, and groups of them that run side by side."""
 BLOCKS = 20
-"""Parts of the run, whose sweeps are compiled together; one more before them is dropped."""
-REPEATS = 1
-"""Of moves that leave in place what rests on an object: cubes mix sooner where most carry it along."""
+"""Parts of the run, whose sweeps are compiled together."""
+BURN_IN = 48
+"""Sweeps at least that are dropped, by whole parts."""
+CANDIDATES, REPEATS = 3, 1
+"""Poses that are weighed together, and such moves a sweep: cubes mix sooner where more are carried along."""
 VERIFIED_CHAINS, VERIFIED_SWEEPS = 64, 40
 
 
@@ -72,7 +74,7 @@ def measure_sampler(
 def _measure(rng: np.random.Generator, count: int, moves: int) -> SamplerFigures:
     trees = all_trees(count)
     no_data, data = np.zeros(len(trees)), rng.normal(size=len(trees))
-    kernel = cube_kernel(count, repeats=REPEATS)
+    kernel = cube_kernel(count, candidates=CANDIDATES, repeats=REPEATS)
     *start_keys, run_key, data_key, verify_key = jax.random.split(jax.random.key(rng.integers(2**32)), 5)
     models = [
         cube_model(count, likelihood=GraphTable.build(trees, log_values)) for log_values in (no_data, data)
@@ -84,15 +86,16 @@ def _measure(rng: np.random.Generator, count: int, moves: int) -> SamplerFigures
 
     sweeps = -(-moves // (GROUPS * CHAINS * kernel.moves))
     together = -(-sweeps // BLOCKS)
+    dropped = -(-BURN_IN // together)
     started = time.perf_counter()
     block = run_block.lower(run_key, states[0][0], models[0], kernel, together, code_of).compile()
     compiled = time.perf_counter()
 
     def visits(key: jax.Array, model: SceneModel, state: ChainState) -> NDArray[np.int64]:
         counts = np.zeros(len(trees), np.int64)
-        for index in range(1 + -(-sweeps // together)):
+        for index in range(dropped + -(-sweeps // together)):
             state, codes, _ = block(jax.random.fold_in(key, index), state, model, kernel)
-            if index:
+            if index >= dropped:
                 codes, numbers = np.unique(np.asarray(codes), return_counts=True)
                 counts += np.where(codes[:, None] == tree_codes, numbers[:, None], 0).sum(axis=0)
         return counts
