@@ -54,6 +54,10 @@ UNDECIDED = 60.0
 object that shows nothing."""
 RIVALS = 6
 """Scenes beside the best one that get a polish before they are compared for good."""
+CONVINCING = 4.6
+"""Log odds, 99 to 1, above which an object is sought nowhere else."""
+PLACE, PLACES = 0.5, 3
+"""Half diagonals of an object that are one place, and places where it is looked at."""
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
 
 
@@ -174,25 +178,51 @@ def _without_lookalikes(
 ) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """The scene without objects in whose place a lookalike is more probable, and everyone's log odds (N,).
 
-    One after the other they are left out, the least probable first, and others may take their places.
+    The least probable object first, it is put elsewhere: where it stands it explains the image no better than
+    a lookalike does, and so it is where it looks most like itself, or nowhere.
     """
-    config, kept = pools.config, np.full(len(scene), np.nan)
-    noise = with_surface_error(noise, config.model_error_m)
+    noise = with_surface_error(noise, pools.config.model_error_m)
+    settled, most = np.zeros(len(scene), bool), np.full(len(scene), np.nan)
     while True:
-        _, by_scene = _rivals(pools, scene)
-        odds = config.pixel_weight * by_scene.astype(np.float64)
-        by_look = log_odds_against_lookalikes(
-            pools.data, noise, pools.shown(scene), config.presence, config.pixel_weight
-        )
+        odds = _log_odds(pools, scene, noise)
         found = scene < pools.absent
-        odds = np.where(found, -np.logaddexp(-odds, -by_look), odds)
-        odds = np.where(np.isnan(kept), odds, kept)
-        worst = int(np.argmin(np.where(found, odds, np.inf)))
-        if not found[worst] or odds[worst] >= 0:
+        odds = np.where(found | np.isnan(most), odds, most)
+        worst = int(np.argmin(np.where(found & ~settled, odds, np.inf)))
+        if settled[worst] or not found[worst] or odds[worst] > CONVINCING:
             return scene, odds
-        kept[worst] = odds[worst]
-        pools = pools.without(worst)
-        scene = _best(pools, np.where(np.arange(len(scene)) == worst, pools.absent, scene))
+        pools, scene, most[worst] = _looks_best(pools, scene, worst, noise)
+        settled[worst] = True
+
+
+def _looks_best(
+    pools: Pools, scene: NDArray[np.integer], one: int, noise: DepthNoise
+) -> tuple[Pools, NDArray[np.integer], float]:
+    """Pools that leave an object one place or none, the scene with it there, and its log odds there."""
+    reach_m = PLACE * np.linalg.norm(pools.objects[one].half_extents_m)
+    centres_m = pools.poses[one, :, 4:]
+    free, places, odds, scenes = np.ones(pools.absent, bool), [], [], [scene]
+    while scenes[-1][one] < pools.absent and len(places) < PLACES:
+        odds.append(float(_log_odds(pools, scenes[-1], noise)[one]))
+        places.append(np.linalg.norm(centres_m - centres_m[scenes[-1][one]], axis=1) < reach_m)
+        free &= ~places[-1]
+        elsewhere = np.where(np.arange(len(scene)) == one, pools.absent, scene)
+        scenes.append(_best(pools.without(one, ~free), elsewhere))
+    best = int(np.argmax(odds))
+    if odds[best] >= 0:
+        return pools.without(one, ~places[best]), scenes[best], odds[best]
+    pools = pools.without(one, np.ones(pools.absent, bool))
+    return pools, _best(pools, np.where(np.arange(len(scene)) == one, pools.absent, scene)), odds[best]
+
+
+def _log_odds(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.float64]:
+    """Of every object (N,) being there against the best scene without it, or a lookalike in its place."""
+    config = pools.config
+    _, by_scene = _rivals(pools, scene)
+    odds = config.pixel_weight * by_scene.astype(np.float64)
+    by_look = log_odds_against_lookalikes(
+        pools.data, noise, pools.shown(scene), config.presence, config.pixel_weight
+    )
+    return np.where(scene < pools.absent, -np.logaddexp(-odds, -by_look), odds)
 
 
 def _refined(

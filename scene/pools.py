@@ -82,9 +82,9 @@ class Pools:
         depth_m = self.renderer.layers(numbers, found.reshape(-1, 7), self.data.window)
         return replace(self, poses=poses, layers=self._with_layers(depth_m, poses, found, first))
 
-    def without(self, one: int) -> Pools:
-        """The pools with nothing but absence for an object."""
-        log_alone = self.layers.log_alone.at[one, : self.absent].set(-jnp.inf)
+    def without(self, one: int, places: NDArray[np.bool_]) -> Pools:
+        """The pools with some poses (K,) of an object left out."""
+        log_alone = self.layers.log_alone.at[one, : self.absent].add(jnp.where(places, -jnp.inf, 0.0))
         return replace(self, layers=replace(self.layers, log_alone=log_alone))
 
     def _with_layers(
