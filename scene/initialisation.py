@@ -55,7 +55,8 @@ object that shows nothing."""
 RIVALS = 6
 """Scenes beside the best one that get a polish before they are compared for good."""
 CONVINCING = 4.6
-"""Log odds, 99 to 1, above which an object is sought nowhere else."""
+"""Log odds, 99 to 1, above which an object is sought nowhere else, and which it has to reach elsewhere: who
+looks in many places finds something."""
 PLACE, PLACES = 0.5, 3
 """Half diagonals of an object that are one place, and places where it is looked at."""
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
@@ -208,6 +209,7 @@ def _looks_best(
         elsewhere = np.where(np.arange(len(scene)) == one, pools.absent, scene)
         scenes.append(_best(pools.without(one, ~free), elsewhere))
     best = int(np.argmax(odds))
+    best = best if odds[best] > CONVINCING else 0
     if odds[best] >= 0:
         return pools.without(one, ~places[best]), scenes[best], odds[best]
     pools = pools.without(one, np.ones(pools.absent, bool))
