@@ -1,0 +1,71 @@
+"""An object is where it looks most like itself, or nowhere: places where a lookalike may stand are left."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.lookalikes import log_odds_against_lookalikes
+from scene.pools import Pools
+from scene.rival_scenes import best_of, rivals_of
+from shapes.depth_noise import with_surface_error
+
+CONVINCING = 4.6
+"""Log odds, 99 to 1, above which an object is sought nowhere else, and which it has to reach elsewhere: who
+looks in many places finds something."""
+PLACE, PLACES = 0.5, 3
+"""Half diagonals of an object that are one place, and places where it is looked at."""
+
+
+def without_lookalikes(
+    pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+    """The scene without objects in whose place a lookalike is more probable, and everyone's log odds (N,).
+
+    The least probable object first, it is put elsewhere: where it stands it explains the image no better than
+    a lookalike does, and so it is where it looks most like itself, or nowhere.
+    """
+    noise = with_surface_error(noise, pools.config.model_error_m)
+    settled, most = np.zeros(len(scene), bool), np.full(len(scene), np.nan)
+    while True:
+        odds = _log_odds(pools, scene, noise)
+        found = scene < pools.absent
+        odds = np.where(found | np.isnan(most), odds, most)
+        worst = int(np.argmin(np.where(found & ~settled, odds, np.inf)))
+        if settled[worst] or not found[worst] or odds[worst] > CONVINCING:
+            return scene, odds
+        pools, scene, most[worst] = _looks_best(pools, scene, worst, noise)
+        settled[worst] = True
+
+
+def _looks_best(
+    pools: Pools, scene: NDArray[np.integer], one: int, noise: DepthNoise
+) -> tuple[Pools, NDArray[np.integer], float]:
+    """Pools that leave an object one place or none, the scene with it there, and its log odds there."""
+    reach_m = PLACE * np.linalg.norm(pools.objects[one].half_extents_m)
+    centres_m = pools.poses[one, :, 4:]
+    free, places, odds, scenes = np.ones(pools.absent, bool), [], [], [scene]
+    while scenes[-1][one] < pools.absent and len(places) < PLACES:
+        odds.append(float(_log_odds(pools, scenes[-1], noise)[one]))
+        places.append(np.linalg.norm(centres_m - centres_m[scenes[-1][one]], axis=1) < reach_m)
+        free &= ~places[-1]
+        elsewhere = np.where(np.arange(len(scene)) == one, pools.absent, scene)
+        scenes.append(best_of(pools.without(one, ~free), elsewhere))
+    best = int(np.argmax(odds))
+    best = best if odds[best] > CONVINCING else 0
+    if odds[best] >= 0:
+        return pools.without(one, ~places[best]), scenes[best], odds[best]
+    pools = pools.without(one, np.ones(pools.absent, bool))
+    return pools, best_of(pools, np.where(np.arange(len(scene)) == one, pools.absent, scene)), odds[best]
+
+
+def _log_odds(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.float64]:
+    """Of every object (N,) being there against the best scene without it, or a lookalike in its place."""
+    config = pools.config
+    _, by_scene = rivals_of(pools, scene)
+    odds = config.pixel_weight * by_scene.astype(np.float64)
+    by_look = log_odds_against_lookalikes(
+        pools.data, noise, pools.shown(scene), config.presence, config.pixel_weight
+    )
+    return np.where(scene < pools.absent, -np.logaddexp(-odds, -by_look), odds)

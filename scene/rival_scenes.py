@@ -1,0 +1,103 @@
+"""Scenes that are about as good, refined before they are told apart."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.existence import best_scene, rivals
+from scene.found_objects import FoundObjects
+from scene.initial_scene import Initialisation
+from scene.polishing import polished
+from scene.pools import Pools
+from scene.pose_choice import log_density_of_choice
+from scene.refinement import refine
+from shapes.depth_noise import with_surface_error
+
+PAIRED = 32
+"""Poses of two objects that are compared jointly."""
+UNDECIDED = 60.0
+"""Log odds, with the likelihood's exponent 1, that better fits may turn; greater than this are those of an
+object that shows nothing."""
+RIVALS = 6
+"""Scenes beside the best one that get a polish before they are compared for good."""
+
+
+def best_of(pools: Pools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]:
+    """The best scene (N,) found from one or two, by one kernel."""
+    two = np.stack([scenes[0], scenes[-1]]).astype(np.int32)
+    return np.asarray(best_scene(pools.layers, jnp.asarray(two), PAIRED))
+
+
+def rivals_of(pools: Pools, scene: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
+    """For every object the best scene (N, N) with or without it, and its log odds (N,)."""
+    others, log_odds = rivals(pools.layers, jnp.asarray(scene))
+    return np.asarray(others), np.asarray(log_odds)
+
+
+def polished_rivals(pools: Pools, scene: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Poses (N, 1 + RIVALS, 7) polished in the scene and in those that come next, where fits are compared."""
+    others, log_odds = rivals_of(pools, scene)
+    scenes = [scene, *others[np.resize(_closest(log_odds), RIVALS)]]
+    return np.stack(
+        [
+            polished(pools.data, pools.objects, pools.renderer, pools.placed(one), one < pools.absent)
+            for one in scenes
+        ],
+        axis=1,
+    )
+
+
+def decided(
+    key: jax.Array, pools: Pools, scene: NDArray[np.integer], first: int, noise: DepthNoise
+) -> tuple[Pools, NDArray[np.integer]]:
+    """The best of a scene and those that are about as good: they are refined to tell.
+
+    ICP looks at surfaces alone; outlines decide between objects that show the same face.
+
+    Args:
+        key: random key.
+        pools: of poses.
+        scene: (N,) the best one.
+        first: place of 1 + RIVALS poses that make room for the refined ones.
+        noise: of the sensor.
+    """
+    others, log_odds = rivals_of(pools, scene)
+    close = [one for one in _closest(log_odds)[:RIVALS] if abs(log_odds[one]) < UNDECIDED]
+    if not close:
+        return pools, scene
+    noise = with_surface_error(noise, pools.config.search_error_m)
+    scenes = list({one.tobytes(): one for one in [scene, *others[close]]}.values())
+    refined = np.stack([_refined(key, pools, one, noise) for one in scenes], axis=1)
+    pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)
+    scenes = [np.where(one < pools.absent, first + place, pools.absent) for place, one in enumerate(scenes)]
+    log_densities = [float(log_density_of_choice(pools.layers, jnp.asarray(one))) for one in scenes]
+    best = scenes[int(np.argmax(log_densities))]
+    return pools, best_of(pools, best)
+
+
+def _refined(
+    key: jax.Array, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+) -> NDArray[np.float32]:
+    """Poses (N, 7) of a scene, those of what is there refined."""
+    found = FoundObjects.of(scene < pools.absent)
+    poses = pools.placed(scene)
+    start = Initialisation(
+        poses=found.poses(poses),
+        found=found.present,
+        log_odds=np.zeros(found.slots),
+        pools=np.zeros((found.slots, 0, 7)),
+        log_gains=np.zeros((found.slots, 1)),
+    )
+    weight = pools.config.pixel_weight
+    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, weight)
+    poses[found.indices] = refined.means[: len(found.indices), 0]
+    return poses
+
+
+def _closest(log_odds: NDArray[np.floating]) -> NDArray[np.intp]:
+    """The objects (N,), those first about which the scene and its rival are about as good."""
+    return np.argsort(np.abs(log_odds), kind="stable")
