@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from scene.existence import filled
 from scene.lookalikes import log_odds_against_lookalikes
 from scene.pools import Pools
-from scene.rival_scenes import best_of, rivals_of
+from scene.rival_scenes import rivals_of
 from shapes.depth_noise import with_surface_error
 
 CONVINCING = 4.6
@@ -50,14 +52,19 @@ def _looks_best(
         odds.append(float(_log_odds(pools, scenes[-1], noise)[one]))
         places.append(np.linalg.norm(centres_m - centres_m[scenes[-1][one]], axis=1) < reach_m)
         free &= ~places[-1]
-        elsewhere = np.where(np.arange(len(scene)) == one, pools.absent, scene)
-        scenes.append(best_of(pools.without(one, ~free), elsewhere))
+        scenes.append(_filled(pools.without(one, ~free), scene, one))
     best = int(np.argmax(odds))
     best = best if odds[best] > CONVINCING else 0
     if odds[best] >= 0:
         return pools.without(one, ~places[best]), scenes[best], odds[best]
     pools = pools.without(one, np.ones(pools.absent, bool))
-    return pools, best_of(pools, np.where(np.arange(len(scene)) == one, pools.absent, scene)), odds[best]
+    return pools, _filled(pools, scene, one), odds[best]
+
+
+def _filled(pools: Pools, scene: NDArray[np.integer], one: int) -> NDArray[np.integer]:
+    """The scene (N,) after an object was taken away and what gains was added, itself or others."""
+    absent = np.where(np.arange(len(scene)) == one, pools.absent, scene).astype(np.int32)
+    return np.asarray(filled(pools.layers, jnp.asarray(absent), jnp.zeros(len(scene), bool)))
 
 
 def _log_odds(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.float64]:
