@@ -37,28 +37,38 @@ def without_lookalikes(
         worst = int(np.argmin(np.where(found & ~settled, odds, np.inf)))
         if settled[worst] or not found[worst] or odds[worst] > CONVINCING:
             return scene, odds
-        pools, scene, most[worst] = _looks_best(pools, scene, worst, noise)
+        pools, scene, most[worst] = _looks_best(pools, scene, worst, odds[worst], noise)
         settled[worst] = True
 
 
 def _looks_best(
-    pools: Pools, scene: NDArray[np.integer], one: int, noise: DepthNoise
+    pools: Pools, scene: NDArray[np.integer], one: int, log_odds: float, noise: DepthNoise
 ) -> tuple[Pools, NDArray[np.integer], float]:
-    """Pools that leave an object one place or none, the scene with it there, and its log odds there."""
-    reach_m = PLACE * np.linalg.norm(pools.objects[one].half_extents_m)
-    centres_m = pools.poses[one, :, 4:]
-    free, places, odds, scenes = np.ones(pools.absent, bool), [], [], [scene]
-    while scenes[-1][one] < pools.absent and len(places) < PLACES:
-        odds.append(float(_log_odds(pools, scenes[-1], noise)[one]))
-        places.append(np.linalg.norm(centres_m - centres_m[scenes[-1][one]], axis=1) < reach_m)
-        free &= ~places[-1]
-        scenes.append(_filled(pools.without(one, ~free), scene, one))
+    """Pools that leave an object one place or none, the scene with it there, and its log odds there.
+
+    Those where the scene has it are known.
+    """
+    scenes, places, odds = [scene], [_place(pools, scene, one)], [log_odds]
+    while len(places) < PLACES:
+        elsewhere = _filled(pools.without(one, np.any(places, axis=0)), scene, one)
+        if elsewhere[one] == pools.absent:
+            break
+        scenes.append(elsewhere)
+        places.append(_place(pools, elsewhere, one))
+        odds.append(float(_log_odds(pools, elsewhere, noise)[one]))
     best = int(np.argmax(odds))
     best = best if odds[best] > CONVINCING else 0
     if odds[best] >= 0:
         return pools.without(one, ~places[best]), scenes[best], odds[best]
     pools = pools.without(one, np.ones(pools.absent, bool))
     return pools, _filled(pools, scene, one), odds[best]
+
+
+def _place(pools: Pools, scene: NDArray[np.integer], one: int) -> NDArray[np.bool_]:
+    """Which of an object's poses (K,) are where the scene has it."""
+    centres_m = pools.poses[one, :, 4:]
+    reach_m = PLACE * np.linalg.norm(pools.objects[one].half_extents_m)
+    return np.linalg.norm(centres_m - centres_m[scene[one]], axis=1) < reach_m
 
 
 def _filled(pools: Pools, scene: NDArray[np.integer], one: int) -> NDArray[np.integer]:

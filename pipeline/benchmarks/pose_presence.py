@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-BOUNDS = (0.0, 0.05, 0.5, 0.9, 0.98, 1.0)
-"""Of the bins of presence."""
+BOUNDS = (0.05, 0.5, 0.9, 0.98)
+"""Between the bins of presence."""
 RIGHT_M = 0.01
 
 
@@ -42,7 +42,7 @@ class Reported:
 
 def presence_figures(reported: Sequence[Reported]) -> dict[str, Any]:
     """Counts, and for every bin of presence that holds some how many were right."""
-    places = np.digitize([one.presence for one in reported], BOUNDS[1:-1])
+    places = np.digitize([one.presence for one in reported], BOUNDS)
     rows = [
         [reported[one] for one in np.flatnonzero(places == place).tolist()] for place in np.unique(places)
     ]

@@ -18,7 +18,7 @@ import trimesh
 from pipeline.benchmarks.learned_objects import Sought
 from pipeline.benchmarks.pose_figures import Judged
 from pipeline.benchmarks.pose_presence import Reported
-from pipeline.benchmarks.pose_tables import VISIBLE, Table, make_table, observed_points
+from pipeline.benchmarks.pose_tables import Table, make_table, observed_points
 from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.evaluation.scenes import ObjectError, object_errors, parents_right
 from pipeline.peers.registration import Model, Register, settings
@@ -126,8 +126,8 @@ class PoseBench:
     def presences(self, number: int, absent: int) -> list[Reported]:
         """What is said on table `number` if of its objects so many others are asked for in the place of some.
 
-        The prior told is the share of those asked for that are there; those of which less than VISIBLE is
-        seen do not count.
+        The prior told is the share of those asked for that are there; those of which too little is seen
+        do not count.
         """
         table = make_table(self._meshes, self._count, self._seed + number)
         names, rng = _shapes(table), np.random.default_rng([self._seed + number, absent])
@@ -136,18 +136,17 @@ class PoseBench:
         asked = sorted({*rng.permutation(names)[swapped:], *rng.permutation(others)[:swapped]})
         share = np.clip(1 - swapped / len(asked), 0.1, 0.9)
         scene, _ = self._parsed(table, ParseConfig(presence=float(share)), asked)
-        truth = [one for one in table.recording.truth.objects if one.shape in asked]
         errors = {one.name: one.add_s_m for one in self._errors(table, scene)}
-        there = {one.shape: one for one in truth}
+        judged = {one.shape: errors[one.name] for one in table.judged}
         return [
             Reported(
                 shape=name,
                 presence=float(presence),
-                there=name in there,
-                error_m=errors[there[name].name] if name in there else np.inf,
+                there=name in judged,
+                error_m=judged.get(name, np.inf),
             )
             for name, presence in zip(scene.names.tolist(), scene.presence, strict=True)
-            if name not in there or (there[name].visible_fraction or 0.0) >= VISIBLE
+            if name in judged or name not in names
         ]
 
     def _errors(self, table: Table, scene: SceneResult) -> list[ObjectError]:

@@ -64,8 +64,10 @@ def test_names_of_faces_compose(key: jax.Array) -> None:
     reference, *poses = random_poses(pose_key, 129)
     first, second = jnp.stack(poses).reshape(2, 64, 7)
     for chosen in (0, 1):
-        known = partial(at_reference, chosen=jnp.array(chosen), reference=reference)
-        at = jax.vmap(lambda scene, pose, known=known: placed(known(scene), known.keywords["chosen"], pose))
+        number = jnp.array(chosen)
+        at = jax.vmap(
+            lambda scene, pose, number=number: placed(at_reference(scene, number, reference), number, pose)
+        )
         direct = at(scenes, second)
         for other in (at(at(scenes, first), second), at(at(direct, first), second)):
             for one, same in zip(jax.tree.leaves(other), jax.tree.leaves(direct), strict=True):
