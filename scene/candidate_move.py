@@ -18,10 +18,15 @@ from scene.involution import Offer
 from scene.model import ChainState, SceneModel
 from scene.pose_moves import normalised
 from scene.pose_offer import OfferContext, PoseOffer
+from scene.spin_lines import SpinLines
 from scene.turned_faces import at_reference, placed
 
 SMALLEST, LARGEST = 0.15, 1.2
 """Scales of near steps over the standard deviations of the pose, log-uniform between these."""
+LEAST_SPIN_RAD, MOST_SPIN_RAD = 0.01, 2.0
+"""Standard deviations of spins about an object's line, alike."""
+SPIN_SHARE = 0.25
+"""Of near candidates, that spin so."""
 
 
 @jax.tree_util.register_dataclass
@@ -52,6 +57,7 @@ class CandidateMove:
     offer: PoseOffer
     near_share: jax.Array
     axes: jax.Array
+    lines: SpinLines
     count: int = field(metadata={"static": True})
 
     @property
@@ -62,7 +68,7 @@ class CandidateMove:
     @property
     def normals(self) -> int:
         """Numbers that a draw takes; near and far candidates are never drawn together."""
-        return 6 * self.count
+        return 7 * self.count
 
     def propose(self, dice: Dice, model: SceneModel, state: ChainState) -> Offer:
         """The poses, of which one is to be chosen."""
@@ -76,29 +82,35 @@ class CandidateMove:
 
     def _poses(self, dice: Dice, context: OfferContext, present: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The poses (K, 7), the present one first, and the log densities (K,) by which they were drawn."""
-        axis = self.axes[context.chosen]
+        line = SpinLines(self.lines.directions[context.chosen], self.lines.points_m[context.chosen])
         (coin, size, spin), uniform = dice.uniform[:3], dice.uniform[3:]
-        normal = dice.normal[: self.normals].reshape(self.count, 6)
-        each = Dice(uniform[: self.uniforms - 4].reshape(self.count - 1, -1), normal[1:])
+        normal = dice.normal[: self.normals].reshape(self.count, 7)
+        each = Dice(uniform[: self.uniforms - 4].reshape(self.count - 1, -1), normal[1:, :6])
         far = jax.vmap(partial(self.offer.sample, context=context))(each)
         scale = SMALLEST * (LARGEST / SMALLEST) ** size
-        steps = scale * jnp.sum(context.mixture.choleskys[:1] * normal[:, None], axis=2)
-        still = (jnp.arange(6) == axis + 3) & (axis >= 0) & (spin < 0.5)
-        steps = jnp.where(still[None], 0.0, steps)
-        turns = jax.vmap(partial(quaternions.rotated, context.mixture.centres[0, :4]))(steps[:, 3:])
-        steps = jnp.concatenate([steps[:, :3], turns], axis=1)
-        centre = stepped(present, steps[0])
-        near = jax.vmap(partial(stepped, centre))(steps[1:])
+        steps = scale * jnp.sum(context.mixture.choleskys[:1] * normal[:, None, :6], axis=2)
+        spins = spin < SPIN_SHARE
+        alone = spins | (self.axes[context.chosen] >= 0)
+        along = jnp.sum(steps[:, 3:] * line.directions[None], axis=1, keepdims=True) * line.directions[None]
+        turns = steps[:, 3:] - jnp.where(alone, along, 0.0)
+        turns = jax.vmap(partial(quaternions.rotated, context.mixture.centres[0, :4]))(turns)
+        angle = LEAST_SPIN_RAD * (MOST_SPIN_RAD / LEAST_SPIN_RAD) ** (spin / SPIN_SHARE) * spins
+        steps = jnp.concatenate([steps[:, :3], turns, angle * normal[:, 6:]], axis=1)
+        centre = stepped(line, present, steps[0])
+        near = jax.vmap(partial(stepped, line, centre))(steps[1:])
         is_near = coin < self.near_share
         poses = jnp.concatenate([present[None], jnp.where(is_near, near, far)])
         log_offered = jax.vmap(partial(self.offer.log_density, context))(poses)
         return poses, jnp.where(is_near, 0.0, log_offered)
 
 
-def stepped(pose: jax.Array, step: jax.Array) -> jax.Array:
-    """The pose (7,) after an offset and a rotation vector, (6,) together, both along the world's axes.
+def stepped(line: SpinLines, pose: jax.Array, step: jax.Array) -> jax.Array:
+    """The pose (7,) after a step (7,): an offset and a rotation vector, and the angle of a spin.
 
-    What the images tell of an object's tilt does not turn with a spin of a round object.
+    Offset and rotation are along the world's axes: what the images tell of an object's tilt does not turn
+    with a spin of a round object. The point of its line moves by the offset alone.
     """
-    turned = quaternions.times(quaternions.exp(step[3:]), pose[:4])
-    return normalised(jnp.concatenate([turned, pose[4:] + step[:3]]))
+    turned = quaternions.times(quaternions.exp(step[3:6]), pose[:4])
+    turned = quaternions.times(turned, quaternions.exp(step[6] * line.directions))
+    point = pose[4:] + quaternions.rotated(pose[:4], line.points_m) + step[:3]
+    return normalised(jnp.concatenate([turned, point - quaternions.rotated(turned, line.points_m)]))

@@ -18,6 +18,7 @@ from scene.pose_mixture import PoseMixture
 from scene.pose_moves import FlipMove, WalkMove
 from scene.pose_offer import PoseOffer
 from scene.shape_choices import candidate_keys
+from scene.spin_lines import SpinLines
 
 Recorded = TypeVar("Recorded")
 
@@ -78,6 +79,7 @@ def scene_kernel(
     translation_m: jax.Array,
     rotation_rad: jax.Array,
     axes: jax.Array,
+    lines: SpinLines,
     spread: float = 30.0,
     candidates: int = 6,
     near_share: float = 0.5,
@@ -92,6 +94,7 @@ def scene_kernel(
         translation_m: (C,) largest standard deviations of a walk's step.
         rotation_rad: (C,) the same for angles.
         axes: (C,) the box axis about which each object is round, or -1.
+        lines: about which objects spin by themselves.
         spread: the largest scale over the smallest.
         candidates: poses that are weighed together, the present one among them.
         near_share: how often they are drawn near the present pose.
@@ -103,7 +106,7 @@ def scene_kernel(
     walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
     return Kernel(
         structure,
-        CandidateMove(offer, jnp.asarray(near_share, dtype), axes, candidates),
+        CandidateMove(offer, jnp.asarray(near_share, dtype), axes, lines, candidates),
         (walk, FlipMove()),
         repeats,
     )

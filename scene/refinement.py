@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from recordings.types import DepthNoise
+from scene.better_spins import better, spun
 from scene.initial_scene import Initialisation
 from scene.likelihood import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.rendering import ObjectRenderer
@@ -102,6 +103,7 @@ def refine(
     start: Initialisation,
     noise: DepthNoise,
     pixel_weight: float,
+    lines: NDArray[np.float64],
 ) -> Refinement:
     """Gaussians round the poses of the best scene and their rivals, on the first frame.
 
@@ -113,10 +115,12 @@ def refine(
         start: the best scene, and the pools.
         noise: of the sensor and the surfaces together.
         pixel_weight: the likelihood's exponent.
+        lines: (N, 2, 3) about which objects are round, as `SceneObject.spin_line`.
     """
     count = len(start.poses)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    fits = _first(start, pixel_weight)
+    spins = _better_spins(data, renderer, numbers, start, noise, lines)
+    fits = _first(start, spins, pixel_weight)
     visible = np.zeros(count)
     for turn in range(TURNS):
         heaviest = np.array([_heaviest(fits, one) for one in range(count)])
@@ -137,12 +141,37 @@ def refine(
     return _kept(fits, visible)
 
 
-def _first(start: Initialisation, pixel_weight: float) -> _Fits:
-    """Wide Gaussians round the best poses, in order, and round others of the pools that are as good."""
+def _better_spins(
+    data: SceneData,
+    renderer: ObjectRenderer,
+    numbers: NDArray[np.integer],
+    start: Initialisation,
+    noise: DepthNoise,
+    lines: NDArray[np.float64],
+) -> list[NDArray[np.float64]]:
+    """Poses (M, 7) of each object that look better than the best scene's, spun about its line."""
+    spins = [np.zeros((0, 7)) for _ in lines]
+    lined = np.flatnonzero(lines[:, 0].any(axis=1) & start.found)
+    if not len(lined):
+        return spins
+    owners = np.resize(lined, TOGETHER * len(lines))
+    poses = spun(start.poses[owners], lines[owners], DRAWS)
+    rest_m, _ = _without_each(data, renderer, numbers, start.poses, start.found)
+    log_ratio = _log_ratio(data, renderer, numbers, owners, poses, rest_m, noise)
+    for row, one in enumerate(lined.tolist()):
+        spins[one] = poses[row, better(log_ratio[row])]
+    return spins
+
+
+def _first(start: Initialisation, spins: list[NDArray[np.float64]], pixel_weight: float) -> _Fits:
+    """Wide Gaussians round the best poses, in order, round spins that look better, and round others.
+
+    Those are of the pools, and as good.
+    """
     owners, means = list(range(len(start.poses))), list(start.poses)
-    for one in np.flatnonzero(start.found):
+    for one in np.flatnonzero(start.found).tolist():
         gains = pixel_weight * start.log_gains[one, : start.pools.shape[1]]
-        seen = start.poses[one][None]
+        seen = np.concatenate([start.poses[one][None], spins[one]])
         for place in np.argsort(-gains):
             if gains[place] < -WORSE or len(seen) == SOUGHT:
                 break

@@ -93,7 +93,8 @@ def _refined(
         log_gains=np.zeros((found.slots, 1)),
     )
     weight = pools.config.pixel_weight
-    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, weight)
+    lines = np.zeros((found.slots, 2, 3))
+    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, weight, lines)
     poses[found.indices] = refined.means[: len(found.indices), 0]
     return poses
 

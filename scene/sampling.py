@@ -33,6 +33,7 @@ from scene.refinement import Refinement
 from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
+from scene.spin_lines import SpinLines
 from scene.summary import Samples
 
 TABLE_HALF_THICKNESS_M = 0.01
@@ -93,6 +94,7 @@ def sampled(
         translation_m=jnp.full(bodies, WALK_M),
         rotation_rad=jnp.full(bodies, WALK_RAD),
         axes=axes,
+        lines=SpinLines.of(objects, bodies - len(objects)),
         structure=PairMove() if config.graph == "infer" else None,
         repeats=max(len(objects) - 1, 1),
     )

@@ -10,6 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from scene.spin_line import spin_line
 from shapes.object_library import ObjectLibrary, library_of_mesh
 
 SURFACE_POINTS = 256
@@ -29,6 +30,8 @@ class SceneObject:
         centre_m: (3,) the box's centre in the object's frame.
         half_extents_m: (3,).
         rests: (R, 3) directions in the box frame that point down when the object lies still.
+        spin_line: (2, 3) direction and point, in the box frame, of the line about which most of its surface
+            is round; zeros where there is none.
         library: its distance field, in the object's frame.
         draws: libraries of as likely shapes, as many for each object of a scene; none where it is certain.
     """
@@ -39,6 +42,7 @@ class SceneObject:
     centre_m: NDArray[np.float64]
     half_extents_m: NDArray[np.float64]
     rests: NDArray[np.float64]
+    spin_line: NDArray[np.float64]
     library: ObjectLibrary
     draws: tuple[ObjectLibrary, ...] = ()
 
@@ -73,6 +77,7 @@ def scene_object(
         centre_m=centre,
         half_extents_m=half,
         rests=stable_rests(np.asarray(mesh.vertices, np.float64) - centre),
+        spin_line=spin_line(points - centre, normals),
         library=library_of_mesh(vertices_m, faces, pitch),
         draws=tuple(library_of_mesh(*draw, pitch) for draw in draws),
     )

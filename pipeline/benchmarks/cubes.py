@@ -14,6 +14,7 @@ from scene.model import ChainState, Likelihood, NoData, SceneModel, start_chain
 from scene.pair_move import PairMove
 from scene.pose_mixture import PoseMixture
 from scene.prior import POSE_UNIFORMS, PosePrior, StructurePrior, WeightedTrees, sample_pose
+from scene.spin_lines import SpinLines
 
 
 def cube_model(
@@ -62,6 +63,7 @@ def cube_kernel(
         translation_m=scale,
         rotation_rad=2 * scale,
         axes=jnp.full(count, -1),
+        lines=SpinLines.none(count),
         candidates=candidates,
         repeats=repeats,
         structure=structure or PairMove(),

@@ -15,6 +15,7 @@ from scene.contact import TOP_FACE
 from scene.graph import ROOT, SceneGraph
 from scene.model import Apart, ChainState, Estimate, SceneModel
 from scene.prior import sample_pose
+from scene.spin_lines import SpinLines
 from tests.statistical import assert_mean
 
 CHAINS, SWEEPS, BURN_IN = 256, 160, 40
@@ -93,13 +94,20 @@ def features(state: ChainState) -> jax.Array:
     return jnp.array([on_table, pose[6], 1 - 2 * (pose[1] ** 2 + pose[2] ** 2)])
 
 
-@pytest.mark.parametrize("near_share", [0.0, 0.5, 1.0])
-def test_contact_is_as_likely_as_its_evidence(key: jax.Array, near_share: float) -> None:
-    """P(contact) and two means, whether candidates are far, near or both: within 1e-6 false alarms."""
+LINES = SpinLines(jnp.array([[0.8, 0.6, 0], [0, 0, 0]]), jnp.array([[0.1, -0.2, 0.3], [0, 0, 0]]))
+
+
+@pytest.mark.parametrize(
+    ("near_share", "lines"),
+    [(0.0, SpinLines.none(2)), (0.5, SpinLines.none(2)), (1.0, LINES)],
+    ids=["far", "both", "near or spun"],
+)
+def test_contact_is_as_likely_as_its_evidence(key: jax.Array, near_share: float, lines: SpinLines) -> None:
+    """P(contact) and two means, by all ways to choose candidates: within 1e-6 false alarms."""
     model = seen_model()
     start_key, run_key, exact_key = jax.random.split(key, 3)
     kernel = cube_kernel(2)
-    candidates = replace(kernel.candidates, near_share=jnp.asarray(near_share), count=4)
+    candidates = replace(kernel.candidates, near_share=jnp.asarray(near_share), lines=lines, count=4)
     kernel = replace(kernel, candidates=candidates)
     states = start_chains(start_key, model, CHAINS)
 
