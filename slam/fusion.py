@@ -12,14 +12,12 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from slam.components import dot, moved, rotated
 from slam.depth_view import DepthView
-from slam.keyframes import Surface
+from slam.keyframes import LEAST_VARIANCE_SHARE, Surface
 from slam.rendering import depth_on_rays, pixels_of, planes_in_frame
 
 GATE_SIGMAS = 3.0
 GAIN_RANGE = (0.2, 5.0)
 """Limits of the ratio between a depth change along the keyframe's ray and along the frame's ray."""
-LEAST_VARIANCE_SHARE = 0.1
-"""Errors that views share (calibration, distortion) do not average out: the variance stops at this share."""
 
 
 @jax.jit

@@ -33,8 +33,6 @@ from slam.rendering import LEAST_INVERSE_DEPTH, MapImage, pixels_of
 LOG_ROOT_TWO_PI = 0.9189385332046727
 STRIDE_PX = 2
 """The density counts the pixels of this lattice; the exponents of the others are zero."""
-UNKNOWN_NONE_PROBABILITY = 0.2
-"""Of no return where the map shows nothing."""
 UNSEEN_IN_FRONT = 0.01
 """Probability that something no keyframe has seen stands in front of the map's surface."""
 STILL_IN_FRONT = 0.8
@@ -73,26 +71,17 @@ class ScoredPixels:
     weights: jax.Array
 
 
-def log_unknown_factors(observed_m: jax.Array, foreseen: Foreseen, noise: DepthNoise) -> jax.Array:
-    """Log factors of pixels where the map shows nothing: the atom of no return, or an unknown surface."""
-    return jnp.where(
-        observed_m == NO_RETURN,
-        jnp.log(UNKNOWN_NONE_PROBABILITY),
-        jnp.log1p(-UNKNOWN_NONE_PROBABILITY) + log_density_of_unknown(observed_m, foreseen, noise),
-    )
-
-
 def log_unknown_shortfall(observed_m: jax.Array, noise: DepthNoise) -> jax.Array:
     """By how much returns (H, W) of a lattice are less probable, in logs, than were their surfaces known.
 
     A search that blurs what is known has to blur what is unknown as well, or it looks away.
     """
-    log_unknown = log_unknown_factors(observed_m, foreseen_from_before(observed_m, noise), noise)
+    log_unknown = log_density_of_unknown(observed_m, foreseen_from_before(observed_m, noise), noise)
     sigma = depth_noise.standard_deviation(noise, observed_m)
     return log_unknown + jnp.log(sigma) + LOG_ROOT_TWO_PI
 
 
-def log_hit_factors(
+def log_density_of_shown(
     observed_m: jax.Array,
     foreseen: Foreseen,
     in_front: jax.Array,
@@ -100,31 +89,17 @@ def log_hit_factors(
     sigma_m: jax.Array,
     noise: DepthNoise,
 ) -> jax.Array:
-    """Log factors of pixels whose rays meet the map at `depth_m`, known to `sigma_m`.
+    """Log density of returns whose rays meet the map at `depth_m`, known to `sigma_m`.
 
-    `in_front` as in `ScoredPixels`.
+    `in_front` as in `ScoredPixels`. Base measure: Lebesgue, metres.
     """
     probability = jnp.where(in_front, STILL_IN_FRONT, UNSEEN_IN_FRONT)
-    log_surface = depth_noise.log_density_of_hit(noise, observed_m, depth_m, sigma_m)
-    log_in_front = (
-        jnp.log1p(-noise.none_hit_probability)
-        + log_density_of_unknown(observed_m, foreseen, noise)
-        - jnp.log(probability_nearer(depth_m, foreseen, noise))
-    )
+    returning = replace(noise, none_hit_probability=0.0)
+    log_surface = depth_noise.log_density_of_hit(returning, observed_m, depth_m, sigma_m)
+    log_unknown = log_density_of_unknown(observed_m, foreseen, noise)
+    log_in_front = log_unknown - jnp.log(probability_nearer(depth_m, foreseen, noise))
     log_in_front = jnp.where(observed_m < depth_m, log_in_front, -jnp.inf)
-    return jnp.where(
-        observed_m == NO_RETURN,
-        log_surface,
-        jnp.logaddexp(jnp.log1p(-probability) + log_surface, jnp.log(probability) + log_in_front),
-    )
-
-
-def log_outlier_factors(observed_m: jax.Array, noise: DepthNoise) -> jax.Array:
-    """Log factors of pixels that see a surface which is nowhere near."""
-    log_return = jnp.log1p(-noise.none_hit_probability) + jnp.log(
-        noise.outlier_probability / noise.max_range_m
-    )
-    return jnp.where(observed_m == NO_RETURN, jnp.log(noise.none_hit_probability), log_return)
+    return jnp.logaddexp(jnp.log1p(-probability) + log_surface, jnp.log(probability) + log_in_front)
 
 
 def scored_pixels(
@@ -214,17 +189,15 @@ def log_image_density(
     """
     depth, variance = rendered_depth(pixels, keyframes_from_camera)
     hit, seen = jnp.isfinite(depth), (pixels.weights > 0).any(0)
-    log_unknown = log_unknown_factors(pixels.observed_m, pixels.foreseen, noise)
-    log_hit = log_hit_factors(
-        pixels.observed_m,
-        pixels.foreseen,
-        pixels.in_front,
-        jnp.where(hit, depth, 1.0),
-        jnp.sqrt(variance),
-        noise,
+    returned = pixels.observed_m > NO_RETURN
+    observed = jnp.where(returned, pixels.observed_m, 1.0)
+    log_unknown = log_density_of_unknown(observed, pixels.foreseen, noise)
+    log_hit = log_density_of_shown(
+        observed, pixels.foreseen, pixels.in_front, jnp.where(hit, depth, 1.0), jnp.sqrt(variance), noise
     )
-    log_hit = jnp.where(hit, log_hit, log_outlier_factors(pixels.observed_m, noise))
+    log_hit = jnp.where(hit, log_hit, jnp.log(noise.outlier_probability / noise.max_range_m))
     ends = jnp.where(pixels.border, ENDS_BEFORE, 0.0)
     log_shown = jnp.logaddexp(jnp.log1p(-ends) + log_hit, jnp.log(ends) + log_unknown)
-    log_factors = jnp.where(seen, log_shown, log_unknown)
+    log_return = jnp.log1p(-pixels.foreseen.none) + jnp.where(seen, log_shown, log_unknown)
+    log_factors = jnp.where(returned, log_return, jnp.log(pixels.foreseen.none))
     return exponent * jnp.where(pixels.measured, log_factors, 0.0).sum()

@@ -13,7 +13,7 @@ from slam.depth_view import DepthView, central_depth
 from slam.filter_state import FilterState
 from slam.fusion import fused
 from slam.keyframe_map import KeyframeMap
-from slam.keyframes import surface_of, with_noise, with_planes_refitted
+from slam.keyframes import surface_of, with_noise
 from slam.particles import CameraParticles, with_capacity
 from slam.search import Located
 
@@ -51,7 +51,6 @@ def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> Fil
             return state
         refined = fused(keyframe_map.surfaces[anchor], view, relative, noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
-    keyframe_map = keyframe_map.with_refined(anchor, with_planes_refitted(keyframe_map.surfaces[anchor]))
     particles: CameraParticles = state.population.particles
     keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
     population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
