@@ -74,6 +74,29 @@ def frame_data(
     return _data_over(table, depth_m, unprojected(depth_m, intrinsics), view, intrinsics)
 
 
+def background(
+    table: SupportPlane | None,
+    near: NDArray[np.bool_],
+    window: PixelWindow,
+    intrinsics: CameraIntrinsics,
+) -> NDArray[np.float32]:
+    """What was seen where no object may be, else the depth of the table; +inf where there is neither.
+
+    Args:
+        table: under the objects.
+        near: pixels of the image that may show an object.
+        window: for whose pixels (H, W) it is told.
+        intrinsics: of the image.
+    """
+    observed_m = window.depth_m
+    plane = np.full(observed_m.shape, np.inf)
+    if table is not None:
+        rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
+        plane = _plane_depth(table, rays, TABLE_MARGIN_M)
+    elsewhere = ~window.of(near) & (observed_m != NO_RETURN)
+    return np.where(elsewhere, observed_m, plane).astype(np.float32)
+
+
 def _data_over(
     table: SupportPlane | None,
     depth_m: NDArray[np.float32],
@@ -96,10 +119,13 @@ def _data_over(
         window_foreground=np.asarray(
             binary_dilation(window.of(foreground) & window.inside, iterations=2), bool
         ),
-        rest_m=_background(table, window.of(foreground), window, intrinsics),
+        rest_m=background(table, foreground, window, intrinsics),
         detail=detail,
-        detail_rest_m=_background(table, detail.of(foreground), detail, intrinsics),
+        detail_rest_m=background(table, foreground, detail, intrinsics),
         table=table,
+        intrinsics=intrinsics,
+        depth_m=depth_m,
+        near=foreground,
     )
 
 
@@ -182,22 +208,6 @@ def _enlarged(mask: NDArray[np.bool_], factor: int, shape: tuple[int, ...]) -> N
     blocks = mask.repeat(factor, axis=0).repeat(factor, axis=1)[: shape[0], : shape[1]]
     large[: blocks.shape[0], : blocks.shape[1]] = blocks
     return large
-
-
-def _background(
-    table: SupportPlane | None,
-    foreground: NDArray[np.bool_],
-    window: PixelWindow,
-    intrinsics: CameraIntrinsics,
-) -> NDArray[np.float32]:
-    """What was seen where no object may be, else the depth of the table; +inf where there is neither."""
-    observed_m = window.depth_m
-    plane = np.full(observed_m.shape, np.inf)
-    if table is not None:
-        rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
-        plane = _plane_depth(table, rays, TABLE_MARGIN_M)
-    elsewhere = ~foreground & (observed_m != NO_RETURN)
-    return np.where(elsewhere, observed_m, plane).astype(np.float32)
 
 
 def _pooled_any(mask: NDArray[np.bool_], factor: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:

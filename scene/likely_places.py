@@ -5,10 +5,12 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logit
 
 from recordings.types import DepthNoise
+from scene.close_view import close_views
 from scene.existence import filled
-from scene.lookalikes import log_odds_against_lookalikes
+from scene.lookalikes import log_ratio_of_lookalike
 from scene.pools import Pools
 from scene.rival_scenes import rivals_of
 from shapes.depth_noise import with_surface_error
@@ -82,7 +84,7 @@ def _log_odds(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> ND
     config = pools.config
     _, by_scene = rivals_of(pools, scene)
     odds = config.pixel_weight * by_scene.astype(np.float64)
-    by_look = log_odds_against_lookalikes(
-        pools.data, noise, pools.shown(scene), config.presence, config.pixel_weight
-    )
+    by_look = np.full(len(scene), logit(config.presence))
+    for one, view in close_views(pools, scene, noise).items():
+        by_look[one] += log_ratio_of_lookalike(view, config.pixel_weight)
     return np.where(scene < pools.absent, -np.logaddexp(-odds, -by_look), odds)

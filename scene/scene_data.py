@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.types import CameraIntrinsics
 from scene.detection import SupportPlane
 from scene.observation import DepthView
 from scene.window import PixelWindow
@@ -25,6 +26,9 @@ class SceneData:
         detail: the finer pixels on which chains compare scenes.
         detail_rest_m: their background depth.
         table: None where nothing supports the objects.
+        intrinsics: of the image.
+        depth_m: the whole image.
+        near: (H, W) bool, the image's pixels that may show an object.
     """
 
     view: DepthView
@@ -35,3 +39,6 @@ class SceneData:
     detail: PixelWindow
     detail_rest_m: NDArray[np.float32]
     table: SupportPlane | None
+    intrinsics: CameraIntrinsics
+    depth_m: NDArray[np.float32]
+    near: NDArray[np.bool_]

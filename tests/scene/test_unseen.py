@@ -79,6 +79,6 @@ def test_what_would_be_in_plain_sight_is_not_there(seed: int, measured: bool) ->
     share = unseen_share(
         np.random.default_rng(seed), [(view_of(depth_m), TABLE)], box("cube", np.full(3, 0.02)), []
     )
-    presence = expit(log_odds_of_presence(log_prior_odds(0.9), share, 0.9))
+    presence = expit(log_odds_of_presence([log_prior_odds(0.9)], [share], 0.9))[0]
 
     assert presence == pytest.approx(1e-8 if measured else 0.9, abs=1e-6)
