@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline.jax_setup import keep_compiled_kernels
+from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
 from pipeline.options import Common, Source
 from pipeline.publishing.publish import publish
 from pipeline.run_folder import RunFolder, V, file_hash, open_run_folder
@@ -96,6 +96,7 @@ def open_session(common: Common, source: Source, run_path: Path, *, force: bool 
         PipelineError: the run folder cannot be used, or a setting.
     """
     keep_compiled_kernels()
+    trace_without_pauses()
     recording = open_recording(source.path, source.read_options(common.settings))
     recording_hash = file_hash(source.path)
     with open_run_folder(run_path, {source.path.name: recording_hash}, force=force) as run:

@@ -66,30 +66,30 @@ class ComparedPixels:
         share = min(FOREGROUND_PIXELS / max(len(places), 1), 1.0)
         weight = np.zeros(FOREGROUND_PIXELS, np.float32)
         weight[: len(places)] = 1 / share
-        return cls(
-            noise,
-            jnp.asarray(surface_sigma_m, jnp.float32),
-            jnp.asarray(log_odds, jnp.float32),
-            jnp.asarray(data.window.depth_m.ravel()),
-            jnp.asarray(data.rest_m.ravel()),
-            jnp.asarray(inside & ~near),
-            jnp.asarray(np.resize(places, FOREGROUND_PIXELS)),
-            jnp.asarray(weight),
-            data.window.inside.shape,
+        numbers = (
+            np.float32(surface_sigma_m),
+            np.float32(log_odds),
+            data.window.depth_m.ravel(),
+            data.rest_m.ravel(),
+            inside & ~near,
+            np.resize(places, FOREGROUND_PIXELS).astype(np.int32),
+            weight,
         )
+        return cls(noise, *map(jax.device_put, numbers), shape=data.window.inside.shape)
 
     def no_layers(self, objects: int, poses: int) -> PoseLayers:
         """Layers of `poses` poses an object of which none shows anything, and of the absent object, last."""
         shape = objects, poses + 1
         log_alone = np.full(shape, self.log_odds, np.float32)
         log_alone[:, -1] = 0.0
+        rest_m, rest_log_density = _rest(self)
         return PoseLayers(
-            depth_m=jnp.asarray(np.full((*shape, FOREGROUND_PIXELS), np.inf, np.float32)),
-            log_density=jnp.asarray(np.zeros((*shape, FOREGROUND_PIXELS), np.float32)),
-            log_alone=jnp.asarray(log_alone),
+            depth_m=jax.device_put(np.full((*shape, FOREGROUND_PIXELS), np.inf, np.float32)),
+            log_density=jax.device_put(np.zeros((*shape, FOREGROUND_PIXELS), np.float32)),
+            log_alone=jax.device_put(log_alone),
             rests=Rests.sure(*shape),
-            rest_m=self.rest_m[self.places],
-            rest_log_density=_rest_log_density(self),
+            rest_m=rest_m,
+            rest_log_density=rest_log_density,
         )
 
     def with_layers(
@@ -103,14 +103,14 @@ class ComparedPixels:
             log_prior: (N, n) of these poses, beside the odds of being there.
             first: place of the first of them.
         """
-        by_object = jnp.asarray(depth_m.reshape(*log_prior.shape, -1))
-        prior = jnp.asarray(log_prior, jnp.float32)
-        return _with_layers(self, layers, by_object, prior, jnp.asarray(first, jnp.int32))
+        by_object = depth_m.reshape(*log_prior.shape, -1)
+        return _with_layers(self, layers, by_object, log_prior.astype(np.float32), np.int32(first))
 
 
 @jax.jit
-def _rest_log_density(pixels: ComparedPixels) -> jax.Array:
-    return _without_objects(pixels)[pixels.places] * pixels.weight
+def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
+    """Depth and log density (X,) of the background."""
+    return pixels.rest_m[pixels.places], _without_objects(pixels)[pixels.places] * pixels.weight
 
 
 @partial(jax.jit, compiler_options=SELDOM)

@@ -141,12 +141,12 @@ class DepthImages:
         height, width = rest_m[0].shape
         return cls(
             renderer=renderer,
-            cameras=jax.tree.map(lambda *leaves: jnp.stack(leaves), *[view.detail.camera for view in views]),
+            cameras=jax.tree.map(lambda *leaves: np.stack(leaves), *[view.detail.camera for view in views]),
             camera_from_world=jax.vmap(pose_of)(jnp.asarray(camera_from_world)),
-            observed_m=tiled(jnp.asarray(np.stack([view.detail.depth_m for view in views])), 0.0),
-            rest_m=tiled(jnp.asarray(np.stack(rest_m), jnp.float32), 0.0),
-            weights=pixel_weight * jnp.asarray(shares),
-            noise=jax.tree.map(jnp.float32, noise),
+            observed_m=_cut(np.stack([view.detail.depth_m for view in views])),
+            rest_m=_cut(np.stack(rest_m).astype(np.float32)),
+            weights=jax.device_put(pixel_weight * np.array(shares)),
+            noise=jax.tree.map(np.float32, noise),
             fresh_share=jnp.ones(()),
             objects=objects,
             height=height,
@@ -280,6 +280,11 @@ class DepthImages:
 
         in_cameras = jax.vmap(jax.vmap(in_camera, in_axes=(0, None)), in_axes=(None, 0))
         return in_cameras(self.camera_from_world, poses).astype(jnp.float32)
+
+
+@jax.jit
+def _cut(images: jax.Array) -> jax.Array:
+    return tiled(images, 0.0)
 
 
 @partial(jax.jit, static_argnames="count")

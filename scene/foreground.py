@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import (
@@ -113,7 +113,7 @@ def _data_over(
     window = window_over(seen, depth_m, intrinsics)
     detail = window_over(seen, depth_m, intrinsics, DETAIL)
     return SceneData(
-        view=replace(view, unexplained=jnp.asarray(pooled_foreground)),
+        view=replace(view, unexplained=jax.device_put(pooled_foreground)),
         foreground=pooled_foreground,
         window=window,
         window_foreground=np.asarray(

@@ -74,7 +74,7 @@ def initialise(
             found = _hypotheses(data, objects, rotations, masks, rng, config.pool)
             pools = pools.with_poses(found, turn * config.pool)
             choices, log_densities = choose(round_key, pools.layers, HOT, COLD, PARTICLES, SWEEPS)
-            scene = best_of(pools, np.asarray(choices[jnp.argmax(log_densities)]), scene)
+            scene = best_of(pools, np.asarray(choices)[np.argmax(np.asarray(log_densities))], scene)
             masks = unexplained_by_others(pools, scene)
     pools = pools.with_poses(polished_rivals(pools, scene), searched)
     pools, scene = decided(last_key, pools, best_of(pools, scene), searched, noise)
@@ -90,7 +90,7 @@ def initialise(
 
 def _kernels(pools: Pools) -> list[Callable[[], object]]:
     """What the search runs, to be compiled."""
-    layers, scenes = pools.layers, jnp.zeros((2, len(pools.objects)), jnp.int32)
+    layers, scenes = pools.layers, np.zeros((2, len(pools.objects)), np.int32)
     return [
         lambda: pools.renderer.compile(pools.data.window),
         lambda: best_scene.lower(layers, scenes, PAIRED).compile(),

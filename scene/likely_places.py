@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logit
@@ -76,7 +75,7 @@ def _place(pools: Pools, scene: NDArray[np.integer], one: int) -> NDArray[np.boo
 def _filled(pools: Pools, scene: NDArray[np.integer], one: int) -> NDArray[np.integer]:
     """The scene (N,) after an object was taken away and what gains was added, itself or others."""
     absent = np.where(np.arange(len(scene)) == one, pools.absent, scene).astype(np.int32)
-    return np.asarray(filled(pools.layers, jnp.asarray(absent), jnp.zeros(len(scene), bool)))
+    return np.asarray(filled(pools.layers, absent, np.zeros(len(scene), bool)))
 
 
 def _log_odds(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.float64]:

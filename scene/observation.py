@@ -59,9 +59,9 @@ def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, widt
     rows, columns = pooled.shape
     small = intrinsics.resized(intrinsics.width // factor, intrinsics.height // factor)
     camera = Camera.from_intrinsics(small)
-    normals = _normals(jnp.asarray(pooled), camera)
+    normals = _normals(pooled, camera)
     assert normals.shape == (rows, columns, 3)
-    return DepthView(camera, jnp.asarray(pooled), normals, jnp.asarray(pooled) != NO_RETURN)
+    return DepthView(camera, jax.device_put(pooled), normals, jax.device_put(pooled != NO_RETURN))
 
 
 def unprojected(depth_m: NDArray[np.float32], camera: CameraIntrinsics | Camera) -> NDArray[np.float64]:

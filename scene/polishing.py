@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scene.ahead import SELDOM
 from scene.icp import ViewTable, align, look_up, rotated
+from scene.observation import DepthView
 from scene.rendering import ObjectRenderer
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
@@ -32,7 +33,6 @@ def polished(
     present: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
     """Poses (N, 7) after ICP of what the scene shows of each object, rendered anew in an outer loop."""
-    view = ViewTable.of(data.view)
     points = np.stack([one.points_m for one in objects])
     normals = np.stack([one.normals for one in objects])
     current = np.asarray(poses, np.float32)
@@ -40,14 +40,14 @@ def polished(
         depth = renderer.layers(np.arange(len(objects)), current, data.window)
         depth = np.where(present[:, None, None], depth, np.inf)
         current = np.asarray(
-            _polished_once(view, points, normals, current, data.window.camera, depth.min(axis=0))
+            _polished_once(data.view, points, normals, current, data.window.camera, depth.min(axis=0))
         )
     return current
 
 
 @partial(jax.jit, compiler_options=SELDOM)
 def _polished_once(
-    view: ViewTable,
+    view: DepthView,
     points_m: jax.Array,
     normals: jax.Array,
     poses: jax.Array,
@@ -55,6 +55,7 @@ def _polished_once(
     scene_m: jax.Array,
 ) -> jax.Array:
     """One round: a point takes part if the rendered scene (H, W) does not hide it."""
+    table = ViewTable.of(view)
     around = jax.lax.reduce_window(scene_m, -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
     around = jnp.where(jnp.isfinite(around), around, 0.0)
     scene = ViewTable(camera, around.reshape(-1), jnp.zeros(around.size, jnp.int32), *around.shape)
@@ -65,6 +66,6 @@ def _polished_once(
         front = look_up(scene, placed)
         visible = ~front.measured | (placed[2] < front.depth_m + SELF_OCCLUSION_M)
         improve = partial(align, first_m=FIRST_M, last_m=LAST_M, iterations=ITERATIONS)
-        return improve(view, points_m, normals, visible[None], pose[None])[0]
+        return improve(table, points_m, normals, visible[None], pose[None])[0]
 
     return jax.vmap(one)(points_m, normals, poses)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,8 +84,9 @@ class Pools:
 
     def without(self, one: int, places: NDArray[np.bool_]) -> Pools:
         """The pools with some poses (K,) of an object left out."""
-        log_alone = self.layers.log_alone.at[one, : self.absent].add(jnp.where(places, -jnp.inf, 0.0))
-        return replace(self, layers=replace(self.layers, log_alone=log_alone))
+        log_alone = np.array(self.layers.log_alone)
+        log_alone[one, : self.absent][places] = -np.inf
+        return replace(self, layers=replace(self.layers, log_alone=jax.device_put(log_alone)))
 
     def _with_layers(
         self,

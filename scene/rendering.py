@@ -40,7 +40,7 @@ class ObjectRenderer:
     def of(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
         """The renderer of these objects, in order."""
         centres = np.stack([one.centre_m for one in objects])
-        return cls(joined([one.library for one in objects]), jnp.asarray(centres, jnp.float32))
+        return cls(joined([one.library for one in objects]), jax.device_put(centres.astype(np.float32)))
 
     @classmethod
     def of_draws(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
@@ -48,7 +48,7 @@ class ObjectRenderer:
         draws = zip(*[one.draws or (one.library,) for one in objects], strict=True)
         libraries = [library for draw in draws for library in draw]
         centres = np.tile([one.centre_m for one in objects], (len(libraries) // len(objects), 1))
-        return cls(joined(libraries), jnp.asarray(centres, jnp.float32))
+        return cls(joined(libraries), jax.device_put(centres.astype(np.float32)))
 
     def compile(self, window: PixelWindow) -> None:
         """What `layers` runs."""

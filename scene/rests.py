@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 @jax.tree_util.register_dataclass
@@ -26,8 +27,8 @@ class Rests:
     @classmethod
     def sure(cls, objects: int, poses: int) -> Rests:
         """All poses rest, and none on another object."""
-        nothing_on = jnp.full((objects, poses, objects, poses), -jnp.inf, jnp.float32)
-        return cls(jnp.zeros((objects, poses), jnp.float32), nothing_on)
+        nothing_on = np.full((objects, poses, objects, poses), -np.inf, np.float32)
+        return cls(jax.device_put(np.zeros((objects, poses), np.float32)), jax.device_put(nothing_on))
 
     def of(self, choice: jax.Array) -> jax.Array:
         """Log prior (N,) of each object in the scene of a choice (N,)."""

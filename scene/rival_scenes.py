@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +16,8 @@ from scene.pose_choice import log_density_of_choice
 from scene.refinement import refine
 from shapes.depth_noise import with_surface_error
 
+_log_density = jax.jit(log_density_of_choice)
+
 PAIRED = 32
 """Poses of two objects that are compared jointly."""
 UNDECIDED = 60.0
@@ -29,12 +30,12 @@ RIVALS = 6
 def best_of(pools: Pools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]:
     """The best scene (N,) found from one or two, by one kernel."""
     two = np.stack([scenes[0], scenes[-1]]).astype(np.int32)
-    return np.asarray(best_scene(pools.layers, jnp.asarray(two), PAIRED))
+    return np.asarray(best_scene(pools.layers, two, PAIRED))
 
 
 def rivals_of(pools: Pools, scene: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
     """For every object the best scene (N, N) with or without it, and its log odds (N,)."""
-    others, log_odds = rivals(pools.layers, jnp.asarray(scene))
+    others, log_odds = rivals(pools.layers, scene)
     return np.asarray(others), np.asarray(log_odds)
 
 
@@ -74,7 +75,7 @@ def decided(
     refined = np.stack([_refined(key, pools, one, noise) for one in scenes], axis=1)
     pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)
     scenes = [np.where(one < pools.absent, first + place, pools.absent) for place, one in enumerate(scenes)]
-    log_densities = [float(log_density_of_choice(pools.layers, jnp.asarray(one))) for one in scenes]
+    log_densities = [float(_log_density(pools.layers, one)) for one in scenes]
     best = scenes[int(np.argmax(log_densities))]
     return pools, best_of(pools, best)
 

@@ -87,12 +87,12 @@ def sampled(
     model = _model(table, objects, likelihood, space_of(table, starts), config)
     world = pose_of(jnp.asarray(world_from_camera))
     bodies = len(model.bodies.movable)
-    axes = jnp.asarray([round_axis(one) for one in objects] + [-1] * (bodies - len(objects)))
+    axes = jax.device_put(np.array([round_axis(one) for one in objects] + [-1] * (bodies - len(objects))))
     kernel = scene_kernel(
         pose_proposals(start, refined, config.pixel_weight, world, axes),
         prior_share=PRIOR_SHARE,
-        translation_m=jnp.full(bodies, WALK_M),
-        rotation_rad=jnp.full(bodies, WALK_RAD),
+        translation_m=jax.device_put(np.full(bodies, WALK_M)),
+        rotation_rad=jax.device_put(np.full(bodies, WALK_RAD)),
         axes=axes,
         lines=SpinLines.of(objects, bodies - len(objects)),
         structure=PairMove() if config.graph == "infer" else None,
@@ -162,10 +162,11 @@ def _model(
         half_extents.append(np.append(table.half_size_m, TABLE_HALF_THICKNESS_M))
         movable.append(False)
         supporting.append([face == TOP_FACE for face in range(6)])
-    bodies = Bodies(jnp.asarray(np.stack(half_extents)), jnp.asarray(movable), jnp.asarray(supporting))
+    leaves = np.stack(half_extents), np.array(movable), np.array(supporting)
+    bodies = Bodies(*map(jax.device_put, leaves))
     prior = PosePrior(
-        low_m=jnp.asarray(space[0]),
-        high_m=jnp.asarray(space[1]),
+        low_m=jax.device_put(space[0]),
+        high_m=jax.device_put(space[1]),
         contact_sigma_m=jnp.asarray(config.contact_sigma_m),
         loose_sigma_m=jnp.asarray(config.loose_sigma_m),
         contact_concentration=jnp.asarray(config.contact_concentration),
@@ -202,7 +203,7 @@ def _sample(
         recorded = _samples(_scene_and_value(states), nothing)
         return jax.tree.map(lambda leaf: leaf[None], recorded), 0.0
     groups = [
-        jax.tree.map(lambda leaf, first=first: leaf[first : first + TOGETHER], states)
+        jax.tree.map(lambda leaf, first=first: np.asarray(leaf)[first : first + TOGETHER], states)
         for first in range(0, config.chains, TOGETHER)
     ]
     blocks = BURN_IN_BLOCKS * 3
@@ -236,7 +237,7 @@ def _advanced(
     def run(key: jax.Array, states: ChainState) -> tuple[ChainState, Samples]:
         with jax.enable_x64(True):  # of this thread
             states, scenes, info = run_block(key, states, model, kernel, count, _scene_and_value)
-            return states, _samples(scenes, jnp.mean(info.poses.accepted, axis=-1))
+            return states, _samples(scenes, np.mean(np.asarray(info.poses.accepted), axis=-1))
 
     with ThreadPoolExecutor(len(groups)) as cores:
         states, samples = zip(*cores.map(run, keys, groups), strict=True)

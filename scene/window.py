@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,7 +63,7 @@ def window_over(
     inside = inside_rows[:, None] & inside_columns
     camera = Camera(
         *(
-            jnp.asarray(value, jnp.float32)
+            jax.device_put(np.float32(value))
             for value in (
                 intrinsics.fx / stride,
                 intrinsics.fy / stride,

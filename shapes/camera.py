@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from recordings.types import CameraIntrinsics
 
@@ -25,7 +26,7 @@ class Camera:
     def from_intrinsics(cls, intrinsics: CameraIntrinsics) -> Camera:
         """The camera of a recording, in float32."""
         values = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
-        return cls(*(jnp.asarray(value, jnp.float32) for value in values))
+        return cls(*(jax.device_put(np.float32(value)) for value in values))
 
 
 def stacked(cameras: Sequence[Camera]) -> Camera:

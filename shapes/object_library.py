@@ -86,30 +86,32 @@ def library_of_mesh(
     origin = centre - size * pitch_m / 2
     distance, gradient = signed_distance((vertices_m - origin) / pitch_m, faces, tuple(size.tolist()))
     levels = [_packed(*level).ravel() for level in _levels(distance, gradient)]
+    put = jax.device_put  # compiles nothing
     return ObjectLibrary(
-        table=jnp.asarray(np.concatenate(levels)),
-        first_voxel=jnp.zeros(1, jnp.int32),
-        size=jnp.asarray(size[None], jnp.int32),
-        pitch_m=jnp.array([pitch_m], jnp.float32),
-        grid_origin_m=jnp.asarray(origin[None], jnp.float32),
-        centre_m=jnp.asarray(centre[None], jnp.float32),
-        half_extent_m=jnp.asarray(extent[None] / 2, jnp.float32),
-        radius_m=jnp.array([np.linalg.norm(used - centre, axis=1).max()], jnp.float32),
+        table=put(np.concatenate(levels)),
+        first_voxel=put(np.zeros(1, np.int32)),
+        size=put(size[None].astype(np.int32)),
+        pitch_m=put(np.array([pitch_m], np.float32)),
+        grid_origin_m=put(origin[None].astype(np.float32)),
+        centre_m=put(centre[None].astype(np.float32)),
+        half_extent_m=put((extent[None] / 2).astype(np.float32)),
+        radius_m=put(np.array([np.linalg.norm(used - centre, axis=1).max()], np.float32)),
     )
 
 
 def joined(libraries: Sequence[ObjectLibrary]) -> ObjectLibrary:
     """One library of all objects, in order; its table is padded to a power of two against recompilation."""
-    tables = [np.asarray(library.table) for library in libraries]
+    libraries = [jax.tree.map(np.asarray, library) for library in libraries]
+    tables = [library.table for library in libraries]
     starts = np.cumsum([0] + [len(table) for table in tables])
     table = np.zeros(1 << int(starts[-1] - 1).bit_length(), np.int32)
     table[: starts[-1]] = np.concatenate(tables)
     moved = [
-        replace(library, table=jnp.zeros(0, jnp.int32), first_voxel=library.first_voxel + int(start))
+        replace(library, table=np.zeros(0, np.int32), first_voxel=library.first_voxel + np.int32(start))
         for library, start in zip(libraries, starts[:-1], strict=True)
     ]
-    columns = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *moved)
-    return replace(columns, table=jnp.asarray(table))
+    columns = jax.tree.map(lambda *leaves: np.concatenate(leaves), *moved)
+    return jax.device_put(replace(columns, table=table))
 
 
 def _fitting_pitch(extent_m: NDArray[np.float64]) -> float:
