@@ -16,6 +16,8 @@ Units = Literal["m", "mm"]
 SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".off")
 LARGEST_M = 5.0
 """A larger object is more likely written in millimetres."""
+SMALLEST_M = 0.004
+"""A smaller one, of which a depth camera sees nothing, more likely in metres taken for millimetres."""
 
 
 def load_meshes(folder: Path, units: Units | None = None) -> dict[str, trimesh.Trimesh]:
@@ -51,6 +53,8 @@ def _load_mesh(path: Path, scale: float) -> trimesh.Trimesh:
         raise PipelineError(
             f"{path} is {mesh.extents.max():.4g} m large; looks like millimetres, use --units mm"
         )
+    if mesh.extents.max() < SMALLEST_M:
+        raise PipelineError(f"{path} is {mesh.extents.max():.4g} m large; looks like metres, use --units m")
     return mesh
 
 

@@ -37,10 +37,12 @@ class CandidateMove:
     Far: K - 1 poses y are drawn from the offer's density q, and the choice is in proportion to pi / q
     (iterated sampling importance resampling, Andrieu, Lee and Vihola 2018). Near: a point z is drawn round
     x and K - 1 poses y round z, all by one symmetric step k, and the choice is in proportion to pi
-    (Tjelmeland 2004). The joint densities pi(x) prod q(y) and pi(x) k(x, z) prod k(z, y), times the chance
-    of the choice, are symmetric in who of the K is the present one: as an involution, with the place of
-    the choice as auxiliary variable, h swaps two poses and the weight is 1. The choice is Metropolised
-    (`decide`), which leaves the same weights invariant and stays less often.
+    (Tjelmeland 2004). That step is Gaussian, or Gaussian across the object's line and a spin about it of any
+    scale between `LEAST_SPIN_RAD` and `MOST_SPIN_RAD`. The joint densities pi(x) prod q(y) and
+    pi(x) k(x, z) prod k(z, y), times the chance of the choice, are symmetric in who of the K is the present
+    one: as an involution, with the place of the choice as auxiliary variable, h swaps two poses and the
+    weight is 1. The choice is Metropolised (`decide`), which leaves the same weights invariant and stays less
+    often.
 
     What rests on the object stays where it is, and contacts keep the faces that point the same way, whatever
     their names (`placed`): the same state in other names, which are one to one at every pose, so that pi
@@ -49,8 +51,9 @@ class CandidateMove:
     Attributes:
         offer: draws the far candidates; a near step has the covariance of its mixture's first component.
         near_share: how often near candidates are drawn.
-        axes: (C,) the box axis about which an object is round, or -1; half of the near steps spin it not: a
-            scan's little bumps make many narrow modes of a round object's spin.
+        axes: (C,) the box axis about which an object is round, or -1; its Gaussian steps do not spin it about
+            its line: a scan's little bumps make many narrow modes of a round object's spin.
+        lines: about which most of each object is round.
         count: K.
     """
 

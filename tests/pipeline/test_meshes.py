@@ -41,6 +41,12 @@ def test_millimetres_are_scaled_when_said_or_when_bops(tmp_path: Path) -> None:
     assert load_meshes(tmp_path)["box"].extents.max() == pytest.approx(0.3)
 
 
+def test_metres_taken_for_millimetres_are_noticed(tmp_path: Path) -> None:
+    """A box of 0.3 mm is no object."""
+    with pytest.raises(PipelineError, match="looks like metres, use --units m"):
+        load_meshes(folder(tmp_path), "mm")
+
+
 def test_what_holds_no_mesh_is_refused(tmp_path: Path) -> None:
     """A missing folder, an empty one, a broken file, a cloud without triangles."""
     with pytest.raises(PipelineError, match="no folder of meshes"):
