@@ -16,7 +16,7 @@ from slam.joint_refinement import Placed
 from slam.particles import IDENTITY, CameraParticles, mean_and_covariance
 from slam.result import SlamResult
 
-UNDERSTATED, DEGREES_OF_FREEDOM = 1.62, 9.0
+UNDERSTATED, DEGREES_OF_FREEDOM = 1.41, 8.0
 """By how much the curvature, tempered as the spread of the blocks' scores says, understates the variance of
 poses in all directions, and how surely that is known: blocks differ from image to image and room to room, and
 a Gaussian whose scale is only known to a chi-square is a Student-t. The F distribution nearest to the squared
