@@ -24,12 +24,8 @@ from slam.components import dot
 from slam.depth_view import DepthView
 
 WINDOW_RADIUS_PX = 3
-DEPTH_BANDS = (0.04, 0.01)
-"""Relative distances from a pixel's tangent plane within which neighbours belong to it, pass by pass."""
-WIDE_STEPS, WIDE_STEP_PX = 2, 4
-WIDE_TURN = 0.06
-"""Difference in orientation, radians, within which two windows lie on one plane."""
-
+NEAR_BAND = 0.04
+"""Relative distance from a pixel's depth within which neighbours are fitted first."""
 REGION_STEPS_PX = (4, 8, 16)
 REGION_TURNS = (0.08, 0.05, 0.04)
 """Rounds of averaging over ever wider surroundings, and how far orientations may differ in each."""
@@ -37,20 +33,6 @@ ON_PLANE_SIGMAS = 3.5
 LEAST_WINDOW_PIXELS = 12
 LEAST_REGION = 300.0
 """Product of the rounds' counts of alike neighbours, at most 25 each, from which on a region is a plane."""
-
-
-def tangent_planes(depth_m: jax.Array, rays: jax.Array, camera: Camera) -> jax.Array:
-    """Plane vectors (3, H, W) through each measured point, oriented by its window; zeros elsewhere.
-
-    A second pass drops the pixels that the first plane does not explain, which keeps creases sharp. Only
-    the orientation is smoothed: planes that do not pass through their points round the creases (measured:
-    millimetres).
-    """
-    inverse_depth = _inverse(depth_m)
-    fit = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
-    for band in DEPTH_BANDS:
-        fit, _ = _window_fit(inverse_depth, fit, camera, band * inverse_depth, WINDOW_RADIUS_PX)
-    return _through_points(_widened(fit[:2], inverse_depth, camera), inverse_depth, rays)
 
 
 def region_planes(view: DepthView, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:
@@ -64,7 +46,7 @@ def region_planes(view: DepthView, noise: DepthNoise) -> tuple[jax.Array, jax.Ar
     inverse_depth = _inverse(view.depth_m)
     tolerance = _tolerance(view.depth_m, inverse_depth, noise)
     fit = jnp.zeros((3, *inverse_depth.shape), inverse_depth.dtype)
-    near = DEPTH_BANDS[0] * inverse_depth
+    near = NEAR_BAND * inverse_depth
     fit, _ = _window_fit(inverse_depth, fit, view.camera, near, WINDOW_RADIUS_PX - 1)
     fit, count = _window_fit(inverse_depth, fit, view.camera, tolerance, WINDOW_RADIUS_PX)
     planes, on_plane = _fitted_planes(fit, count, inverse_depth, view.rays, tolerance)
@@ -119,28 +101,6 @@ def _through_points(slopes: jax.Array, inverse_depth: jax.Array, rays: jax.Array
     x, y = slopes
     planes = jnp.stack([x, y, inverse_depth - x * rays[0] - y * rays[1]])
     return jnp.where((inverse_depth > 0)[None], planes, 0.0)
-
-
-@jax.jit
-def _widened(slopes: jax.Array, inverse_depth: jax.Array, camera: Camera) -> jax.Array:
-    """Slopes (2, H, W) averaged with those of alike, coplanar pixels a few windows around.
-
-    Along a bare wall noise of N passes for information on motion that leaves no trace.
-    """
-    reach, shape = WIDE_STEPS * WIDE_STEP_PX, inverse_depth.shape
-    padded = jnp.pad(jnp.concatenate([slopes, inverse_depth[None]]), ((0, 0), (reach, reach), (reach, reach)))
-    steps = range(0, 2 * reach + 1, WIDE_STEP_PX)
-    total, weight = jnp.zeros_like(slopes), jnp.zeros_like(inverse_depth)
-    for row, column in itertools.product(steps, steps):
-        x, y = (column - reach) / camera.fx, (row - reach) / camera.fy
-        around = padded[:, row : row + shape[0], column : column + shape[1]]
-        off_plane = jnp.abs(around[2] - inverse_depth - slopes[0] * x - slopes[1] * y)
-        turn = jnp.maximum(jnp.abs(around[0] - slopes[0]), jnp.abs(around[1] - slopes[1]))
-        alike = (around[2] > 0) & (turn < WIDE_TURN * inverse_depth)
-        alike &= off_plane <= DEPTH_BANDS[-1] * inverse_depth
-        total += jnp.where(alike[None], around[:2], 0.0)
-        weight += alike
-    return total / jnp.maximum(weight, 1.0)[None]
 
 
 @partial(jax.jit, static_argnames=("step_px", "most_turn"))

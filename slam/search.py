@@ -30,6 +30,8 @@ UNMISTAKABLE_EXPLAINED = 0.92
 PLAUSIBLE_EXPLAINED = 0.6
 PLAUSIBLE_COVERED = 0.1
 """The least with which the camera counts as found at all."""
+LEAST_EXPLAINED = PLAUSIBLE_EXPLAINED * PLAUSIBLE_COVERED
+"""Places that look away from the map are foreseen as well as the right one, a centimetre beside it, fits."""
 WIDE_KEYFRAMES = 8
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
 WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
@@ -173,7 +175,8 @@ class Searcher:
         ranked = places[np.argsort(-scores, kind="stable")]
         best = enumeration.distinct(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
         rendered = distinct_places([self.at(group, single_precision_poses(pose)) for pose in ranked[best]])
-        found = [self.near(group, [located.optimum.pose]) for located in rendered[:WIDE_REFINED]]
+        meeting = [located for located in rendered if located.explained >= LEAST_EXPLAINED]
+        found = [self.near(group, [located.optimum.pose]) for located in meeting[:WIDE_REFINED]]
         return distinct_places(found)
 
     @cached_property

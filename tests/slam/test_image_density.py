@@ -16,7 +16,7 @@ from slam.foreseen import Foreseen, foreseen_from_before, log_density_of_unknown
 from slam.image_density import log_density_of_shown, log_image_density, rendered_depth, scored_pixels
 from slam.keyframes import surface_of
 from slam.localisation import LocalMap, optimum_at
-from slam.plane_fitting import tangent_planes
+from slam.plane_fitting import region_planes
 from slam.rendering import depth_on_rays, fused_planes, planes_in_frame, render
 from slam.rigid import single_precision_poses
 from tests.slam import box_room
@@ -162,10 +162,10 @@ def test_planes_render_the_same_in_any_frame():
     assert not np.isfinite(np.asarray(behind)).any()
 
 
-def test_tangent_planes_of_walls_are_the_walls():
+def test_planes_of_walls_are_the_walls():
     """Away from edges the fitted normals of an exact image are those of the room, to a tenth of a degree."""
     view = view_of_frame(box_room.frames(box_room.pose(0, 0, 0, 0.3)[None])[0], box_room.INTRINSICS)
-    planes = np.asarray(tangent_planes(view.depth_m, view.rays, view.camera))
+    planes = np.asarray(region_planes(view, NOISE)[0])
     normals = planes / np.linalg.norm(planes, axis=0)
     world = np.einsum("ij,jhw->ihw", box_room.pose(0, 0, 0, 0.3)[:3, :3], normals)
 
