@@ -49,7 +49,8 @@ def agreeing_pixels(view: CloseView) -> NDArray[np.intp]:
 
     Where something is seen well in front of it, it is hidden, by what nobody asked for.
     """
-    return _counts(_seen(view) & _within(view, SIGMAS), _seen(view))
+    seen = _seen(view)
+    return _counts(seen & _within(view, SIGMAS), seen)
 
 
 def closely_agreeing_pixels(view: CloseView) -> NDArray[np.intp]:

@@ -163,7 +163,7 @@ class Searcher:
         return Located(optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group)
 
     def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
-        """Distinct optima anywhere in the map, best first; none where every climb leaves the numbers."""
+        """Distinct optima anywhere in the map, best first; none where no climb leads to what it shows."""
         candidates = enumeration.anywhere(matrices_of(last), group.representative, distances_m)
         scores = self._map_scores(group, candidates, WIDE_BLUR)
         ranked = candidates[np.argsort(-scores, kind="stable")]
