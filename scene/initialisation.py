@@ -117,7 +117,8 @@ def _hypotheses(
     pool: int,
 ) -> NDArray[np.float32]:
     """Poses (N, pool, 7) of every object on the pixels of its mask, searched side by side on all cores."""
-    places = [_places(data, mask, rng) for mask in masks]
+    points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
+    places = [_places(points, mask if mask.sum() >= 10 else data.foreground, rng) for mask in masks]
 
     def find(index: int) -> NDArray[np.float32]:
         one, view = objects[index], replace(data.view, unexplained=masks[index])
@@ -128,19 +129,24 @@ def _hypotheses(
 
 
 def _places(
-    data: SceneData, mask: NDArray[np.bool_], rng: np.random.Generator
+    points_m: NDArray[np.float32], mask: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Anchors (ANCHORS, 3) spread over the masked points, and cluster centres (CENTRES, 3)."""
-    points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
-    masked = points[mask] if mask.sum() >= 10 else points[data.foreground]
+    """Anchors (ANCHORS, 3) spread over the masked points of (H, W, 3), and cluster centres (CENTRES, 3)."""
+    masked = points_m[mask]
     masked = masked[rng.permutation(len(masked))]
-    _, first = np.unique(np.floor(masked / ANCHOR_SPACING_M).astype(int), axis=0, return_index=True)
-    anchors = masked[rng.permutation(first)]
+    anchors = masked[rng.permutation(_one_a_cell(masked))]
     centres = clusters(anchors, CLUSTER_SCALES_M, fewest=3)
     centres = np.concatenate([centres, masked.mean(axis=0)[None]])
     return np.resize(anchors, (ANCHORS, 3)).astype(np.float32), np.resize(centres, (CENTRES, 3)).astype(
         np.float32
     )
+
+
+def _one_a_cell(points_m: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Places of the first of the points (N, 3) in each cell of ANCHOR_SPACING_M."""
+    cells = np.floor(points_m / ANCHOR_SPACING_M).astype(np.int64)
+    cells -= cells.min(axis=0)
+    return np.unique(np.ravel_multi_index(tuple(cells.T), cells.max(axis=0) + 1), return_index=True)[1]
 
 
 @jax.jit

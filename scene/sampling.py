@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.adaptation import adapted, modes_of
-from scene.ahead import SELDOM
+from scene.ahead import SELDOM, compiled_beside
 from scene.chain import Kernel, run_block, scene_kernel
 from scene.cloud_images import CloudImages
 from scene.config import ParseConfig
@@ -210,22 +210,23 @@ def _sample(
     count = -(-config.sweeps // blocks)
     kept: list[Samples] = []
     variance = 0.0
-    for block in range(blocks):
-        block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
-        groups, samples = _advanced(block_keys, groups, model, kernel, count)
-        if block < BURN_IN_BLOCKS:
-            kernel = _taught(kernel, axes, samples)
-        else:
-            kept.append(samples)
-        if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
-            likelihood = model.likelihood
-            assert isinstance(likelihood, DepthImages)
-            spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
-            variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
-            share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
-            model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
-        if progress:
-            progress(block + 1, blocks)
+    with compiled_beside(partial(_compile_taught, kernel, axes, count * config.chains)):
+        for block in range(blocks):
+            block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
+            groups, samples = _advanced(block_keys, groups, model, kernel, count)
+            if block < BURN_IN_BLOCKS:
+                kernel = _taught(kernel, axes, samples)
+            else:
+                kept.append(samples)
+            if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
+                likelihood = model.likelihood
+                assert isinstance(likelihood, DepthImages)
+                spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
+                variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
+                share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
+                model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
+            if progress:
+                progress(block + 1, blocks)
     return Samples.joined(kept), variance
 
 
@@ -242,6 +243,13 @@ def _advanced(
     with ThreadPoolExecutor(len(groups)) as cores:
         states, samples = zip(*cores.map(run, keys, groups), strict=True)
     return list(states), jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *samples)
+
+
+def _compile_taught(kernel: Kernel, axes: jax.Array, states: int) -> None:
+    """What `_taught` runs on so many states, beside `run_block`, which takes longer to compile."""
+    mixture = kernel.candidates.offer.mixture
+    with jax.enable_x64(True):  # of this thread
+        adapted.lower(mixture, axes, np.zeros((states, len(axes), 7))).compile()
 
 
 def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
