@@ -13,20 +13,24 @@ import jax
 import jax.numpy as jnp
 
 from scene import quaternions
-from scene.dice import Dice, drawn_object
+from scene.dice import Dice, drawn_object, drawn_place
+from scene.edges import edge_weights, grafted, place_of
+from scene.graph import SceneGraph, subtree
 from scene.involution import Offer
 from scene.model import ChainState, SceneModel
 from scene.pose_moves import normalised
 from scene.pose_offer import OfferContext, PoseOffer
+from scene.rotation_densities import LOG_CONTACT_JACOBIAN
 from scene.spin_lines import SpinLines
+from scene.symmetries import Symmetries, part_of_turn
 from scene.turned_faces import at_reference, placed
 
 SMALLEST, LARGEST = 0.15, 1.2
 """Scales of near steps over the standard deviations of the pose, log-uniform between these."""
 LEAST_SPIN_RAD, MOST_SPIN_RAD = 0.01, 2.0
 """Standard deviations of spins about an object's line, alike."""
-SPIN_SHARE = 0.25
-"""Of near candidates, that spin so."""
+SPIN_SHARE, TURN_SHARE = 0.25, 0.25
+"""Of near candidates, that spin so, and that make parts of a turn."""
 
 
 @jax.tree_util.register_dataclass
@@ -38,11 +42,17 @@ class CandidateMove:
     (iterated sampling importance resampling, Andrieu, Lee and Vihola 2018). Near: a point z is drawn round
     x and K - 1 poses y round z, all by one symmetric step k, and the choice is in proportion to pi
     (Tjelmeland 2004). That step is Gaussian, or Gaussian across the object's line and a spin about it of any
-    scale between `LEAST_SPIN_RAD` and `MOST_SPIN_RAD`. The joint densities pi(x) prod q(y) and
+    scale between `LEAST_SPIN_RAD` and `MOST_SPIN_RAD`, or Gaussian and perhaps half or a quarter of a turn
+    about a line that leaves the object nearly as it is. The joint densities pi(x) prod q(y) and
     pi(x) k(x, z) prod k(z, y), times the chance of the choice, are symmetric in who of the K is the present
     one: as an involution, with the place of the choice as auxiliary variable, h swaps two poses and the
     weight is 1. The choice is Metropolised (`decide`), which leaves the same weights invariant and stays less
     often.
+
+    Where the graph may change, every near pose comes with an edge of its own, drawn from r(edge | pose) in
+    proportion to p(pose | edge) p(edge): of such pairs the choice is in proportion to pi / r, the density of
+    the pose summed over its edges. An object that floats beside what it could rest on would otherwise have to
+    cross poses that are unlikely under both.
 
     What rests on the object stays where it is, and contacts keep the faces that point the same way, whatever
     their names (`placed`): the same state in other names, which are one to one at every pose, so that pi
@@ -54,19 +64,23 @@ class CandidateMove:
         axes: (C,) the box axis about which an object is round, or -1; its Gaussian steps do not spin it about
             its line: a scan's little bumps make many narrow modes of a round object's spin.
         lines: about which most of each object is round.
+        symmetries: the lines of parts of a turn.
         count: K.
+        grafts: whether edges are drawn with the poses.
     """
 
     offer: PoseOffer
     near_share: jax.Array
     axes: jax.Array
     lines: SpinLines
+    symmetries: Symmetries
     count: int = field(metadata={"static": True})
+    grafts: bool = field(metadata={"static": True})
 
     @property
     def uniforms(self) -> int:
-        """Numbers that a draw takes: object, coin, scale and spin, and those of the offers."""
-        return 4 + (self.count - 1) * self.offer.uniforms
+        """Numbers that a draw takes: object, coin, scale and spin, those of the offers, and of the edges."""
+        return 4 + (self.count - 1) * (self.offer.uniforms + self.grafts)
 
     @property
     def normals(self) -> int:
@@ -79,16 +93,42 @@ class CandidateMove:
         chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
         turned = at_reference(scene, chosen, self.offer.mixture.centres[chosen, 0])
         context = self.offer.context(model, turned, chosen)
-        poses, log_offered = self._poses(dice.without(1), context, scene.poses[chosen])
+        is_near = dice.uniform[1] < self.near_share
+        poses, log_offered = self._poses(dice.without(1), context, scene.poses[chosen], is_near)
         scenes = jax.vmap(partial(placed, turned, chosen))(poses)
+        if self.grafts:
+            uniform = dice.uniform[self.uniforms - self.count + 1 : self.uniforms]
+            grafted_scenes, log_edges = self._grafted(uniform, model, scenes, chosen)
+            scenes = jax.tree.map(partial(jnp.where, is_near), grafted_scenes, scenes)
+            log_offered = log_offered + jnp.where(is_near, log_edges, 0.0)
         return Offer(scenes, log_offered, jnp.zeros_like(state.log_prior))
 
-    def _poses(self, dice: Dice, context: OfferContext, present: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _grafted(
+        self, uniform: jax.Array, model: SceneModel, scenes: SceneGraph, chosen: jax.Array
+    ) -> tuple[SceneGraph, jax.Array]:
+        """The scenes (K, ...), all but the first with edges drawn, and log r (K,) in the states' measure."""
+        below = subtree(scenes.parents[0], chosen)
+        parents = scenes.present[0] & ~below
+        floating, contacts = jax.vmap(lambda poses: edge_weights(model, poses, chosen, parents))(scenes.poses)
+        weights = jnp.concatenate([floating[:, None], contacts], axis=1)
+        present = place_of(jax.tree.map(lambda leaf: leaf[0], scenes), chosen)
+        drawn = jax.vmap(drawn_place)(weights[1:], uniform)
+        places = jnp.concatenate([present[None].astype(drawn.dtype), drawn])
+        log_each = jnp.log(jnp.take_along_axis(weights, places[:, None], axis=1)[:, 0])
+        log_jacobian = jnp.where(places > 0, LOG_CONTACT_JACOBIAN, 0.0)
+        scenes = jax.vmap(lambda scene, place: grafted(scene, chosen, place))(scenes, places)
+        return scenes, log_each - jnp.log(jnp.sum(weights, axis=1)) - log_jacobian
+
+    def _poses(
+        self, dice: Dice, context: OfferContext, present: jax.Array, is_near: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         """The poses (K, 7), the present one first, and the log densities (K,) by which they were drawn."""
         line = SpinLines(self.lines.directions[context.chosen], self.lines.points_m[context.chosen])
-        (coin, size, spin), uniform = dice.uniform[:3], dice.uniform[3:]
+        (size, spin), uniform = dice.uniform[1:3], dice.uniform[3:]
         normal = dice.normal[: self.normals].reshape(self.count, 7)
-        each = Dice(uniform[: self.uniforms - 4].reshape(self.count - 1, -1), normal[1:, :6])
+        each = Dice(
+            uniform[: (self.count - 1) * self.offer.uniforms].reshape(self.count - 1, -1), normal[1:, :6]
+        )
         far = jax.vmap(partial(self.offer.sample, context=context))(each)
         scale = SMALLEST * (LARGEST / SMALLEST) ** size
         steps = scale * jnp.sum(context.mixture.choleskys[:1] * normal[:, None, :6], axis=2)
@@ -97,11 +137,16 @@ class CandidateMove:
         along = jnp.sum(steps[:, 3:] * line.directions[None], axis=1, keepdims=True) * line.directions[None]
         turns = steps[:, 3:] - jnp.where(alone, along, 0.0)
         turns = jax.vmap(partial(quaternions.rotated, context.mixture.centres[0, :4]))(turns)
-        angle = LEAST_SPIN_RAD * (MOST_SPIN_RAD / LEAST_SPIN_RAD) ** (spin / SPIN_SHARE) * spins
-        steps = jnp.concatenate([steps[:, :3], turns, angle * normal[:, 6:]], axis=1)
+        widest = LEAST_SPIN_RAD * (MOST_SPIN_RAD / LEAST_SPIN_RAD) ** (spin / SPIN_SHARE)
+        direction, point, order = self.symmetries.drawn(context.chosen, (spin - SPIN_SHARE) / TURN_SHARE)
+        parts = ~spins & (spin < SPIN_SHARE + TURN_SHARE) & (order > 0)
+        angles = jnp.where(
+            parts, part_of_turn(order, normal[:, 6]), jnp.where(spins, widest, 0.0) * normal[:, 6]
+        )
+        line = SpinLines(jnp.where(parts, direction, line.directions), jnp.where(parts, point, line.points_m))
+        steps = jnp.concatenate([steps[:, :3], turns, angles[:, None]], axis=1)
         centre = stepped(line, present, steps[0])
         near = jax.vmap(partial(stepped, line, centre))(steps[1:])
-        is_near = coin < self.near_share
         poses = jnp.concatenate([present[None], jnp.where(is_near, near, far)])
         log_offered = jax.vmap(partial(self.offer.log_density, context))(poses)
         return poses, jnp.where(is_near, 0.0, log_offered)

@@ -19,6 +19,7 @@ from scene.pose_moves import FlipMove, WalkMove
 from scene.pose_offer import PoseOffer
 from scene.shape_choices import candidate_keys
 from scene.spin_lines import SpinLines
+from scene.symmetries import Symmetries
 
 Recorded = TypeVar("Recorded")
 
@@ -80,6 +81,7 @@ def scene_kernel(
     rotation_rad: jax.Array,
     axes: jax.Array,
     lines: SpinLines,
+    symmetries: Symmetries,
     spread: float = 30.0,
     candidates: int = 6,
     near_share: float = 0.5,
@@ -95,6 +97,7 @@ def scene_kernel(
         rotation_rad: (C,) the same for angles.
         axes: (C,) the box axis about which each object is round, or -1.
         lines: about which objects spin by themselves.
+        symmetries: lines about which parts of a turn leave objects nearly as they are.
         spread: the largest scale over the smallest.
         candidates: poses that are weighed together, the present one among them.
         near_share: how often they are drawn near the present pose.
@@ -106,7 +109,15 @@ def scene_kernel(
     walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
     return Kernel(
         structure,
-        CandidateMove(offer, jnp.asarray(near_share, dtype), axes, lines, candidates),
+        CandidateMove(
+            offer,
+            jnp.asarray(near_share, dtype),
+            axes,
+            lines,
+            symmetries,
+            candidates,
+            grafts=structure is not None,
+        ),
         (walk, FlipMove()),
         repeats,
     )

@@ -8,8 +8,31 @@ import jax
 import jax.numpy as jnp
 
 from scene.graph import ROOT, SceneGraph
+from scene.model import SceneModel
+from scene.prior import contact_densities, log_floating
+from scene.rotation_densities import LOG_CONTACT_JACOBIAN
 
 _FACE_PAIRS = 36
+
+
+def edge_weights(
+    model: SceneModel, poses: jax.Array, chosen: jax.Array, parents: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Densities p(theta' | edge) p(edge) of an object's pose, in the measure of poses, under each edge.
+
+    Args:
+        model: the target.
+        poses: (C, 7).
+        chosen: the object.
+        parents: (..., C) whom it may rest on.
+
+    Returns:
+        Floating, () and on each parent by each pair of faces (..., 36 C).
+    """
+    contacts = jnp.exp(LOG_CONTACT_JACOBIAN) * contact_densities(model.prior, model.bodies, poses, chosen)
+    floating = log_floating(model.prior, poses[chosen, 4:]) + model.structure.log_floating_odds()
+    on_parents = jnp.where(parents[..., None, None], contacts, 0.0)
+    return jnp.exp(floating), on_parents.reshape(*parents.shape[:-1], -1)
 
 
 def place_of(scene: SceneGraph, chosen: jax.Array) -> jax.Array:

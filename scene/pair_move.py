@@ -14,10 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from scene.dice import Dice, drawn_place
-from scene.edges import contacts_gained, grafted, place_of
+from scene.edges import contacts_gained, edge_weights, grafted, place_of
 from scene.graph import ROOT, SceneGraph, subtree
 from scene.model import SceneModel
-from scene.prior import contact_densities, log_floating
 from scene.rotation_densities import LOG_CONTACT_JACOBIAN
 
 
@@ -59,20 +58,13 @@ class PairMove:
         alone = chosen[0] == chosen[1]
         outside = scene.present & ~jnp.any(below, axis=0)
         upon = below[::-1] & scene.present[None] & ~alone
-        contacts = jnp.exp(LOG_CONTACT_JACOBIAN) * jax.vmap(
-            lambda one: contact_densities(model.prior, model.bodies, scene.poses, one)
-        )(chosen)
-        log_floating_weight = (
-            log_floating(model.prior, scene.poses[chosen, 4:]) + model.structure.log_floating_odds()
-        )
-
-        def table(floating: jax.Array, parents: jax.Array) -> jax.Array:
-            on_parents = jnp.where(parents[:, :, None, None], contacts, 0.0)
-            return jnp.concatenate([floating[:, None], on_parents.reshape(2, -1)], axis=1)
-
-        floating = jnp.exp(log_floating_weight)
         elsewhere = jnp.broadcast_to(outside[None], below.shape)
-        return EdgeTables(table(floating, elsewhere), table(jnp.zeros_like(floating), upon), alone)
+        floating, on_parents = jax.vmap(partial(edge_weights, model, scene.poses))(
+            chosen, jnp.stack([elsewhere, upon], axis=1)
+        )
+        heads = jnp.stack([floating, jnp.zeros_like(floating)], axis=1)
+        tables = jnp.concatenate([heads[..., None], on_parents], axis=2)
+        return EdgeTables(tables[:, 0], tables[:, 1], alone)
 
     def sample(self, dice: Dice, context: EdgeTables) -> jax.Array:
         """Whether one of the two rests on the other; then the places (2,) of both in their tables."""

@@ -35,6 +35,7 @@ from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.spin_lines import SpinLines
 from scene.summary import Samples
+from scene.symmetries import Symmetries
 
 TABLE_HALF_THICKNESS_M = 0.01
 FREE_HALF_SIZE_M = 1.5
@@ -95,6 +96,7 @@ def sampled(
         rotation_rad=jax.device_put(np.full(bodies, WALK_RAD)),
         axes=axes,
         lines=SpinLines.of(objects, bodies - len(objects)),
+        symmetries=Symmetries.of(objects, bodies - len(objects)),
         structure=PairMove() if config.graph == "infer" else None,
         repeats=max(len(objects) - 1, 1),
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from scene.spin_line import spin_line
+from scene.symmetry_lines import symmetry_lines
 from shapes.object_library import ObjectLibrary, library_of_mesh
 
 SURFACE_POINTS = 256
@@ -32,6 +33,7 @@ class SceneObject:
         rests: (R, 3) directions in the box frame that point down when the object lies still.
         spin_line: (2, 3) direction and point, in the box frame, of the line about which most of its surface
             is round; zeros where there is none.
+        symmetry_lines, symmetry_orders: (3, 2, 3) and (3,) as `scene.symmetry_lines`, in the box frame.
         library: its distance field, in the object's frame.
         draws: libraries of as likely shapes, as many for each object of a scene; none where it is certain.
     """
@@ -43,6 +45,8 @@ class SceneObject:
     half_extents_m: NDArray[np.float64]
     rests: NDArray[np.float64]
     spin_line: NDArray[np.float64]
+    symmetry_lines: NDArray[np.float64]
+    symmetry_orders: NDArray[np.int_]
     library: ObjectLibrary
     draws: tuple[ObjectLibrary, ...] = ()
 
@@ -67,17 +71,23 @@ def scene_object(
     mesh = trimesh.Trimesh(vertices_m, faces, process=False)
     low, high = mesh.bounds
     centre, half = (low + high) / 2, (high - low) / 2
-    points, normals = _surface_points(mesh)
+    sample = trimesh.sample.sample_surface(mesh, 8 * SURFACE_POINTS, seed=0)
+    drawn, drawn_normals = np.asarray(sample[0]) - centre, mesh.face_normals[np.asarray(sample[1])]
+    spread = _well_spread(drawn)
+    points, normals = drawn[spread], drawn_normals[spread]
+    lines, orders = symmetry_lines(drawn, drawn_normals)
     volume = float(np.prod(2 * half))
     pitch = max((volume / LIBRARY_VOXELS) ** (1 / 3), float(half.max()) / 250)
     return SceneObject(
         name=name,
-        points_m=(points - centre).astype(np.float32),
+        points_m=points.astype(np.float32),
         normals=normals.astype(np.float32),
         centre_m=centre,
         half_extents_m=half,
         rests=stable_rests(np.asarray(mesh.vertices, np.float64) - centre),
-        spin_line=spin_line(points - centre, normals),
+        spin_line=spin_line(points, normals),
+        symmetry_lines=lines,
+        symmetry_orders=orders,
         library=library_of_mesh(vertices_m, faces, pitch),
         draws=tuple(library_of_mesh(*draw, pitch) for draw in draws),
     )
@@ -139,14 +149,11 @@ def _facet_areas(hull: ConvexHull, vertices_m: NDArray[np.float64]) -> NDArray[n
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
-def _surface_points(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Farthest-point subset of uniform draws, shuffled so that any prefix is spread too."""
-    drawn = trimesh.sample.sample_surface(mesh, 8 * SURFACE_POINTS, seed=0)
-    points, faces = np.asarray(drawn[0]), np.asarray(drawn[1])
+def _well_spread(points: NDArray[np.float64]) -> NDArray[np.int_]:
+    """Places of the farthest-point subset, shuffled so that any prefix is spread too."""
     chosen = [0]
     nearest = np.linalg.norm(points - points[0], axis=1)
     for _ in range(SURFACE_POINTS - 1):
         chosen.append(int(nearest.argmax()))
         nearest = np.minimum(nearest, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    order = np.random.default_rng(0).permutation(chosen)
-    return points[order], mesh.face_normals[faces[order]]
+    return np.random.default_rng(0).permutation(chosen)

@@ -15,6 +15,7 @@ from scene.pair_move import PairMove
 from scene.pose_mixture import PoseMixture
 from scene.prior import POSE_UNIFORMS, PosePrior, StructurePrior, WeightedTrees, sample_pose
 from scene.spin_lines import SpinLines
+from scene.symmetries import Symmetries
 
 
 def cube_model(
@@ -64,6 +65,7 @@ def cube_kernel(
         rotation_rad=2 * scale,
         axes=jnp.full(count, -1),
         lines=SpinLines.none(count),
+        symmetries=Symmetries.none(count),
         candidates=candidates,
         repeats=repeats,
         structure=structure or PairMove(),

@@ -16,6 +16,7 @@ from scene.graph import ROOT, SceneGraph
 from scene.model import Apart, ChainState, Estimate, SceneModel
 from scene.prior import sample_pose
 from scene.spin_lines import SpinLines
+from scene.symmetries import Symmetries
 from tests.statistical import assert_mean
 
 CHAINS, SWEEPS, BURN_IN = 256, 160, 40
@@ -95,19 +96,32 @@ def features(state: ChainState) -> jax.Array:
 
 
 LINES = SpinLines(jnp.array([[0.8, 0.6, 0], [0, 0, 0]]), jnp.array([[0.1, -0.2, 0.3], [0, 0, 0]]))
+TURNS = Symmetries(
+    jnp.array([[[0.8, 0.6, 0], [0, 0, 1.0], [1.0, 0, 0]], [[0, 0, 0.0]] * 3]),
+    jnp.array([[[0.1, -0.2, 0.3], [0.2, 0, 0], [0, 0, 0]], [[0, 0, 0.0]] * 3]),
+    jnp.array([[2, 4, 0], [0, 0, 0]]),
+)
 
 
 @pytest.mark.parametrize(
-    ("near_share", "lines"),
-    [(0.0, SpinLines.none(2)), (0.5, SpinLines.none(2)), (1.0, LINES)],
-    ids=["far", "both", "near or spun"],
+    ("near_share", "lines", "symmetries"),
+    [
+        (0.0, SpinLines.none(2), Symmetries.none(2)),
+        (0.5, SpinLines.none(2), Symmetries.none(2)),
+        (1.0, LINES, TURNS),
+    ],
+    ids=["far", "both", "near, spun or turned"],
 )
-def test_contact_is_as_likely_as_its_evidence(key: jax.Array, near_share: float, lines: SpinLines) -> None:
+def test_contact_is_as_likely_as_its_evidence(
+    key: jax.Array, near_share: float, lines: SpinLines, symmetries: Symmetries
+) -> None:
     """P(contact) and two means, by all ways to choose candidates: within 1e-6 false alarms."""
     model = seen_model()
     start_key, run_key, exact_key = jax.random.split(key, 3)
     kernel = cube_kernel(2)
-    candidates = replace(kernel.candidates, near_share=jnp.asarray(near_share), lines=lines, count=4)
+    candidates = replace(
+        kernel.candidates, near_share=jnp.asarray(near_share), lines=lines, symmetries=symmetries, count=4
+    )
     kernel = replace(kernel, candidates=candidates)
     states = start_chains(start_key, model, CHAINS)
 
