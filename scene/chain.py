@@ -10,21 +10,21 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from scene.candidate_move import CandidateMove
 from scene.dice import Dice
+from scene.far_candidates import FarCandidates
 from scene.involution import Move, MoveInfo, Offer, decide, propose, repeated
 from scene.model import ChainState, Estimate, NoData, SceneModel
+from scene.near_candidates import NearCandidates
 from scene.pose_mixture import PoseMixture
 from scene.pose_moves import FlipMove, WalkMove
-from scene.pose_offer import PoseOffer
 from scene.shape_choices import candidate_keys
 from scene.spin_lines import SpinLines
 from scene.symmetries import Symmetries
 
 Recorded = TypeVar("Recorded")
 
-_ANEW, _CANDIDATES, _OTHERS = range(3)
-"""Kinds of steps; the others by their place from the last on."""
+_ANEW, _CANDIDATES = range(2)
+"""Kinds of steps: the candidates by their place from the last on, and then the others."""
 
 
 @jax.tree_util.register_dataclass
@@ -34,13 +34,13 @@ class Kernel:
 
     Attributes:
         structure: the move of the graph; None keeps it fixed (the ablation 3DP3*).
-        candidates: the move of poses.
+        candidates: the moves of poses, in turn.
         others: moves that carry along what rests on an object, or reach where the candidates do not.
         repeats: of the first two in a sweep.
     """
 
     structure: Move | None
-    candidates: CandidateMove
+    candidates: tuple[FarCandidates | NearCandidates, ...]
     others: tuple[Move, ...]
     repeats: int = field(metadata={"static": True})
 
@@ -49,9 +49,26 @@ class Kernel:
         """In a sweep."""
         return (self.repeats + 1) * (2 if self.structure else 1)
 
+    @property
+    def mixture(self) -> PoseMixture:
+        """Where each object might be."""
+        return self.candidates[0].mixture
+
+    def taught(self, mixture: PoseMixture) -> Kernel:
+        """The kernel with another mixture."""
+        return replace(self, candidates=tuple(replace(one, mixture=mixture) for one in self.candidates))
+
+    def kinds(self, number: jax.Array, anew: jax.Array) -> jax.Array:
+        """What the steps (repeats + 1,) of a sweep do; candidates and others take turns."""
+        place = jnp.arange(self.repeats + 1)
+        candidates = _CANDIDATES + (place + number) % len(self.candidates)
+        others = _CANDIDATES + len(self.candidates) + number % len(self.others)
+        kinds = jnp.where(place < self.repeats, candidates, others)
+        return jnp.where((place == 0) & anew, _ANEW, kinds)
+
     def thrown(self, key: jax.Array, dtype: jnp.dtype) -> Dice:
         """Dice (repeats + 1,) of a sweep's steps: those of two moves, of their objects and decisions."""
-        poses = (self.candidates, *self.others)
+        poses = (*self.candidates, *self.others)
         uniforms = 3 + max(move.uniforms for move in poses)
         if self.structure:
             uniforms += 2 + self.structure.objects + self.structure.uniforms
@@ -84,7 +101,6 @@ def scene_kernel(
     symmetries: Symmetries,
     spread: float = 30.0,
     candidates: int = 6,
-    near_share: float = 0.5,
     repeats: int = 4,
     structure: Move | None = None,
 ) -> Kernel:
@@ -100,27 +116,14 @@ def scene_kernel(
         symmetries: lines about which parts of a turn leave objects nearly as they are.
         spread: the largest scale over the smallest.
         candidates: poses that are weighed together, the present one among them.
-        near_share: how often they are drawn near the present pose.
-        repeats: of candidates in a sweep.
+        repeats: of candidates in a sweep, far and near ones in turn.
         structure: the structure move; None keeps the graph fixed.
     """
     dtype = translation_m.dtype
-    offer = PoseOffer(mixture, jnp.asarray(prior_share, dtype))
     walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
-    return Kernel(
-        structure,
-        CandidateMove(
-            offer,
-            jnp.asarray(near_share, dtype),
-            axes,
-            lines,
-            symmetries,
-            candidates,
-            grafts=structure is not None,
-        ),
-        (walk, FlipMove()),
-        repeats,
-    )
+    far = FarCandidates(mixture, jnp.asarray(prior_share, dtype), candidates)
+    near = NearCandidates(mixture, axes, lines, symmetries, candidates, grafts=structure is not None)
+    return Kernel(structure, (far, near), (walk, FlipMove()), repeats)
 
 
 def sweep(
@@ -128,7 +131,7 @@ def sweep(
     state: ChainState,
     model: SceneModel,
     kernel: Kernel,
-    turn: jax.Array,
+    number: jax.Array,
     anew: jax.Array,
     *,
     verify: bool = False,
@@ -140,13 +143,10 @@ def sweep(
         state: the chain.
         model: the target.
         kernel: the moves.
-        turn: a place among the other moves, the same for chains under `vmap`.
+        number: of the sweep, the same for chains under `vmap`.
         anew: whether the estimate is to be computed once more first, in place of the first pose; likewise.
         verify: apply every involution twice.
     """
-    place = jnp.arange(kernel.repeats + 1)
-    kinds = jnp.where(place < kernel.repeats, _CANDIDATES, _OTHERS + turn)
-    kinds = jnp.where((place == 0) & anew, _ANEW, kinds)
 
     def step(
         state: ChainState, given: tuple[jax.Array, Dice, jax.Array]
@@ -162,7 +162,8 @@ def sweep(
 
     dice_key, step_key = jax.random.split(key)
     dice = kernel.thrown(dice_key, state.log_prior.dtype)
-    state, infos = jax.lax.scan(step, state, (place, dice, kinds))
+    given = jnp.arange(kernel.repeats + 1), dice, kernel.kinds(number, anew)
+    state, infos = jax.lax.scan(step, state, given)
     return state, SweepInfo(*infos)
 
 
@@ -197,20 +198,20 @@ def _posed(
     verify: bool,
 ) -> tuple[ChainState, MoveInfo]:
     """Another pose, by one of the moves; all meet the target in one place, which is costly to compile."""
-    count = kernel.candidates.count
+    count = kernel.candidates[0].count
 
     def same(dice: Dice, state: ChainState) -> Offer:  # noqa: ARG001
         scenes = jax.tree.map(lambda leaf: repeated(leaf, count), state.scene)
         first = jnp.where(jnp.arange(count) == 0, jnp.zeros_like(state.log_prior), jnp.inf)
         return Offer(scenes, first, jnp.zeros_like(state.log_prior))
 
-    def candidates(dice: Dice, state: ChainState) -> Offer:
-        return kernel.candidates.propose(dice, model, state)
+    def among(candidates: FarCandidates | NearCandidates) -> Callable[[Dice, ChainState], Offer]:
+        return lambda dice, state: candidates.propose(dice, model, state)
 
     def by(move: Move) -> Callable[[Dice, ChainState], Offer]:
         return lambda dice, state: propose(dice, model, move, state, count, verify=verify)
 
-    offers = [same, candidates, *(by(move) for move in kernel.others)]
+    offers = [same, *(among(one) for one in kernel.candidates), *(by(move) for move in kernel.others)]
     offer = jax.lax.switch(kind, offers, dice.without(2), state)
     moved = jnp.any(offer.scenes.poses != state.scene.poses[None], axis=2)
     keys = candidate_keys(key, count)
@@ -242,8 +243,7 @@ def run_block(
 
     def scan(states: ChainState, number: jax.Array) -> tuple[ChainState, tuple[Recorded, SweepInfo]]:
         keys = jax.random.split(jax.random.fold_in(key, number), batch)
-        turn = number % len(kernel.others)
-        advance = partial(sweep, model=model, kernel=kernel, turn=turn, anew=number == 0, verify=verify)
+        advance = partial(sweep, model=model, kernel=kernel, number=number, anew=number == 0, verify=verify)
         states, info = jax.vmap(advance)(keys, states)
         return states, (jax.vmap(record)(states), info)
 

@@ -197,9 +197,7 @@ def _sample(
     start_key, run_key, variance_key = jax.random.split(key, 3)
     spare = len(model.bodies.movable) - len(start.poses)
     keys = jax.random.split(start_key, config.chains)
-    states = _start(
-        keys, model, kernel.candidates.offer.mixture, axes, start.poses, start.found, world, spare
-    )
+    states = _start(keys, model, kernel.mixture, axes, start.poses, start.found, world, spare)
     if not start.found.any():
         nothing = jnp.zeros_like(states.log_prior)
         recorded = _samples(_scene_and_value(states), nothing)
@@ -249,7 +247,7 @@ def _advanced(
 
 def _compile_taught(kernel: Kernel, axes: jax.Array, states: int) -> None:
     """What `_taught` runs on so many states, beside `run_block`, which takes longer to compile."""
-    mixture = kernel.candidates.offer.mixture
+    mixture = kernel.mixture
     with jax.enable_x64(True):  # of this thread
         adapted.lower(mixture, axes, np.zeros((states, len(axes), 7))).compile()
 
@@ -257,9 +255,7 @@ def _compile_taught(kernel: Kernel, axes: jax.Array, states: int) -> None:
 def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
     """The kernel with proposals fitted to the states that its chains went through."""
     states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
-    mixture = adapted(kernel.candidates.offer.mixture, axes, states.poses)
-    offer = replace(kernel.candidates.offer, mixture=mixture)
-    return replace(kernel, candidates=replace(kernel.candidates, offer=offer))
+    return kernel.taught(adapted(kernel.mixture, axes, states.poses))
 
 
 @partial(jax.jit, static_argnames="spare", compiler_options=SELDOM)

@@ -1,5 +1,6 @@
 """The production kernel with data that see a pose: against evidences from prior draws (MATH.md O and K)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -10,10 +11,11 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, floating_draw, start_chains
-from scene.chain import run_block
+from scene.chain import Kernel, run_block
 from scene.contact import TOP_FACE
 from scene.graph import ROOT, SceneGraph
 from scene.model import Apart, ChainState, Estimate, SceneModel
+from scene.near_candidates import NearCandidates
 from scene.prior import sample_pose
 from scene.spin_lines import SpinLines
 from scene.symmetries import Symmetries
@@ -103,26 +105,29 @@ TURNS = Symmetries(
 )
 
 
-@pytest.mark.parametrize(
-    ("near_share", "lines", "symmetries"),
-    [
-        (0.0, SpinLines.none(2), Symmetries.none(2)),
-        (0.5, SpinLines.none(2), Symmetries.none(2)),
-        (1.0, LINES, TURNS),
-    ],
-    ids=["far", "both", "near, spun or turned"],
-)
-def test_contact_is_as_likely_as_its_evidence(
-    key: jax.Array, near_share: float, lines: SpinLines, symmetries: Symmetries
-) -> None:
+def far_only(kernel: Kernel) -> Kernel:
+    """Candidates wherever the object is."""
+    return replace(kernel, candidates=kernel.candidates[:1])
+
+
+def near_only(kernel: Kernel) -> Kernel:
+    """Candidates round the present pose, some spun or turned."""
+    near = kernel.candidates[1]
+    assert isinstance(near, NearCandidates)
+    return replace(kernel, candidates=(replace(near, lines=LINES, symmetries=TURNS),))
+
+
+def both(kernel: Kernel) -> Kernel:
+    """In turn."""
+    return kernel
+
+
+@pytest.mark.parametrize("chosen", [far_only, near_only, both])
+def test_contact_is_as_likely_as_its_evidence(key: jax.Array, chosen: Callable[[Kernel], Kernel]) -> None:
     """P(contact) and two means, by all ways to choose candidates: within 1e-6 false alarms."""
     model = seen_model()
     start_key, run_key, exact_key = jax.random.split(key, 3)
-    kernel = cube_kernel(2)
-    candidates = replace(
-        kernel.candidates, near_share=jnp.asarray(near_share), lines=lines, symmetries=symmetries, count=4
-    )
-    kernel = replace(kernel, candidates=candidates)
+    kernel = chosen(cube_kernel(2, candidates=4))
     states = start_chains(start_key, model, CHAINS)
 
     _, recorded, info = run_block(run_key, states, model, kernel, SWEEPS, features)

@@ -68,8 +68,7 @@ def is_right(state: ChainState) -> jax.Array:
 def shares_right(key: jax.Array, draws: int, share: float, wrong: str = "") -> np.ndarray:
     """Share of the sweeps of each chain (CHAINS, 1) that end on the right."""
     start_key, run_key = jax.random.split(key)
-    kernel = cube_kernel(1)
-    kernel = replace(kernel, structure=None, candidates=replace(kernel.candidates, count=4))
+    kernel = replace(cube_kernel(1, candidates=4), structure=None)
     model = cube_model(1, likelihood=ThreeVoxels(jnp.asarray(share), draws, wrong))
     states = start_chains(start_key, model, CHAINS)
     _, recorded, _ = run_block(run_key, states, model, kernel, SWEEPS, is_right)

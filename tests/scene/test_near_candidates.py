@@ -6,7 +6,7 @@ import jaxlie
 import numpy as np
 import pytest
 
-from scene.candidate_move import stepped
+from scene.near_candidates import stepped
 from scene.spin_lines import SpinLines
 
 LINE = SpinLines(jnp.array([0.48, 0.6, -0.64]), jnp.array([0.1, -0.2, 0.3]))
