@@ -21,7 +21,9 @@ def boxes(*parts: tuple[tuple[float, float, float], tuple[float, float, float]])
     for extents, middle in parts:
         meshes.append(trimesh.creation.box(extents))
         meshes[-1].apply_translation(middle)
-    return trimesh.util.concatenate(meshes)
+    whole = trimesh.util.concatenate(meshes)
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole
 
 
 def turned(mesh: trimesh.Trimesh, turn: Rotation, shift: np.ndarray) -> SceneObject:
