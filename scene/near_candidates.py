@@ -122,7 +122,10 @@ class NearCandidates:
 def _with_edges(
     uniform: jax.Array, model: SceneModel, scenes: SceneGraph, chosen: jax.Array
 ) -> tuple[SceneGraph, jax.Array]:
-    """The scenes (K, ...), all but the first with edges drawn, and log r (K,) in the states' measure."""
+    """The scenes (K, ...), all but the first with edges drawn, and log r (K,) in the states' measure.
+
+    Where a pose has no edge, log r is +inf: it is out of use, and the others stay in it.
+    """
     below = subtree(scenes.parents[0], chosen)
     parents = scenes.present[0] & ~below
     floating, contacts = jax.vmap(lambda poses: edge_weights(model, poses, chosen, parents))(scenes.poses)
@@ -130,10 +133,11 @@ def _with_edges(
     present = place_of(jax.tree.map(lambda leaf: leaf[0], scenes), chosen)
     drawn = jax.vmap(drawn_place)(weights[1:], uniform)
     places = jnp.concatenate([present[None].astype(drawn.dtype), drawn])
-    log_each = jnp.log(jnp.take_along_axis(weights, places[:, None], axis=1)[:, 0])
+    each, total = jnp.take_along_axis(weights, places[:, None], axis=1)[:, 0], jnp.sum(weights, axis=1)
     log_jacobian = jnp.where(places > 0, LOG_CONTACT_JACOBIAN, 0.0)
+    log_edges = jnp.where(total > 0, jnp.log(each) - jnp.log(total) - log_jacobian, jnp.inf)
     scenes = jax.vmap(lambda scene, place: grafted(scene, chosen, place))(scenes, places)
-    return scenes, log_each - jnp.log(jnp.sum(weights, axis=1)) - log_jacobian
+    return scenes, log_edges
 
 
 def stepped(line: SpinLines, pose: jax.Array, step: jax.Array) -> jax.Array:

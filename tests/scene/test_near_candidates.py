@@ -6,6 +6,8 @@ import jaxlie
 import numpy as np
 import pytest
 
+from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains
+from scene.dice import Dice
 from scene.near_candidates import stepped
 from scene.spin_lines import SpinLines
 
@@ -61,3 +63,20 @@ def test_a_spin_leaves_the_line_in_place(key: jax.Array) -> None:
     for point in (LINE.points_m, LINE.points_m + LINE.directions):
         np.testing.assert_allclose(at(point, pose), at(point, there), atol=1e-12)
     assert float(jnp.linalg.norm(at(jnp.zeros(3), pose) - at(jnp.zeros(3), there))) > 0.1
+
+
+def test_poses_without_an_edge_are_out_of_use(key: jax.Array) -> None:
+    """Outside the cuboid of floating objects and beside the table: the others keep their weights."""
+    model = cube_model(1, table=True)
+    move = cube_kernel(2, candidates=4).candidates[1]
+    start_key, dice_key = jax.random.split(key)
+    state = jax.tree.map(lambda leaf: leaf[0], start_chains(start_key, model, 1))
+
+    def offered(key: jax.Array) -> jax.Array:
+        dice = Dice.thrown(key, (), move.uniforms, move.normals, state.log_prior.dtype)
+        return move.propose(dice, model, state).log_offered
+
+    log_offered = np.asarray(jax.vmap(offered)(jax.random.split(dice_key, 256)))
+    assert not np.isnan(log_offered).any()
+    assert np.isfinite(log_offered[:, 0]).all()
+    assert 0 < np.isposinf(log_offered[:, 1:]).mean() < 0.9
