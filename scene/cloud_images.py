@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from scene.cloud_likelihood import CloudNoise, log_density, window_half_width
-from scene.depth_images import DepthImages, OfferedScenes
+from scene.depth_images import DepthImages
 from scene.observation import unprojected
 from scene.scene_data import SceneData
+from scene.shown_scenes import OfferedScenes
 from shapes.camera import Camera
 from shapes.tiles import untiled
 

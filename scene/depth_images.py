@@ -27,6 +27,7 @@ from scene.poses import pose_of
 from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
 from scene.scene_data import SceneData
 from scene.shape_choices import candidate_keys
+from scene.shown_scenes import OfferedScenes, ShownScene
 from shapes import depth_noise
 from shapes.camera import Camera
 from shapes.depth_rendering import render_tiles
@@ -34,47 +35,6 @@ from shapes.ray_casting import chosen_first
 from shapes.tiles import TILE_PIXELS, tiled
 
 TILES_TOGETHER = 64
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class ShownScene:
-    """What a scene shows in the X tiles of all frames, for each of R draws of the objects' shapes.
-
-    Attributes:
-        shapes: (R, N) int32, which of its known shapes each object has.
-        layers_m: (R, N, X, TILE_PIXELS) float32, depth of each object alone, +inf where it is not seen.
-        covered: (R, N, X) bool, where it is.
-        log_tiles: (R, X) float32, log density of each tile.
-    """
-
-    shapes: jax.Array
-    layers_m: jax.Array
-    covered: jax.Array
-    log_tiles: jax.Array
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class OfferedScenes:
-    """What K scenes show of which most is the same.
-
-    Attributes:
-        present: of the first; its `log_tiles` are of no use.
-        shapes: (K, R, N) int32 of all.
-        log_tiles: (K, R, X) float32 of all.
-        fresh_m: (R, L, X, TILE_PIXELS) layers of what stands elsewhere in one of the others.
-        covered: (R, L, X) bool, where they show it.
-        scene, body: (L,) which scene each belongs to, and which object it is; K and N where there is none.
-    """
-
-    present: ShownScene
-    shapes: jax.Array
-    log_tiles: jax.Array
-    fresh_m: jax.Array
-    covered: jax.Array
-    scene: jax.Array
-    body: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -194,7 +154,7 @@ class DepthImages:
                 scene=jnp.where(anew, count, scene),
                 body=body,
             )
-            return jax.lax.cond(anew, lambda: replace(fresh, present=_put(fresh, body)), lambda: fresh)
+            return jax.lax.cond(anew, lambda: replace(fresh, present=fresh.put(body)), lambda: fresh)
 
         blank = OfferedScenes(
             present=before,
@@ -216,7 +176,7 @@ class DepthImages:
         """Its layers and tiles take the place of the first's."""
         shown: OfferedScenes = offered.draws
         body = jnp.where(shown.scene == place, shown.body, self.objects)
-        present = replace(_put(shown, body), shapes=shown.shapes[place], log_tiles=shown.log_tiles[place])
+        present = replace(shown.put(body), shapes=shown.shapes[place], log_tiles=shown.log_tiles[place])
         return Estimate(offered.log_likelihood[place], present)
 
     @property
@@ -301,16 +261,6 @@ def log_estimates(key: jax.Array, likelihood: DepthImages, scenes: SceneGraph, c
     batch = len(scenes.present)
     keys = jax.random.split(key, (count, batch))
     return jax.lax.map(lambda keys: jax.vmap(one)(keys, scenes), keys)
-
-
-def _put(shown: OfferedScenes, body: jax.Array) -> ShownScene:
-    """The present scene with fresh layers in place of those of the objects `body` (L,)."""
-    present = shown.present
-    return replace(
-        present,
-        layers_m=present.layers_m.at[:, body].set(shown.fresh_m, mode="drop"),
-        covered=present.covered.at[:, body].set(shown.covered, mode="drop"),
-    )
 
 
 def _log_mean_exp(log_values: jax.Array) -> jax.Array:
