@@ -37,6 +37,7 @@ def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState
     state = FilterState(
         population=smc.uniform_population(particles),
         keyframe_map=KeyframeMap().with_keyframe(surface_of(view, calibration.noise)),
+        keyframe_times_ns=(time_ns,),
         calibration=calibration,
         motion=motion,
         times_ns=(time_ns, time_ns),

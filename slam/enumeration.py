@@ -88,3 +88,8 @@ def distinct(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: 
         if len(chosen) == count:
             break
     return np.asarray(chosen, int)
+
+
+def padded(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
+    """Poses (C, 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
+    return np.concatenate([poses, np.tile(poses[:1], (-len(poses) % multiple, 1, 1))])

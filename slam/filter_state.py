@@ -21,6 +21,7 @@ class FilterState:
     Attributes:
         population: weighted `CameraParticles`.
         keyframe_map: shared surfaces.
+        keyframe_times_ns: (N,) their stamps.
         calibration: of the sensor.
         motion: prior over motion.
         times_ns: stamps of the last two frames.
@@ -31,6 +32,7 @@ class FilterState:
 
     population: smc.Population
     keyframe_map: KeyframeMap
+    keyframe_times_ns: tuple[int, ...]
     calibration: Calibration
     motion: MotionPrior
     times_ns: tuple[int, int]

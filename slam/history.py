@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from shapes.poses import matrices_of
 from slam.filter_state import FilterState, FrameInfo
 from slam.joint_refinement import Placed
-from slam.particles import IDENTITY, CameraParticles, mean_and_covariance
+from slam.particles import IDENTITY, CameraParticles, grouped, mean_and_covariance
 from slam.result import SlamResult
 
 UNDERSTATED, DEGREES_OF_FREEDOM = 1.41, 8.0
@@ -67,7 +68,10 @@ class History:
             known, spread = _with_placed(
                 anchors, jnp.asarray(means), spread, placed, jnp.asarray(anchor_of, jnp.int32)
             )
-        mean, covariance = _marginals(known, jnp.asarray(means), state.population.log_weights, spread)
+        central = _of_the_heaviest_mode(particles.keyframe_poses[:, : len(state.keyframe_map)], log_weights)
+        mean, covariance = _marginals(
+            known, jnp.asarray(means), state.population.log_weights, spread, central
+        )
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
             trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
@@ -81,6 +85,16 @@ class History:
             lost=np.asarray([info.lost for info in self.frames], bool),
             explained=np.asarray([info.explained for info in self.frames]),
         )
+
+
+def _of_the_heaviest_mode(keyframe_poses: jax.Array, log_weights: NDArray[np.float64]) -> jax.Array | None:
+    """Weights (K,) of its particles alone, for a mean over several maps lies in none; None where all are."""
+    weights = np.exp(log_weights)
+    modes = grouped(matrices_of(keyframe_poses), weights)
+    if not modes.any():
+        return None
+    central = np.where(modes == np.argmax(np.bincount(modes, weights)), weights, 0.0)
+    return jnp.asarray(central / central.sum(), jnp.float32)
 
 
 @jax.jit
@@ -119,8 +133,14 @@ def _with_placed(
 
 @jax.jit
 def _marginals(
-    anchors: jax.Array, relative_means: jax.Array, log_weights: jax.Array, conditional: jax.Array
+    anchors: jax.Array,
+    relative_means: jax.Array,
+    log_weights: jax.Array,
+    conditional: jax.Array,
+    central: jax.Array | None,
 ) -> tuple[jax.Array, jax.Array]:
     """Means (T, 7) and covariances (T, 6, 6) over particles (K, T, 7) with spreads (K, T, 6, 6)."""
     poses = _composed(anchors, relative_means)
-    return jax.vmap(mean_and_covariance, (1, None, 1))(poses, jnp.exp(log_weights), conditional)
+    return jax.vmap(mean_and_covariance, (1, None, 1, None))(
+        poses, jnp.exp(log_weights), conditional, central
+    )

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +31,7 @@ from slam import keyframe_kernels, pose_graph
 from slam.depth_view import DepthView, framing
 from slam.filter_state import FilterState
 from slam.keyframe_map import KeyframeMap, selected_keyframes
+from slam.keyframe_motion import KeyframeMotion
 from slam.overlap import (
     PlaneImage,
     PointSample,
@@ -40,17 +42,22 @@ from slam.overlap import (
 from slam.particles import CameraParticles, grouped, mean_keyframes
 from slam.plane_fitting import region_planes
 from slam.pose_graph import PoseGraph
+from slam.whole_planes import with_whole_planes
 
 OVERLAPS = 6
 """Earlier keyframes with which each one is compared, both ways round."""
 INFLATIONS = (4.0, 3.0, 2.0, 1.5)
 """Of sigma in the first rounds, which start at the filter's drift."""
-MOST_ROUNDS = 12
+MOST_STEPS = 8
+"""After those."""
 DAMPING = 1e4
 """A step of a centimetre along what no pixel sees weighs as much as one standard deviation."""
 CONVERGED = 0.05
 """Gain of a step, in tempered nats, as a share of what noise itself costs at the optimum: half a nat for each
 coordinate. In a bare room further steps lead away, centimetres along the walls, for nothing (measured)."""
+HELD_INFLATIONS, HELD_DAMPING, HELD_CONVERGED = (1.0,), 100.0, 0.002
+"""The same where the motion prior holds what no pixel sees. It is not to outweigh what they see: few samples
+of inflated sigma say less of rotations than it does, so that all are asked from the first round on."""
 FARTHEST = 0.05
 """Metres or radians. A keyframe that would move farther is not near its optimum: the filter mistook the
 place, or nothing holds it. It stays, and the others are refined without it."""
@@ -72,6 +79,21 @@ class Detail:
     planes: jax.Array
     region_sizes: jax.Array
 
+    @cached_property
+    def surface(self) -> PlaneImage:
+        """With planes where regions have one."""
+        return PlaneImage.of(self.view, jnp.where((self.region_sizes > 0)[None], self.planes, 0.0))
+
+    @cached_property
+    def sample(self) -> PointSample:
+        """On the host, where stacking is cheap."""
+        return jax.tree.map(np.asarray, sampled(self.view, self.planes, self.region_sizes))
+
+    def with_whole_planes(self, noise: DepthNoise) -> Detail:
+        """The same with large planes as one each."""
+        planes = with_whole_planes(np.asarray(self.planes), np.asarray(self.region_sizes), self.view, noise)
+        return replace(self, planes=jnp.asarray(planes))
+
 
 def detail_of(view: DepthView, noise: DepthNoise) -> Detail:
     """A keyframe seen on `FINE_CANVAS`."""
@@ -84,7 +106,7 @@ class Keyframes:
 
     Attributes:
         surfaces: N.
-        samples: N, on the host, where stacking them is cheap.
+        samples: N, on the host.
         images_of: for each surface, the keyframes (n,) whose images are compared with it.
         noise: the sensor, at full detail.
     """
@@ -125,7 +147,11 @@ class Placed:
 
 
 def refined(
-    key: jax.Array, state: FilterState, details: Sequence[Detail], noise: DepthNoise
+    key: jax.Array,
+    state: FilterState,
+    details: Sequence[Detail],
+    noise: DepthNoise,
+    motion: KeyframeMotion | None = None,
 ) -> tuple[FilterState, Placed | None]:
     """The state with every particle's keyframes after one Metropolis-Hastings step, and where that led.
 
@@ -136,6 +162,7 @@ def refined(
         state: after the last frame.
         details: of the keyframes.
         noise: the sensor at that detail.
+        motion: prior of the keyframes' poses, where it is to have a say.
     """
     particles: CameraParticles = state.population.particles
     used = len(state.keyframe_map)
@@ -143,24 +170,24 @@ def refined(
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
     modes = grouped(matrices_of(poses[:, :used]), weights)
     of_particle = np.full(len(modes), -1, np.int32)
-    surfaces, samples = _surfaces(details), _samples(details)
     placed: list[tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_]]] = []
     for mode in range(modes.max() + 1):
         members = modes == mode
         share = jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum())
         filtered = np.asarray(mean_keyframes(particles.keyframe_poses, share))[:used]
-        keyframes = Keyframes(
-            surfaces=surfaces,
-            samples=samples,
-            images_of=_overlapping(state.keyframe_map, details, matrices_of(filtered)),
-            noise=noise,
-        )
-        optimum = _optimum(keyframes, filtered)
-        if optimum is None:
+        keyframes = keyframes_at(state.keyframe_map, details, matrices_of(filtered), noise)
+        inflations = INFLATIONS if motion is None else HELD_INFLATIONS
+        found = optimum(keyframes, filtered, inflations, motion=motion)
+        if found is None:
             continue
-        centres, graph, exponents = optimum
+        centres, graph, exponents = found
         draw_key, choice_key = jax.random.split(jax.random.fold_in(key, mode))
         before, after = _log_densities(keyframes, np.stack([filtered, centres]), exponents)
+        if motion is not None:
+            before, after = (
+                log_density + motion.log_density(matrices_of(poses))
+                for log_density, poses in ((before, filtered), (after, centres))
+            )
         if np.log(float(jax.random.uniform(choice_key))) >= after - before:
             centres = filtered
         held = pose_graph.tied_to_first(graph)
@@ -182,28 +209,21 @@ def refined(
     )
 
 
-def _surfaces(details: Sequence[Detail]) -> list[PlaneImage]:
-    return [
-        PlaneImage.of(detail.view, jnp.where((detail.region_sizes > 0)[None], detail.planes, 0.0))
-        for detail in details
-    ]
-
-
-def _samples(details: Sequence[Detail]) -> list[PointSample]:
-    samples = (sampled(detail.view, detail.planes, detail.region_sizes) for detail in details)
-    return [jax.tree.map(np.asarray, sample) for sample in samples]
-
-
-def _overlapping(
-    keyframe_map: KeyframeMap, details: Sequence[Detail], poses: NDArray[np.float64]
-) -> list[NDArray[np.int_]]:
-    """For each keyframe as a surface, those (n,) whose images are compared with it, at poses (N, 4, 4)."""
+def keyframes_at(
+    keyframe_map: KeyframeMap, details: Sequence[Detail], poses: NDArray[np.float64], noise: DepthNoise
+) -> Keyframes:
+    """The keyframes with those overlaps that they have at poses (N, 4, 4)."""
     overlap = np.zeros((len(details), len(details)), bool)
     for second in range(1, len(details)):
         before = KeyframeMap(surfaces=keyframe_map.surfaces[:second], samples=keyframe_map.samples[:second])
         frame = framing(details[second].view)
         overlap[second, selected_keyframes(before, poses[:second], poses[second], frame, OVERLAPS)] = True
-    return [np.nonzero(row)[0] for row in overlap | overlap.T]
+    return Keyframes(
+        surfaces=[detail.surface for detail in details],
+        samples=[detail.sample for detail in details],
+        images_of=[np.nonzero(row)[0] for row in overlap | overlap.T],
+        noise=noise,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,32 +241,50 @@ class _Linearised:
     inliers: NDArray[np.float64]
 
 
-def _optimum(
-    keyframes: Keyframes, poses: NDArray[np.float32]
+def optimum(
+    keyframes: Keyframes,
+    poses: NDArray[np.float32],
+    inflations: Sequence[float] = INFLATIONS,
+    farthest: float = FARTHEST,
+    motion: KeyframeMotion | None = None,
 ) -> tuple[NDArray[np.float32], PoseGraph, NDArray[np.float64]] | None:
     """Poses (N, 7) at the optimum near `poses`, the tempered graph there and each image's exponent (N,).
 
-    None where no keyframes overlap.
+    None where no keyframes overlap. `inflations` and `farthest` as `INFLATIONS` and `FARTHEST`; with `motion`
+    the overlaps are tempered in every step, and damped less: it holds what they do not see.
     """
     start, astray = poses, np.zeros(len(poses), bool)
-    linearised = _linearised(keyframes, poses, INFLATIONS[0], astray)
-    for round_ in range(1, MOST_ROUNDS):
+    linearised = _linearised(keyframes, poses, inflations[0], astray)
+    damping, converged = (DAMPING, CONVERGED) if motion is None else (HELD_DAMPING, HELD_CONVERGED)
+    for round_ in range(1, len(inflations) + MOST_STEPS):
         if linearised is None:
             return None
-        step = pose_graph.damped_step(linearised.graph, DAMPING)
-        if round_ > len(INFLATIONS) and _gain(linearised, step) < CONVERGED * 0.5 * step[1:].size:
+        tempered = _tempered(linearised, motion, poses)
+        step = pose_graph.damped_step(linearised.graph if motion is None else tempered, damping)
+        if round_ > len(inflations) and _gain(tempered, step) < converged * 0.5 * step[1:].size:
             break
         poses = keyframe_kernels.displaced(poses, step)
-        astray |= np.abs(keyframe_kernels.coordinates(start, poses)).max(axis=1) > FARTHEST
+        astray |= np.abs(keyframe_kernels.coordinates(start, poses)).max(axis=1) > farthest
         poses = np.where(astray[:, None], start, poses)
-        inflation = INFLATIONS[round_] if round_ < len(INFLATIONS) else 1.0
+        inflation = inflations[round_] if round_ < len(inflations) else 1.0
         linearised = _linearised(keyframes, poses, inflation, astray)
     if linearised is None:
         return None
-    exponents = _exponents(linearised)
+    return poses, _tempered(linearised, motion, poses), _exponents(linearised)
+
+
+def _tempered(
+    linearised: _Linearised, motion: KeyframeMotion | None, poses: NDArray[np.float32]
+) -> PoseGraph:
+    """The graph with its terms to the power of their exponents, and the motion prior at poses (N, 7)."""
     graph = linearised.graph
-    tempered = graph.precision * exponents[graph.pairs[:, 0], None, None]
-    return poses, replace(graph, precision=tempered), exponents
+    exponents = _exponents(linearised)[graph.pairs[:, 0]]
+    return replace(
+        graph,
+        precision=graph.precision * exponents[:, None, None],
+        gradient=graph.gradient * exponents[:, None],
+        joint=None if motion is None else motion.bent(matrices_of(poses)),
+    )
 
 
 def _linearised(
@@ -273,12 +311,11 @@ def _linearised(
     return _Linearised(graph=graph, score_variance=score_variance[agree], inliers=inliers[agree])
 
 
-def _gain(linearised: _Linearised, step: NDArray[np.float64]) -> float:
-    """Tempered nats by which a Newton step (N, 6) raises the density: half its squared decrement."""
-    graph = linearised.graph
-    tempered = _exponents(linearised)[graph.pairs[:, 0]]
+def _gain(graph: PoseGraph, step: NDArray[np.float64]) -> float:
+    """Nats by which a Newton step (N, 6) raises the density: half its squared decrement."""
     displaced = step[graph.pairs].reshape(-1, 12)
-    return float(0.5 * np.einsum("e,ei,eij,ej->", tempered, displaced, graph.precision, displaced))
+    joint = 0.0 if graph.joint is None else step.ravel() @ graph.joint.precision @ step.ravel()
+    return float(0.5 * (np.einsum("ei,eij,ej->", displaced, graph.precision, displaced) + joint))
 
 
 def _exponents(linearised: _Linearised) -> NDArray[np.float64]:

@@ -60,6 +60,11 @@ class Jury:
         located = (self.located(poses, index, self.all_but(index)) for index in range(len(self)))
         return 0.5 * sum(float(one.optimum.log_density) for one in located)
 
+    def view(self, index: int) -> DepthView:
+        """A keyframe's image."""
+        surface = self.keyframe_map.surfaces[index]
+        return DepthView(surface.depth_m, surface.measured, surface.rays, surface.camera)
+
     def all_but(self, index: int) -> list[int]:
         """The other keyframes."""
         return [other for other in range(len(self)) if other != index]
@@ -67,8 +72,6 @@ class Jury:
     def _searcher(
         self, poses: NDArray[np.float64], index: int, others: Sequence[int]
     ) -> tuple[Searcher, GroupMap]:
-        surface = self.keyframe_map.surfaces[index]
-        view = DepthView(surface.depth_m, surface.measured, surface.rays, surface.camera)
         rest = KeyframeMap(
             surfaces=tuple(self.keyframe_map.surfaces[i] for i in others),
             samples=tuple(self.keyframe_map.samples[i] for i in others),
@@ -76,7 +79,7 @@ class Jury:
         chosen = poses[list(others)]
         placed = jnp.stack([single_precision_poses(pose) for pose in chosen])[None]
         group = GroupMap(placed, jnp.ones(1, jnp.float32), chosen, 0)
-        return Searcher(rest, view, self.noise, self.compared), group
+        return Searcher(rest, self.view(index), self.noise, self.compared), group
 
 
 def agreement(located: Located) -> float:

@@ -21,7 +21,9 @@ from slam.alignment import STIFFNESS
 from slam.components import cross, dot, moved, rotated
 from slam.depth_view import DepthView
 from slam.image_density import LOG_ROOT_TWO_PI, STRIDE_PX, log_unknown_shortfall
+from slam.keyframes import Surface
 from slam.localisation import COARSE_STRIDE_PX, LocalMap
+from slam.particles import IDENTITY
 from slam.rendering import pixels_of
 
 SEEN_THROUGH_SIGMAS = 3.0
@@ -164,6 +166,19 @@ def log_map_scores(
     """
     frame = _points(view, noise)
     return jax.lax.map(partial(_score, local_map, frame, blur), candidates, batch_size=BATCH)
+
+
+@jax.jit
+def log_scores_of_maps(
+    surfaces: Surface, poses: jax.Array, view: DepthView, noise: DepthNoise, blur: jax.Array | float
+) -> jax.Array:
+    """Approximate log densities (C,) of a frame in maps of M surfaces at camera_from_keyframe (C, M, 7)."""
+    frame, here = _points(view, noise), jnp.asarray(IDENTITY, jnp.float32)
+
+    def score(poses: jax.Array) -> jax.Array:
+        return _score(LocalMap(surfaces, jnp.ones(len(poses), bool), poses), frame, blur, here)
+
+    return jax.lax.map(score, poses, batch_size=BATCH)
 
 
 @jax.jit

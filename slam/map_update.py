@@ -55,7 +55,10 @@ def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> Fil
     keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
     population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
     return replace(
-        state, population=population, keyframe_map=keyframe_map.with_keyframe(surface_of(view, noise))
+        state,
+        population=population,
+        keyframe_map=keyframe_map.with_keyframe(surface_of(view, noise)),
+        keyframe_times_ns=(*state.keyframe_times_ns, state.times_ns[1]),
     )
 
 

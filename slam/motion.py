@@ -48,6 +48,10 @@ class MotionPrior(Protocol):
         """Residuals (n,) whose half sum of squares bends like -log density in its bulk (Gauss-Newton)."""
         ...
 
+    def expected_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
+        """Residuals (n,) whose half sum of squares falls and bends like -log density at the pose itself."""
+        ...
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -87,6 +91,10 @@ class FreeMotion:
 
     def log_density(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
         """Log density of a pose (7,)."""
+        return jax.nn.logsumexp(self._log_parts(history, pose))
+
+    def _log_parts(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
+        """Log densities (3,) of the components, their shares included."""
         shift = (pose[4:] - history.pose[4:]) / self.jump_sigma_m
         log_jump = (
             -0.5 * (shift**2).sum()
@@ -95,12 +103,27 @@ class FreeMotion:
         )
         steady = pose_gaussian.log_density(pose, history.predicted, self.steady_scale)
         jerk = pose_gaussian.log_density(pose, history.pose, self.jerk_scale)
-        return jax.nn.logsumexp(self.log_shares + jnp.stack([steady, jerk, log_jump]))
+        return self.log_shares + jnp.stack([steady, jerk, log_jump])
 
     def whitened_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
         """The jerk component's: wide enough to pull nowhere, enough to hold what no pixel sees."""
         return jax.scipy.linalg.solve_triangular(
             self.jerk_scale, pose_gaussian.coordinates(history.pose, pose), lower=True
+        )
+
+    def expected_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
+        """All components', each by the root of the probability that the pose is from it (EM's bound)."""
+        probable = jax.lax.stop_gradient(jax.nn.softmax(self._log_parts(history, pose)))
+        residuals = [
+            jax.scipy.linalg.solve_triangular(scale, pose_gaussian.coordinates(centre, pose), lower=True)
+            for centre, scale in (
+                (history.predicted, self.steady_scale),
+                (history.pose, self.jerk_scale),
+            )
+        ]
+        residuals.append((pose[4:] - history.pose[4:]) / self.jump_sigma_m)
+        return jnp.concatenate(
+            [jnp.sqrt(share) * each for share, each in zip(probable, residuals, strict=True)]
         )
 
 
@@ -171,6 +194,10 @@ class OrbitMotion:
         excess = (distance - jnp.linalg.norm(history.pivot)) / self.distance_sigma_m
         aim = (_carried_rotation(history, direction).inverse() @ jaxlie.SE3(pose).rotation()).log()
         return jnp.concatenate([excess[None], aim / self.aim_scale_rad])
+
+    def expected_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
+        """The same: by far the most of it."""
+        return self.whitened_residual(history, pose)
 
 
 def _direction_and_distance(position: jax.Array, pivot: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -53,19 +53,24 @@ def with_capacity(particles: CameraParticles, capacity: int) -> CameraParticles:
 
 
 def mean_and_covariance(
-    poses: jax.Array, weights: jax.Array, covariances: jax.Array | None = None
+    poses: jax.Array,
+    weights: jax.Array,
+    covariances: jax.Array | None = None,
+    central: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Mean (7,) and covariance (6, 6) of weighted poses (K, 7), in the chart at the mean.
 
     With the conditional covariances (K, 6, 6) of the particles, theirs is added (the law of total
-    covariance). The mean is the fixed point of averaging chart coordinates.
+    covariance). The mean is the fixed point of averaging chart coordinates. Where weights of `central`
+    particles (K,) are given, it is theirs, and the covariance the second moment of all around it.
     """
+    of_mean = weights if central is None else central
 
     def average(mean: jax.Array, _: None) -> tuple[jax.Array, None]:
         tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
-        return pose_gaussian.displaced(mean, weights @ tangents), None
+        return pose_gaussian.displaced(mean, of_mean @ tangents), None
 
-    mean, _ = jax.lax.scan(average, poses[jnp.argmax(weights)], None, length=3)
+    mean, _ = jax.lax.scan(average, poses[jnp.argmax(of_mean)], None, length=3)
     tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
     between = jnp.einsum("k,ki,kj->ij", weights, tangents, tangents)
     if covariances is None:

@@ -3,7 +3,9 @@
 Quadratic terms over pairs of keyframes, in displacements xi of both (Grisetti et al. 2010, "A tutorial on
 graph-based SLAM"), the first keyframe being fixed:
 
-    sum_e 1/2 [xi_i; xi_j]^T H_e [xi_i; xi_j] + g_e^T [xi_i; xi_j].
+    sum_e 1/2 [xi_i; xi_j]^T H_e [xi_i; xi_j] + g_e^T [xi_i; xi_j],
+
+and where there is one, a term over all keyframes at once: a prior of the way from each to the next.
 """
 
 from __future__ import annotations
@@ -24,6 +26,19 @@ MARGINAL_COLUMNS = 600
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointTerm:
+    """A quadratic term over all N keyframes.
+
+    Attributes:
+        precision: (6 N, 6 N), positive semidefinite.
+        gradient: (6 N,).
+    """
+
+    precision: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
 class PoseGraph:
     """E terms over pairs of N keyframes.
 
@@ -32,12 +47,14 @@ class PoseGraph:
         pairs: (E, 2) indices i and j.
         precision: (E, 12, 12) H, positive semidefinite.
         gradient: (E, 12) g.
+        joint: over all keyframes, or None.
     """
 
     keyframes: int
     pairs: NDArray[np.int_]
     precision: NDArray[np.float64]
     gradient: NDArray[np.float64]
+    joint: JointTerm | None = None
 
     def __len__(self) -> int:
         """Number of terms."""
@@ -50,7 +67,10 @@ def damped_step(graph: PoseGraph, damping: float) -> NDArray[np.float64]:
     The first keyframe stays. Damping, in 1/m^2 and 1/rad^2, keeps a step from leaving the neighbourhood that
     the terms were taken in, along directions which they hardly see.
     """
-    step = _normal_equations(graph, damping).solve(-_summed(graph, graph.gradient)[6:])
+    gradient = _summed(graph, graph.gradient)
+    if graph.joint is not None:
+        gradient += graph.joint.gradient
+    step = _normal_equations(graph, damping).solve(-gradient[6:])
     return np.append(np.zeros(6), step).reshape(-1, 6)
 
 
@@ -60,12 +80,15 @@ def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
     Perturb and solve: the normal equations with a right hand side whose covariance is the precision
     (Papandreou and Yuille 2010).
     """
-    noise = np.asarray(jax.random.normal(key, (count, 12 * len(graph) + 6 * graph.keyframes)), np.float64)
-    values, vectors = np.linalg.eigh(graph.precision)
-    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
-    of_terms = np.einsum("eij,kej->kei", roots, noise[:, : 12 * len(graph)].reshape(count, -1, 12))
+    size = 6 * graph.keyframes
+    sizes = (12 * len(graph), size, 0 if graph.joint is None else size)
+    noise = np.asarray(jax.random.normal(key, (count, sum(sizes))), np.float64)
+    pairwise, diagonal, jointly = np.split(noise, np.cumsum(sizes)[:-1], axis=1)
+    of_terms = np.einsum("eij,kej->kei", _roots(graph.precision), pairwise.reshape(count, -1, 12))
     right = np.stack([_summed(graph, terms) for terms in of_terms])
-    right += np.sqrt(STIFFNESS) * noise[:, 12 * len(graph) :]
+    right += np.sqrt(STIFFNESS) * diagonal
+    if graph.joint is not None:
+        right += jointly @ _roots(graph.joint.precision).T
     drawn = _normal_equations(graph, STIFFNESS).solve(np.ascontiguousarray(right[:, 6:].T)).T
     return np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
 
@@ -84,11 +107,19 @@ def marginals(graph: PoseGraph) -> NDArray[np.float64]:
 
 
 def tied_to_first(graph: PoseGraph) -> NDArray[np.bool_]:
-    """Which keyframes (N,) the terms tie to the first one, directly or through others."""
+    """Which keyframes (N,) the terms tie to the first, directly or through others; a joint one ties all."""
+    if graph.joint is not None:
+        return np.ones(graph.keyframes, bool)
     ends = (graph.pairs[:, 0], graph.pairs[:, 1])
     adjacency = scipy.sparse.coo_array((np.ones(len(graph)), ends), shape=(graph.keyframes, graph.keyframes))
     _, component = connected_components(adjacency, directed=False)
     return component == component[0]
+
+
+def _roots(precision: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Square roots A of matrices (..., n, n) A A^T."""
+    values, vectors = np.linalg.eigh(precision)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
 
 
 def _summed(graph: PoseGraph, of_terms: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -104,5 +135,8 @@ def _normal_equations(graph: PoseGraph, stiffness: float) -> SuperLU:
     rows, columns = np.broadcast_arrays(index[:, :, None], index[:, None, :])
     size = 6 * graph.keyframes
     blocks = (graph.precision.ravel(), (rows.ravel(), columns.ravel()))
-    precision = scipy.sparse.coo_array(blocks, shape=(size, size)).tocsr()[6:, 6:]
+    precision = scipy.sparse.coo_array(blocks, shape=(size, size)).tocsr()
+    if graph.joint is not None:
+        precision = precision + scipy.sparse.csr_array(graph.joint.precision)
+    precision = precision[6:, 6:]
     return splu(scipy.sparse.csc_array(precision + stiffness * scipy.sparse.eye_array(size - 6)))

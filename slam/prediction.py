@@ -36,7 +36,7 @@ class Prediction:
 def predicted(state: FilterState, time_ns: int) -> Prediction:
     """Of the frame with that stamp."""
     particles: CameraParticles = state.population.particles
-    ratio = _velocity_ratio(state.times_ns, time_ns)
+    ratio = velocity_ratio(state.times_ns, time_ns)
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
     return Prediction(
         poses=_carried_on(particles, ratio),
@@ -46,7 +46,7 @@ def predicted(state: FilterState, time_ns: int) -> Prediction:
     )
 
 
-def _velocity_ratio(times_ns: tuple[int, int], time_ns: int) -> float:
+def velocity_ratio(times_ns: tuple[int, int], time_ns: int) -> float:
     """The coming interval in units of the last one; zero where there is none, at most `LONGEST_RATIO`."""
     last = times_ns[1] - times_ns[0]
     return float(np.clip((time_ns - times_ns[1]) / last, 0.0, LONGEST_RATIO)) if last > 0 else 0.0

@@ -21,9 +21,10 @@ class SlamResult:
         times_ns: (T,) int64 stamps.
         trajectories: (K, T, 4, 4) float64 reference_from_camera of every particle.
         log_weights: (K,) normalised.
-        mean: (T, 4, 4) float64 marginal posterior mean of every frame, given all frames.
-        covariance: (T, 6, 6) marginal covariance in the right tangent at the mean: translation in
-            metres, then rotation in radians, both in the camera's own axes.
+        mean: (T, 4, 4) float64 marginal posterior mean of every frame, given all frames; where several maps
+            are left, that of the likeliest.
+        covariance: (T, 6, 6) second moment around the mean, all maps that are left included, in the right
+            tangent there: translation in metres, then rotation in radians, both in the camera's own axes.
         degrees_of_freedom: () of the marginals, which are Student-t: heavier tails than a Gaussian's.
         ess: (T,) effective sample size after each frame.
         log_evidence: (T,) increments; their sum estimates log p(I_1..T) with the image density tempered.

@@ -201,7 +201,7 @@ class Searcher:
         self, group: GroupMap, candidates: NDArray[np.float64], blur: float
     ) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
-        padded = single_precision_poses(_padded(candidates, 256))
+        padded = single_precision_poses(enumeration.padded(candidates, 256))
         scores = [
             np.asarray(log_map_scores(local_map, self.view, self.noise, padded, blur))
             for local_map in self._neighbourhoods(group)
@@ -210,7 +210,7 @@ class Searcher:
 
     def _climbed(self, group: GroupMap, starts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses (S', 4, 4) uphill of the starts (S, 4, 4), in each neighbourhood; strays are dropped."""
-        padded = single_precision_poses(_padded(starts, WIDE_CLIMBED))
+        padded = single_precision_poses(enumeration.padded(starts, WIDE_CLIMBED))
         climbs = [
             np.asarray(climbed(local_map, self.view, self.noise, padded))[: len(starts)]
             for local_map in self._neighbourhoods(group)
@@ -223,11 +223,6 @@ class Searcher:
         for first in range(0, len(self.keyframe_map), WIDE_KEYFRAMES):
             chosen = np.arange(first, min(first + WIDE_KEYFRAMES, len(self.keyframe_map)))
             yield self._stacked(group, chosen, WIDE_KEYFRAMES)[1]
-
-
-def _padded(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
-    """Poses (C, 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
-    return np.concatenate([poses, np.tile(poses[:1], (-len(poses) % multiple, 1, 1))])
 
 
 def _is_near(pose: jax.Array, start: jax.Array) -> bool:

@@ -16,9 +16,10 @@ from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
 from slam.filter_state import FilterState, FrameInfo
 from slam.history import History
 from slam.joint_refinement import Detail, detail_of, refined
+from slam.keyframe_motion import KeyframeMotion
 from slam.odometry import KissOdometry
 from slam.result import SlamResult
-from slam.second_look import reconsidered
+from slam.second_look import is_handful, reconsidered
 
 OnFrame = Callable[[FrameInfo], None]
 
@@ -82,8 +83,13 @@ def track(
             " is it the right depth topic, scale and range?"
         )
     refinement_key = jax.random.fold_in(key, len(history.frames))
-    state = reconsidered(jax.random.fold_in(key, len(history.frames) + 1), state, config)
-    state, placed = refined(refinement_key, state, details, full_detail_noise)
+    look_key = jax.random.fold_in(key, len(history.frames) + 1)
+    prior: KeyframeMotion | None = None
+    if is_handful(state, len(history.frames)):
+        prior = KeyframeMotion.of(state, config)
+        details = [detail.with_whole_planes(full_detail_noise) for detail in details]
+    state = reconsidered(look_key, state, config, details, full_detail_noise, prior)
+    state, placed = refined(refinement_key, state, details, full_detail_noise, prior)
     return history.result(state, placed)
 
 

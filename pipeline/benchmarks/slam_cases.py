@@ -120,7 +120,11 @@ def synthetic_rows() -> list[Row]:
         for count in (5, 10, 20)
     ]
     circles = [
-        Row(name=f"bare room, whole circle of {count}", case=partial(_orbit, "bare", 360 / count, count))
+        Row(
+            name=f"bare room, whole circle of {count}",
+            case=partial(_orbit, "bare", 360 / count, count),
+            configs=known,
+        )
         for count in (5, 12)
     ]
     return [*bare, *furnished, *views, *circles]

@@ -7,20 +7,23 @@ import pytest
 
 from slam import pose_graph
 from slam.alignment import STIFFNESS
-from slam.pose_graph import PoseGraph, damped_step, draws, marginals, tied_to_first
+from slam.pose_graph import JointTerm, PoseGraph, damped_step, draws, marginals, tied_to_first
 from tests.statistical import assert_mean
 
 RING = np.asarray([(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2)])
 
 
-def _graph(rng: np.random.Generator) -> PoseGraph:
+def _graph(rng: np.random.Generator, *, jointly: bool = False) -> PoseGraph:
     """Terms of rank eight: twelve coordinates of two keyframes, of which none is seen by itself alone."""
     jacobian = rng.normal(scale=20.0, size=(len(RING), 8, 12))
+    of_all = rng.normal(scale=20.0, size=(10, 30))
+    joint = JointTerm(precision=of_all.T @ of_all, gradient=rng.normal(scale=50.0, size=30))
     return PoseGraph(
         keyframes=5,
         pairs=RING,
         precision=jacobian.transpose(0, 2, 1) @ jacobian,
         gradient=rng.normal(scale=50.0, size=(len(RING), 12)),
+        joint=joint if jointly else None,
     )
 
 
@@ -33,12 +36,16 @@ def _dense(graph: PoseGraph) -> tuple[np.ndarray, np.ndarray]:
             gradient[first] += slope.reshape(2, 6)[a]
             for b, second in enumerate((i, j)):
                 precision[first, :, second] += blocks[a, :, b]
-    return precision.reshape(30, 30)[6:, 6:], gradient.ravel()[6:]
+    dense, slope = precision.reshape(30, 30), gradient.ravel()
+    if graph.joint is not None:
+        dense, slope = dense + graph.joint.precision, slope + graph.joint.gradient
+    return dense[6:, 6:], slope[6:]
 
 
-def test_a_step_solves_the_damped_normal_equations(seed):
+@pytest.mark.parametrize("jointly", [False, True])
+def test_a_step_solves_the_damped_normal_equations(seed, jointly):
     """The first keyframe stays; limit: rounding of double precision."""
-    graph = _graph(np.random.default_rng(seed))
+    graph = _graph(np.random.default_rng(seed), jointly=jointly)
     precision, gradient = _dense(graph)
 
     step = damped_step(graph, damping=30.0)
@@ -48,9 +55,10 @@ def test_a_step_solves_the_damped_normal_equations(seed):
     np.testing.assert_allclose(step[1:].ravel(), expected, rtol=1e-9, atol=1e-12)
 
 
-def test_draws_have_the_covariance_of_dense_algebra(key, seed):
+@pytest.mark.parametrize("jointly", [False, True])
+def test_draws_have_the_covariance_of_dense_algebra(key, seed, jointly):
     """Whitened by the inverse of the summed precision, products of draws are those of unit Gaussians."""
-    graph = _graph(np.random.default_rng(seed))
+    graph = _graph(np.random.default_rng(seed), jointly=jointly)
     precision = _dense(graph)[0] + STIFFNESS * np.eye(24)
 
     drawn = draws(key, graph, 4000)
@@ -81,3 +89,4 @@ def test_keyframes_apart_are_not_tied_to_the_first(seed):
 
     assert tied_to_first(graph).tolist() == [True] * 5 + [False] * 3
     assert tied_to_first(split).tolist() == [True] * 3 + [False] * 5
+    assert tied_to_first(_graph(np.random.default_rng(seed), jointly=True)).all()

@@ -10,10 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from recordings.types import DepthNoise
 from slam import pose_gaussian, second_look
+from slam.contradictions import agreeing, placed_anew
 from slam.depth_view import view_of_frame
+from slam.jury import Jury
 from slam.keyframe_map import KeyframeMap
 from slam.keyframes import surface_of
-from slam.second_look import Jury, agreeing, placed_anew
+from slam.modes import carried
 from slam.surest_first import _log_evidence
 from tests.slam import box_room
 
@@ -98,7 +100,7 @@ def test_particles_keep_their_displacements(key: jax.Array):
     spread = 0.05 * jnp.sin(jnp.arange(2 * 3 * 6.0)).reshape(2, 3, 6)
     own = jax.vmap(jax.vmap(pose_gaussian.displaced), (None, 0))(before, spread)
 
-    moved = second_look.carried(own, before, after)
+    moved = carried(own, jnp.stack([before] * 2), jnp.stack([after] * 2))
 
     found = jax.vmap(jax.vmap(pose_gaussian.coordinates), (None, 0))(after, moved)
     np.testing.assert_allclose(found, spread, atol=1e-5)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from slam import surest_first
-from slam.second_look import Jury
+from slam.jury import Jury
 from slam.surest_first import KEPT_MAPS, _best, _improved_singly, _PartialMap, placed_surest_first
 
 RING = (0, 3, 1, 4, 2, 5)
