@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.archive import load_fields, save_fields
+from slam.particles import grouped
 
 FORMAT_VERSION = 2
 
@@ -63,6 +64,13 @@ class SlamResult:
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.times_ns)
+
+    @property
+    def path_probabilities(self) -> NDArray[np.float64]:
+        """Of the paths (G,) that are told apart, the likeliest first: one where all particles agree."""
+        weights = np.exp(self.log_weights)
+        shares = np.bincount(grouped(self.trajectories, weights), weights).astype(np.float64)
+        return np.sort(shares)[::-1]
 
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal results give equal bytes.

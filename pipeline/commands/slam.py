@@ -39,10 +39,13 @@ def command(
         slam_stage(session, {"motion": motion, "particles": particles, "proposal": proposal})
         damage = session.damage
     document = stage_document(session.run, "slam")
+    paths = document["path_probabilities"]
     lines = [
         f"{document['frames']} frames, {document['lost_frames']} lost, "
         f"{document['frames_per_second']:.1f} a second, compiled in {document['compile_s']:.1f} s",
         f"trajectory: {run_path / 'trajectory.tum'}",
     ]
+    if len(paths) > 1:
+        lines.insert(1, f"{len(paths)} paths explain what was seen, the one told with {paths[0]:.0%}")
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))

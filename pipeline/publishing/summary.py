@@ -51,6 +51,7 @@ def _slam(result: SlamResult) -> dict[str, Any]:
         "frames": len(result),
         "lost_frames": int(result.lost.sum()),
         "ess_min": float(result.ess.min()),
+        "path_probabilities": np.round(result.path_probabilities, 6).tolist(),
         "log_evidence": float(result.log_evidence.sum()),
     }
 

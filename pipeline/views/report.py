@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import Surfaces
@@ -26,6 +27,7 @@ def report_markdown(name: str, values: RunValues) -> str:
             f"- position known to {np.median(deviation_mm):.2g} mm (median standard deviation an axis), "
             f"{deviation_mm.max():.2g} mm at worst",
             f"- least effective sample size {slam.ess.min():.1f} of {len(slam.log_weights)} particles",
+            *_paths(slam.path_probabilities),
             f"- yellow: mean path; faint: particles; blue: 95% regions, drawn {ENLARGED:.0f} times larger",
         ]
     if values.shapes:
@@ -35,6 +37,16 @@ def report_markdown(name: str, values: RunValues) -> str:
         seen = int(shape.seen_occupied.sum())
         parts.append(f"| {shape_name} | {size} | {1000 * shape.pitch_m:.0f} | {seen} |")
     return "\n".join(parts) + "\n"
+
+
+def _paths(probabilities: NDArray[np.float64]) -> list[str]:
+    """One line where several paths explain what was seen."""
+    if len(probabilities) == 1:
+        return []
+    told = ", ".join(f"{probability:.0%}" for probability in probabilities)
+    return [
+        f"- **{len(probabilities)} paths explain what was seen**, with {told}; the mean is the likeliest's"
+    ]
 
 
 def _scene(scene: SceneResult, surfaces: Surfaces) -> list[str]:

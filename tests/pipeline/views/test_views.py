@@ -1,5 +1,6 @@
 """The views of a run hold what they say, and a picture can be taken without a screen."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,22 @@ def test_a_parsed_scene_is_drawn(parsed_run: RunValues, tmp_path: Path) -> None:
     report = report_markdown("table", parsed_run)
     assert "| mug | 99% | +- 1.7 | +- 0.1 | box (90%) |" in report
     assert "| can | 10% | | | not found |" in report
+
+
+def test_paths_that_differ_are_told(true_trajectory: SlamResult) -> None:
+    """The third particle stands a metre aside in the last frame; where all agree, nothing is said."""
+    trajectories = true_trajectory.trajectories.copy()
+    trajectories[2, -1, 0, 3] += 1.0
+    undecided = replace(true_trajectory, trajectories=trajectories)
+
+    agreed, told = (
+        report_markdown("mug", RunValues(slam=slam, room=None, shapes={}))
+        for slam in (true_trajectory, undecided)
+    )
+
+    assert undecided.path_probabilities == pytest.approx([0.8, 0.2])
+    assert "2 paths explain what was seen**, with 80%, 20%" in told
+    assert "paths explain" not in agreed
 
 
 def test_the_graph_stands_as_the_scene_does(parsed_run: RunValues) -> None:
