@@ -80,10 +80,11 @@ def _ours(row: Row, case: Case, config: SlamConfig, number: int) -> Errors:
 
 
 def _holds_truth(result: SlamResult, case: Case, shift_m: float = 0.05, angle_rad: float = 0.05) -> bool:
-    """Whether some particle stands by the truth in the last frame: a symmetric mode that was kept."""
-    relative = np.linalg.inv(case.poses[-1]) @ result.trajectories[:, -1]
-    near = np.linalg.norm(relative[:, :3, 3], axis=1) < shift_m
-    return bool((near & (Rotation.from_matrix(relative[:, :3, :3]).magnitude() < angle_rad)).any())
+    """Whether the path of some particle stays by the truth: a symmetric mode that was kept."""
+    relative = np.linalg.inv(case.poses) @ result.trajectories
+    near = np.linalg.norm(relative[..., :3, 3], axis=-1) < shift_m
+    near &= 0.5 * (np.trace(relative[..., :3, :3], axis1=-2, axis2=-1) - 1) > np.cos(angle_rad)
+    return bool(near.all(axis=1).any())
 
 
 def _tuned(name: str, row: Row) -> Mapping[str, Track]:
