@@ -92,3 +92,19 @@ def test_short_walks_are_seeded_and_differ():
     np.testing.assert_array_equal(first.frames[2].depth_m, again.frames[2].depth_m)
     assert not np.array_equal(first.frames[2].depth_m, other.frames[2].depth_m)
     np.testing.assert_allclose(first.poses[0], np.eye(4), atol=1e-12)
+
+
+def test_a_mode_holds_the_truth_along_the_whole_path() -> None:
+    """Not where the middle is turned by a quarter and the end is right: circles alias like that."""
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    turned = poses.copy()
+    turned[1, :2, :2] = [[0, -1], [1, 0]]
+    case = Case(frames=[], intrinsics=Mock(), poses=poses)
+
+    held, missed = (
+        bench._holds_truth(Mock(trajectories=np.stack(paths)), case)
+        for paths in ([turned, poses], [turned, turned])
+    )
+
+    assert held
+    assert not missed
