@@ -24,6 +24,7 @@ def _short(case: Case, frames: int) -> Case:
     )
 
 
+@pytest.mark.slow  # compiles the whole tracker, which tests of slam do as well
 def test_a_row_reports_ours_and_counts_lost_peers(monkeypatch: pytest.MonkeyPatch):
     """Ours follows an orbit to centimetres; a peer that raises is lost, one that knows the truth is exact."""
     orbit = synthetic_rows()[0]
