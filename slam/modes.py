@@ -11,7 +11,7 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.particles import GROUP_ANGLE_RAD, GROUP_SHIFT_M, MOST_GROUPS
+from slam.particles import MOST_GROUPS, within_reach
 from slam.resampling import systematic
 
 LEAST_SHARE = 0.01
@@ -34,20 +34,12 @@ class Modes:
         """Those of distinct maps (N, 4, 4) that are not negligible; of maps that are alike the likeliest."""
         kept: list[int] = []
         for index in np.argsort(-np.asarray(log_weights), kind="stable").tolist():
-            if not any(alike(maps[index], maps[other]) for other in kept):
+            if not any(within_reach(maps[index], maps[other]).all() for other in kept):
                 kept.append(index)
         weights = np.asarray(log_weights, np.float64)[kept]
         shares = np.exp(weights - np.logaddexp.reduce(weights))
         enough = (shares >= LEAST_SHARE) & (np.arange(len(kept)) < MOST_GROUPS)
         return cls(np.stack(maps)[kept][enough], shares[enough] / shares[enough].sum())
-
-
-def alike(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Whether all keyframes of maps (N, 4, 4) stand in the same places."""
-    relative = np.linalg.inv(one) @ other
-    cosine = 0.5 * (np.trace(relative[:, :3, :3], axis1=1, axis2=2) - 1.0)
-    near = np.linalg.norm(relative[:, :3, 3], axis=1) < GROUP_SHIFT_M
-    return bool((near & (cosine > np.cos(GROUP_ANGLE_RAD))).all())
 
 
 def dealt(

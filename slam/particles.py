@@ -90,6 +90,18 @@ MOST_GROUPS = 4
 LEAST_GROUP_WEIGHT = 1e-3
 
 
+def within_reach(
+    one: NDArray[np.float64],
+    other: NDArray[np.float64],
+    shift_m: float = GROUP_SHIFT_M,
+    angle_rad: float = GROUP_ANGLE_RAD,
+) -> NDArray[np.bool_]:
+    """Whether (...) poses (..., 4, 4) stand within a shift and a turn of each other."""
+    relative = np.linalg.inv(one) @ other
+    cosine = 0.5 * (np.trace(relative[..., :3, :3], axis1=-2, axis2=-1) - 1)
+    return (np.linalg.norm(relative[..., :3, 3], axis=-1) < shift_m) & (cosine > np.cos(angle_rad))
+
+
 def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int_]:
     """Group (K,) of each particle by its pose (K, 4, 4), or by all of its poses (K, N, 4, 4).
 
@@ -102,10 +114,7 @@ def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray
     for leader in np.argsort(-weights, kind="stable"):
         if groups[leader] >= 0:
             continue
-        relative = np.linalg.inv(poses[leader]) @ poses
-        cosine = 0.5 * (np.trace(relative[..., :3, :3], axis1=-2, axis2=-1) - 1)
-        near = np.linalg.norm(relative[..., :3, 3], axis=-1) < GROUP_SHIFT_M
-        near &= cosine > np.cos(GROUP_ANGLE_RAD)
+        near = within_reach(poses[leader], poses)
         members = near.reshape(len(poses), -1).all(axis=1) & (groups < 0)
         members[leader] = True
         negligible = weights[members].sum() < LEAST_GROUP_WEIGHT or count == MOST_GROUPS

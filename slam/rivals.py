@@ -37,6 +37,7 @@ REGULAR_MAPS = 6
 """Circles that are settled: in a bare room three by quarter turns, a corner each view, came before the right
 one (circles of 5, 6020000)."""
 MOST_ROUNDS = 3
+"""After the first, in which keyframes are placed without regard to any map."""
 
 
 def likely_maps(
@@ -61,16 +62,17 @@ def likely_maps(
         return MODES_EXPONENT * jury.log_composite(poses) + motion.log_density(poses)
 
     maps = [settle(poses) for poses in (*present, *_regular_maps(jury, motion))]
-    best = max(maps, key=log_weight)
-    if len(agreeing(jury, best)) < len(jury) and (surest := placed_surest_first(jury)) is not None:
-        maps.append(settle(surest))
-    for _ in range(MOST_ROUNDS):
-        best = max(maps, key=log_weight)
+    log_weights = [log_weight(poses) for poses in maps]
+    for round_ in range(1 + MOST_ROUNDS):
+        best = maps[int(np.argmax(log_weights))]
         core = agreeing(jury, best)
         if len(core) == len(jury):
             break
-        maps.append(settle(placed_anew(jury, best, core)))
-    return Modes.of(maps, [log_weight(poses) for poses in maps])
+        proposed = placed_anew(jury, best, core) if round_ else placed_surest_first(jury)
+        if proposed is not None:
+            maps.append(settle(proposed))
+            log_weights.append(log_weight(maps[-1]))
+    return Modes.of(maps, log_weights)
 
 
 def _regular_maps(jury: Jury, motion: KeyframeMotion) -> list[NDArray[np.float64]]:

@@ -19,6 +19,7 @@ from pipeline.peers.registry import Track, settings_of
 from pipeline.timing import timed
 from recordings.errors import RecordingError
 from slam.config import SlamConfig
+from slam.particles import within_reach
 from slam.result import SlamResult
 from slam.tracking import track
 from slam.trajectory_errors import coverage, squared_distances, trajectory_errors
@@ -81,9 +82,7 @@ def _ours(row: Row, case: Case, config: SlamConfig, number: int) -> Errors:
 
 def _holds_truth(result: SlamResult, case: Case, shift_m: float = 0.05, angle_rad: float = 0.05) -> bool:
     """Whether the path of some particle stays by the truth: a symmetric mode that was kept."""
-    relative = np.linalg.inv(case.poses) @ result.trajectories
-    near = np.linalg.norm(relative[..., :3, 3], axis=-1) < shift_m
-    near &= 0.5 * (np.trace(relative[..., :3, :3], axis1=-2, axis2=-1) - 1) > np.cos(angle_rad)
+    near = within_reach(case.poses, result.trajectories, shift_m, angle_rad)
     return bool(near.all(axis=1).any())
 
 
