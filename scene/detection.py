@@ -148,7 +148,8 @@ def _largest_piece(members: NDArray[np.float64], points_m: NDArray[np.float64]) 
 
 
 def _is_large(members: NDArray[np.float64]) -> bool:
-    return bool(_table(members).half_size_m.max() > NARROWEST_HALF_M)
+    diagonal_m = np.linalg.norm(np.ptp(members, axis=0))  # spares the fit of the many tiny ones
+    return bool(diagonal_m > 2 * NARROWEST_HALF_M and _table(members).half_size_m.max() > NARROWEST_HALF_M)
 
 
 def _hidden(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np.float64]:
