@@ -7,7 +7,7 @@ each on its share of the batch, do not. Accelerators get the batch whole.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -19,6 +19,8 @@ LEAST = 64
 """Hypotheses of a share."""
 
 Batch = TypeVar("Batch")
+Item = TypeVar("Item")
+Done = TypeVar("Done")
 
 
 def shared_among_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDArray[np.float32]:
@@ -34,8 +36,13 @@ def shared_among_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDA
         mine = np.minimum(np.arange(share * length, (share + 1) * length), count - 1)
         return np.asarray(score(jax.tree.map(lambda leaf: leaf[mine], batch)))
 
-    with ThreadPoolExecutor(shares) as cores:
-        return np.concatenate(list(cores.map(scored, range(shares))))[:count]
+    return np.concatenate(side_by_side(scored, range(shares)))[:count]
+
+
+def side_by_side(work: Callable[[Item], Done], items: Iterable[Item]) -> list[Done]:
+    """What becomes of items, in their order, each worked on by one core."""
+    with ThreadPoolExecutor(_cores()) as cores:
+        return list(cores.map(work, items))
 
 
 def _cores() -> int:

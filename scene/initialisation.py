@@ -9,9 +9,7 @@ section K).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import jax
@@ -22,6 +20,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.ahead import compiled_beside
 from scene.config import ParseConfig
+from scene.cores import side_by_side
 from scene.detection import SupportPlane, clusters
 from scene.existence import best_scene, rivals
 from scene.initial_scene import Initialisation
@@ -118,28 +117,31 @@ def _hypotheses(
 ) -> NDArray[np.float32]:
     """Poses (N, pool, 7) of every object on the pixels of its mask, searched side by side on all cores."""
     points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
-    places = [_places(points, mask if mask.sum() >= 10 else data.foreground, rng) for mask in masks]
+    drawn = [_drawn(points[mask if mask.sum() >= 10 else data.foreground], rng) for mask in masks]
 
     def find(index: int) -> NDArray[np.float32]:
         one, view = objects[index], replace(data.view, unexplained=masks[index])
-        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places[index], pool)[0])
+        places = _places(*drawn[index])
+        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places, pool)[0])
 
-    with ThreadPoolExecutor(os.cpu_count()) as cores:
-        return np.stack(list(cores.map(find, range(len(objects)))))
+    return np.stack(side_by_side(find, range(len(objects))))
+
+
+def _drawn(
+    points_m: NDArray[np.float32], rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The points (M, 3) in random order, and as random ones (A, 3) spread over them."""
+    points_m = points_m[rng.permutation(len(points_m))]
+    return points_m, points_m[rng.permutation(_one_a_cell(points_m))]
 
 
 def _places(
-    points_m: NDArray[np.float32], mask: NDArray[np.bool_], rng: np.random.Generator
+    points_m: NDArray[np.float32], anchors_m: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Anchors (ANCHORS, 3) spread over the masked points of (H, W, 3), and cluster centres (CENTRES, 3)."""
-    masked = points_m[mask]
-    masked = masked[rng.permutation(len(masked))]
-    anchors = masked[rng.permutation(_one_a_cell(masked))]
-    centres = clusters(anchors, CLUSTER_SCALES_M, fewest=3)
-    centres = np.concatenate([centres, masked.mean(axis=0)[None]])
-    return np.resize(anchors, (ANCHORS, 3)).astype(np.float32), np.resize(centres, (CENTRES, 3)).astype(
-        np.float32
-    )
+    """Anchors (ANCHORS, 3) and centres (CENTRES, 3) of their clusters and of all the points they are from."""
+    centres = clusters(anchors_m, CLUSTER_SCALES_M, fewest=3)
+    centres = np.concatenate([centres, points_m.mean(axis=0)[None]])
+    return np.resize(anchors_m, (ANCHORS, 3)), np.resize(centres, (CENTRES, 3)).astype(np.float32)
 
 
 def _one_a_cell(points_m: NDArray[np.float32]) -> NDArray[np.intp]:

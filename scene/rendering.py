@@ -11,6 +11,7 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.cores import side_by_side
 from scene.scene_object import SceneObject
 from scene.window import WINDOW_HEIGHT, WINDOW_WIDTH, PixelWindow
 from shapes.camera import Camera
@@ -20,7 +21,8 @@ from shapes.ray_casting import PosedObjects
 
 OUT_OF_SIGHT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
 """A pose behind the camera, for what is not there."""
-LAYERS = 256
+LAYERS = 128
+"""Rendered in one kernel; kernels run side by side, each on a core."""
 
 
 @jax.tree_util.register_dataclass
@@ -60,16 +62,17 @@ class ObjectRenderer:
     ) -> NDArray[np.float32]:
         """Depth (n, WINDOW_HEIGHT, WINDOW_WIDTH) of n objects alone, at poses (n, 7) camera_from_box.
 
-        Rendered `LAYERS` at a time, so that one kernel serves any number.
+        `LAYERS` in a kernel, so that one kernel serves any number.
         """
         parts = -(-len(indices) // LAYERS)
         every = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (parts * LAYERS, 1))
         every[: len(poses)] = poses
         which = np.resize(np.asarray(indices, np.int32), parts * LAYERS)
-        depth = [
-            np.asarray(_layers(self, some, here, window.camera))
-            for some, here in zip(np.split(which, parts), np.split(every, parts), strict=True)
-        ]
+
+        def rendered(part: tuple[NDArray[np.int32], NDArray[np.float32]]) -> NDArray[np.float32]:
+            return np.asarray(_layers(self, *part, window.camera))
+
+        depth = side_by_side(rendered, zip(np.split(which, parts), np.split(every, parts), strict=True))
         return np.concatenate(depth)[: len(indices)]
 
     def posed(self, indices: jax.Array, poses: jax.Array, camera_index: jax.Array) -> PosedObjects:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from scene.cores import side_by_side
 from scene.existence import best_scene, rivals
 from scene.found_objects import FoundObjects
 from scene.initial_scene import Initialisation
@@ -43,13 +44,11 @@ def polished_rivals(pools: Pools, scene: NDArray[np.integer]) -> NDArray[np.floa
     """Poses (N, 1 + RIVALS, 7) polished in the scene and in those that come next, where fits are compared."""
     others, log_odds = rivals_of(pools, scene)
     scenes = [scene, *others[np.resize(_closest(log_odds), RIVALS)]]
-    return np.stack(
-        [
-            polished(pools.data, pools.objects, pools.renderer, pools.placed(one), one < pools.absent)
-            for one in scenes
-        ],
-        axis=1,
-    )
+
+    def better(one: NDArray[np.integer]) -> NDArray[np.float32]:
+        return polished(pools.data, pools.objects, pools.renderer, pools.placed(one), one < pools.absent)
+
+    return np.stack(side_by_side(better, scenes), axis=1)
 
 
 def decided(

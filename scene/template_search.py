@@ -115,7 +115,8 @@ def _first_sight(
     touching = (anchors_m[:, None] - contacts[None]).reshape(-1, 3)
     offsets = jnp.concatenate([touching, centres_m])
     x, y, z = offsets.T
-    first = jnp.argsort(jnp.where(facing, 0, 1), stable=True)[:FEW_POINTS]
+    order = jnp.arange(len(facing), dtype=jnp.float32) + jnp.where(facing, 0.0, len(facing))
+    _, first = jax.lax.top_k(-order, FEW_POINTS)
     turned, outward = turned[first], outward[first]
 
     def add(index: int, sums: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
