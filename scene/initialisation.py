@@ -3,14 +3,15 @@
 Hypotheses come from observed points and from DBSCAN clusters of points that the scene without the object
 leaves unexplained, in resting, cube and spread orientations, refined by ICP; whole scenes are annealed
 over the pools; then the search is repeated on what is left unexplained. Scenes that are about as good are
-refined before they are told apart. The result is a maximum and a set of hypotheses, never samples (MATH.md
-section K).
+refined before they are told apart. Where lookalikes were taken out, what stood behind their names is sought
+once more. The result is a maximum and a set of hypotheses, never samples (MATH.md section K).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,14 +24,14 @@ from scene.config import ParseConfig
 from scene.cores import side_by_side
 from scene.detection import SupportPlane, clusters
 from scene.existence import best_scene, rivals
+from scene.gaps import Settled, told, without_gaps
 from scene.initial_scene import Initialisation
-from scene.likely_places import without_lookalikes
 from scene.observation import unprojected
 from scene.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.pools import Pools
 from scene.pose_choice import PoseLayers, choose, log_conditional
 from scene.rendering import ObjectRenderer
-from scene.rival_scenes import PAIRED, RIVALS, best_of, decided, polished_rivals
+from scene.rival_scenes import PAIRED, RIVALS, best_of
 from scene.scene_data import SceneData
 from scene.scene_object import SceneObject
 from scene.template_search import search
@@ -41,6 +42,8 @@ YAWS = 24
 ANCHORS, CENTRES = 192, 8
 ANCHOR_SPACING_M = 0.012
 CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
+FEWEST_PIXELS = 10
+"""Of a mask; else an object is sought on the whole foreground."""
 HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
 
 
@@ -63,25 +66,23 @@ def initialise(
         config: settings.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    searched = config.pool * (config.rounds + 1)
-    pools = Pools.of(data, objects, renderer, noise, config, searched + 1 + RIVALS, rng)
-    rotations = [_orientations(one, data.table) for one in objects]
-    *keys, last_key = jax.random.split(key, config.rounds + 2)
-    scene, masks = np.full(len(objects), pools.absent), [data.foreground] * len(objects)
+    poses = config.pool * (config.rounds + 1) + 1 + RIVALS
+    pools = Pools.of(data, objects, renderer, noise, config, poses, rng)
+    seek = partial(_sought, rng, [_orientations(one, data.table) for one in objects])
+    *keys, last_key, again_key = jax.random.split(key, config.rounds + 3)
+    scene, everyone = np.full(len(objects), pools.absent), np.ones(len(objects), bool)
+    masks = [data.foreground] * len(objects)
     with compiled_beside(*_kernels(pools)):
         for turn, round_key in enumerate(keys):
-            found = _hypotheses(data, objects, rotations, masks, rng, config.pool)
-            pools = pools.with_poses(found, turn * config.pool)
-            choices, log_densities = choose(round_key, pools.layers, HOT, COLD, PARTICLES, SWEEPS)
-            scene = best_of(pools, np.asarray(choices)[np.argmax(np.asarray(log_densities))], scene)
+            pools, scene = seek(round_key, pools, scene, everyone, masks, turn)
             masks = unexplained_by_others(pools, scene)
-    pools = pools.with_poses(polished_rivals(pools, scene), searched)
-    pools, scene = decided(last_key, pools, best_of(pools, scene), searched, noise)
-    scene, log_odds = without_lookalikes(pools, scene, noise)
+    settled = Settled.of(*told(last_key, pools, scene, noise), noise)
+    settled = without_gaps(again_key, seek, settled, noise)
+    pools, scene = settled.pools, settled.scene
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
         found=scene < pools.absent,
-        log_odds=log_odds,
+        log_odds=settled.log_odds,
         pools=pools.poses.astype(np.float64),
         log_gains=np.asarray(_gains(pools.layers, scene), np.float64),
     )
@@ -107,24 +108,55 @@ def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.fl
     return np.concatenate([fixed, spread_rotations(ORIENTATIONS - len(fixed))]).astype(np.float32)
 
 
+def _sought(
+    rng: np.random.Generator,
+    rotations: Sequence[NDArray[np.float32]],
+    key: jax.Array,
+    pools: Pools,
+    scene: NDArray[np.integer],
+    wanted: NDArray[np.bool_],
+    masks: Sequence[NDArray[np.bool_]],
+    turn: int,
+) -> tuple[Pools, NDArray[np.int32]]:
+    """The pools with new poses of some objects, and the best scene (N,) found from them and from one.
+
+    Args:
+        rng: random numbers.
+        rotations: of every object.
+        key: random key.
+        pools: of poses.
+        scene: (N,) the best one so far.
+        wanted: (N,) the objects that are sought.
+        masks: pixels of every object.
+        turn: the round whose poses make room.
+    """
+    size = pools.config.pool
+    poses = pools.poses[:, turn * size : (turn + 1) * size].copy()
+    poses[wanted] = _hypotheses(pools, np.flatnonzero(wanted), rotations, masks, rng)
+    pools = pools.with_poses(poses, turn * size)
+    choices, log_densities = choose(key, pools.layers, HOT, COLD, PARTICLES, SWEEPS)
+    return pools, best_of(pools, np.asarray(choices)[np.argmax(np.asarray(log_densities))], scene)
+
+
 def _hypotheses(
-    data: SceneData,
-    objects: Sequence[SceneObject],
+    pools: Pools,
+    wanted: NDArray[np.intp],
     rotations: Sequence[NDArray[np.float32]],
     masks: Sequence[NDArray[np.bool_]],
     rng: np.random.Generator,
-    pool: int,
 ) -> NDArray[np.float32]:
-    """Poses (N, pool, 7) of every object on the pixels of its mask, searched side by side on all cores."""
+    """Poses (M, pool, 7) of M objects on the pixels of their masks, searched side by side on all cores."""
+    data, size = pools.data, pools.config.pool
     points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
-    drawn = [_drawn(points[mask if mask.sum() >= 10 else data.foreground], rng) for mask in masks]
+    enough = [mask if mask.sum() >= FEWEST_PIXELS else data.foreground for mask in masks]
+    drawn = {index: _drawn(points[enough[index]], rng) for index in wanted.tolist()}
 
     def find(index: int) -> NDArray[np.float32]:
-        one, view = objects[index], replace(data.view, unexplained=masks[index])
+        one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
         places = _places(*drawn[index])
-        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places, pool)[0])
+        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places, size)[0])
 
-    return np.stack(side_by_side(find, range(len(objects))))
+    return np.stack(side_by_side(find, wanted.tolist()))
 
 
 def _drawn(

@@ -27,19 +27,31 @@ def without_lookalikes(
     """The scene without objects in whose place a lookalike is more probable, and everyone's log odds (N,).
 
     The least probable object first, it is put elsewhere: where it stands it explains the image no better than
-    a lookalike does, and so it is where it looks most like itself, or nowhere.
+    a lookalike does, and so it is where it looks most like itself, or nowhere. If nobody takes its place the
+    lookalike is still there: an object that was convincing beside it is so without its name, although what
+    carries it seems to go on below.
     """
     noise = with_surface_error(noise, pools.config.model_error_m)
     settled, most = np.zeros(len(scene), bool), np.full(len(scene), np.nan)
+    beside = np.full(len(scene), -np.inf)
     while True:
-        odds = _log_odds(pools, scene, noise)
+        odds = np.maximum(_log_odds(pools, scene, noise), beside)
         found = scene < pools.absent
         odds = np.where(found | np.isnan(most), odds, most)
         worst = int(np.argmin(np.where(found & ~settled, odds, np.inf)))
         if settled[worst] or not found[worst] or odds[worst] > CONVINCING:
             return scene, odds
+        before = scene
         pools, scene, most[worst] = _looks_best(pools, scene, worst, odds[worst], noise)
         settled[worst] = True
+        emptied = scene[worst] == pools.absent and (before != scene).sum() == 1
+        beside = np.where(emptied & found & (scene < pools.absent) & (odds > CONVINCING), odds, -np.inf)
+
+
+def convincing(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.bool_]:
+    """Which objects (N,) of a scene look like themselves beside all others that it holds."""
+    odds = _log_odds(pools, scene, with_surface_error(noise, pools.config.model_error_m))
+    return (scene < pools.absent) & (odds > CONVINCING)
 
 
 def _looks_best(

@@ -1,0 +1,108 @@
+"""Objects are sought once more where lookalikes were: what took another's place hid it from the search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.likely_places import CONVINCING, convincing, without_lookalikes
+from scene.pools import Pools
+from scene.rival_scenes import RIVALS, best_of, decided, polished_rivals
+from scene.unexplained import unexplained_by_others
+
+
+class Seek(Protocol):
+    """A round of the search."""
+
+    def __call__(
+        self,
+        key: jax.Array,
+        pools: Pools,
+        scene: NDArray[np.integer],
+        wanted: NDArray[np.bool_],
+        masks: Sequence[NDArray[np.bool_]],
+        turn: int,
+    ) -> tuple[Pools, NDArray[np.integer]]:
+        """Pools with poses on the masks of those wanted (N,), and the best scene (N,) found from one.
+
+        Args:
+            key: random key.
+            pools: of poses.
+            scene: (N,) the best one so far.
+            wanted: (N,) the objects that are sought.
+            masks: pixels of every object.
+            turn: the round whose poses make room.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Settled:
+    """A scene without lookalikes.
+
+    Attributes:
+        pools: of poses.
+        scene: (N,).
+        log_odds: (N,) of each object being there.
+        gaps: whether something was taken out of it.
+    """
+
+    pools: Pools
+    scene: NDArray[np.integer]
+    log_odds: NDArray[np.float64]
+    gaps: bool
+
+    @classmethod
+    def of(cls, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> Settled:
+        """What is left of a scene (N,)."""
+        left, log_odds = without_lookalikes(pools, scene, noise)
+        gaps = (scene < pools.absent) & (left == pools.absent)
+        return cls(pools=pools, scene=left, log_odds=log_odds, gaps=bool(gaps.any()))
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """(N,) objects that are in the scene."""
+        return self.scene < self.pools.absent
+
+
+def told(
+    key: jax.Array, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+) -> tuple[Pools, NDArray[np.integer]]:
+    """Pools with fits that tell a scene (N,) from those that are about as good, and the best of them."""
+    last = pools.absent - 1 - RIVALS
+    pools = pools.with_poses(polished_rivals(pools, scene), last)
+    scene = np.where((last <= scene) & (scene < pools.absent), last, scene)
+    return decided(key, pools, best_of(pools, scene), last, noise)
+
+
+def without_gaps(key: jax.Array, seek: Seek, best: Settled, noise: DepthNoise) -> Settled:
+    """The scene after the missing objects were sought where lookalikes had been, while that finds more.
+
+    As where an object is sought elsewhere, one that is found only then has to look convincing.
+
+    Args:
+        key: random key.
+        seek: a round of the search.
+        best: the scene so far.
+        noise: of the sensor.
+    """
+    last_round = best.pools.config.rounds
+    while best.gaps:
+        key, seek_key, last_key = jax.random.split(key, 3)
+        masks = unexplained_by_others(best.pools, best.scene)
+        sought = seek(seek_key, best.pools, best.scene, ~best.found, masks, last_round)
+        pools, scene = told(last_key, *sought, noise)
+        if not (convincing(pools, scene, noise) & ~best.found).any():
+            break
+        other = Settled.of(pools, scene, noise)
+        unsure = other.found & ~best.found & (other.log_odds < CONVINCING)
+        if other.found.sum() <= best.found.sum() or unsure.any():
+            break
+        best = other
+    return best

@@ -1,0 +1,123 @@
+"""What lookalikes hid is found: what stands on them stays, and the missing are sought once more."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from pipeline.synthesis.world import Part, RayCaster
+from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise
+from scene.config import ParseConfig
+from scene.foreground import scene_data
+from scene.gaps import Settled, told, without_gaps
+from scene.likely_places import CONVINCING, without_lookalikes
+from scene.pools import Pools
+from scene.rendering import ObjectRenderer
+from scene.rival_scenes import RIVALS, best_of
+from scene.scene_object import scene_object
+from shapes.poses import poses_of
+
+INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
+SHAPES = {
+    "can": trimesh.creation.cylinder(radius=0.045, height=0.1),
+    "box": trimesh.creation.box((0.07, 0.05, 0.09)),
+}
+DRUM = trimesh.creation.cylinder(radius=0.06, height=0.1)
+"""What stands on the table; nobody asks for it."""
+NOISE = DepthNoise(outlier_probability=0.1)
+CAN, BOX = range(2)
+FIRST, SECOND = range(2)
+"""Places in the pools of a test."""
+
+
+def pools(seed: int, poses: Sequence[NDArray[np.floating]], *, can_beside: bool = False) -> Pools:
+    """Of a box on a drum, and perhaps a can beside it; poses (4, 4) in the world: of the can, of the box."""
+    parts = [
+        Part(name="table", mesh=trimesh.creation.box((1.0, 1.0, 0.02)), world_from_part=moved(0, 0, -0.01)),
+        Part(name="drum", mesh=DRUM, world_from_part=moved(0, 0, 0.05)),
+        Part(name="box", mesh=SHAPES["box"], world_from_part=on_the_drum()),
+    ]
+    if can_beside:
+        parts.append(Part(name="can", mesh=SHAPES["can"], world_from_part=beside_the_drum()))
+    depth_m = RayCaster(parts).view(INTRINSICS, camera()).depth_m
+    depth_m = np.where(np.isfinite(depth_m), depth_m, NO_RETURN)
+    data = scene_data(depth_m.astype(np.float32), INTRINSICS, seed)
+    objects = [scene_object(name, mesh.vertices, mesh.faces) for name, mesh in SHAPES.items()]
+    config, rng = ParseConfig(rounds=0, pool=2), np.random.default_rng(seed)
+    empty = Pools.of(data, objects, ObjectRenderer.of(objects), NOISE, config, 3 + RIVALS, rng)
+    return empty.with_poses(in_camera(*poses)[:, None], FIRST)
+
+
+def in_camera(*poses: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Poses (N, 7) camera_from_box of (4, 4) in the world."""
+    return poses_of(np.linalg.inv(camera()) @ np.stack(poses)).astype(np.float32)
+
+
+def on_the_drum() -> NDArray[np.float64]:
+    """Where the box stands."""
+    return moved(0, 0, 0.1 + 0.045) @ trimesh.transformations.rotation_matrix(0.5, (0, 0, 1))
+
+
+def beside_the_drum() -> NDArray[np.float64]:
+    """Where the can may stand."""
+    return moved(0.16, 0.05, 0.05)
+
+
+def camera() -> NDArray[np.float64]:
+    """World_from_camera (4, 4), obliquely from above."""
+    forward = np.array([0.0, 0.6, -0.4]) / np.hypot(0.6, 0.4)
+    right = np.array([1.0, 0.0, 0.0])
+    pose = np.eye(4)
+    pose[:3] = np.stack([right, np.cross(forward, right), forward, [0.0, -0.6, 0.45]], axis=1)
+    return pose
+
+
+def moved(*offset_m: float) -> NDArray[np.float64]:
+    """A pose (4, 4) that is not turned."""
+    return trimesh.transformations.translation_matrix(offset_m)
+
+
+def test_what_stands_on_a_lookalike_stays(seed: int) -> None:
+    """A can is not in the drum's place, and yet the box on the drum ends where the drum begins."""
+    with jax.enable_x64(False):  # as the program starts it
+        both = pools(seed, [moved(0, 0, 0.05), on_the_drum()])
+        scene, log_odds = without_lookalikes(both, np.array([FIRST, FIRST]), NOISE)
+    assert scene.tolist() == [both.absent, FIRST]
+    assert log_odds[CAN] < 0
+    assert log_odds[BOX] > CONVINCING
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("can_beside", [True, False])
+def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Array, seed: int) -> None:
+    """The can was put in the drum's place: found beside it where it is, and nowhere where it is not."""
+    found_at = beside_the_drum() if can_beside else moved(0.0, 0.004, 0.05)
+    asked = []
+
+    def seek(
+        key: jax.Array,  # noqa: ARG001
+        pools: Pools,
+        scene: NDArray[np.integer],
+        wanted: NDArray[np.bool_],
+        masks: Sequence[NDArray[np.bool_]],
+        turn: int,  # noqa: ARG001
+    ) -> tuple[Pools, NDArray[np.integer]]:
+        asked.append((wanted.tolist(), bool(masks[CAN].any())))
+        pools = pools.with_poses(in_camera(found_at, on_the_drum())[:, None], SECOND)
+        return pools, best_of(pools, np.array([SECOND, FIRST]), scene)
+
+    with jax.enable_x64(False):
+        both = pools(seed, [moved(0, 0, 0.05), on_the_drum()], can_beside=can_beside)
+        first = Settled.of(*told(key, both, np.array([FIRST, FIRST]), NOISE), NOISE)
+        best = without_gaps(key, seek, first, NOISE)
+
+    assert first.found.tolist() == [False, True]
+    assert first.gaps
+    assert asked == [([True, False], True)]
+    assert best.found.tolist() == [can_beside, True]
+    if can_beside:
+        off_m = best.pools.placed(best.scene)[CAN, 4:] - in_camera(beside_the_drum())[0, 4:]
+        assert np.linalg.norm(off_m) < 0.002
