@@ -84,6 +84,7 @@ def floating_draw(key: jax.Array, model: SceneModel) -> SceneGraph:
     return floating_scene(jnp.where(movable[:, None], poses, rest))
 
 
+@partial(jax.jit, static_argnames="chains")
 def start_chains(key: jax.Array, model: SceneModel, chains: int) -> ChainState:
     """Independent chains from floating draws."""
     scene_key, chain_key = jax.random.split(key)

@@ -219,7 +219,7 @@ def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], p
     assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
 
 
-@pytest.mark.parametrize("draws", [1, 4])
+@pytest.mark.parametrize("draws", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_the_estimate_over_shapes_is_unbiased(
     key: jax.Array, seed: int, poses: jax.Array, draws: int
 ) -> None:

@@ -76,7 +76,7 @@ def test_poses_without_an_edge_are_out_of_use(key: jax.Array) -> None:
         dice = Dice.thrown(key, (), move.uniforms, move.normals, state.log_prior.dtype)
         return move.propose(dice, model, state).log_offered
 
-    log_offered = np.asarray(jax.vmap(offered)(jax.random.split(dice_key, 256)))
+    log_offered = np.asarray(jax.jit(jax.vmap(offered))(jax.random.split(dice_key, 256)))
     assert not np.isnan(log_offered).any()
     assert np.isfinite(log_offered[:, 0]).all()
     assert 0 < np.isposinf(log_offered[:, 1:]).mean() < 0.9

@@ -122,7 +122,10 @@ def both(kernel: Kernel) -> Kernel:
     return kernel
 
 
-@pytest.mark.parametrize("chosen", [far_only, near_only, both])
+@pytest.mark.parametrize(
+    "chosen",
+    [both, pytest.param(far_only, marks=pytest.mark.slow), pytest.param(near_only, marks=pytest.mark.slow)],
+)
 def test_contact_is_as_likely_as_its_evidence(key: jax.Array, chosen: Callable[[Kernel], Kernel]) -> None:
     """P(contact) and two means, by all ways to choose candidates: within 1e-6 false alarms."""
     model = seen_model()

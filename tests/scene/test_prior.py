@@ -74,9 +74,9 @@ def test_contact_table_is_the_contact_density(key: jax.Array) -> None:
         )
 
     grid = jnp.meshgrid(jnp.arange(4), jnp.arange(6), jnp.arange(6), indexing="ij")
-    expected = jax.vmap(one)(*[axis.ravel() for axis in grid]).reshape(4, 6, 6)
+    expected = jax.jit(jax.vmap(one))(*[axis.ravel() for axis in grid]).reshape(4, 6, 6)
 
-    actual = contact_densities(model.prior, bodies, poses, jnp.array(child))
+    actual = jax.jit(contact_densities)(model.prior, bodies, poses, jnp.array(child))
 
     others = np.array([0, 2, 3])
     assert (expected[others] > 0).sum() > 20
@@ -132,7 +132,7 @@ def test_prior_samples_have_the_chart_of_their_density(key: jax.Array) -> None:
         log_p = log_parameters(model.prior, model.bodies, there, jnp.array(1))
         return jnp.append(coordinates, log_p)
 
-    draws = jax.vmap(contact)(jax.random.uniform(draw_key, (20_000, 9)))
+    draws = jax.jit(jax.vmap(contact))(jax.random.uniform(draw_key, (20_000, 9)))
 
     assert_uniform(draws[:, 0], low=-0.5, high=0.5)
     assert_uniform(draws[:, 1], low=-0.5, high=0.5)

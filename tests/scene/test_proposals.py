@@ -39,6 +39,7 @@ def covariance(seed: int) -> jax.Array:
     return jnp.asarray(factor @ factor.T + 1e-8 * np.eye(6))
 
 
+@partial(jax.jit, static_argnames="count")
 def samples(key: jax.Array, mixture: PoseMixture, count: int) -> jax.Array:
     """Poses (count, 7)."""
     uniform_key, normal_key = jax.random.split(key)
@@ -46,18 +47,25 @@ def samples(key: jax.Array, mixture: PoseMixture, count: int) -> jax.Array:
     return jax.vmap(pose_mixture.sample, in_axes=(0, 0, None))(uniforms, normals, mixture)
 
 
+@jax.jit
+def built(log_weights: jax.Array, means: jax.Array, covariances: jax.Array, axis: jax.Array) -> PoseMixture:
+    """The mixture of an object's modes."""
+    return PoseMixture.build(*own_components(log_weights, means, covariances, axis))
+
+
 def of_one_mode(mean: np.ndarray, covariance: jax.Array, axis: int) -> PoseMixture:
     """The components of an object all of whose weight is in its first mode."""
     log_weights = jnp.where(jnp.arange(MODES) == 0, 0.0, -jnp.inf)
     means = jnp.broadcast_to(jnp.asarray(mean), (MODES, 7))
     covariances = jnp.broadcast_to(covariance, (MODES, 6, 6))
-    return PoseMixture.build(*own_components(log_weights, means, covariances, jnp.asarray(axis)))
+    return built(log_weights, means, covariances, jnp.asarray(axis))
 
 
 def differences(taught: PoseMixture, expected: PoseMixture, states: jax.Array) -> np.ndarray:
     """How much the log densities of two mixtures differ at states (S, 7)."""
     of_taught, of_expected = (
-        jax.vmap(partial(pose_mixture.log_density, mixture))(states) for mixture in (taught, expected)
+        jax.jit(jax.vmap(pose_mixture.log_density, in_axes=(None, 0)))(mixture, states)
+        for mixture in (taught, expected)
     )
     return np.abs(of_taught - of_expected)
 
@@ -72,8 +80,10 @@ def test_a_round_objects_mixture_looks_the_same_from_all_sides(key: jax.Array, s
         return jnp.concatenate([rotation.wxyz, pose[4:]])
 
     angles = jnp.linspace(0, 2 * jnp.pi, 37)
-    log_densities = jax.vmap(
-        lambda pose: jax.vmap(lambda angle: pose_mixture.log_density(own, turned(pose, angle)))(angles)
+    log_densities = jax.jit(
+        jax.vmap(
+            lambda pose: jax.vmap(lambda angle: pose_mixture.log_density(own, turned(pose, angle)))(angles)
+        )
     )(poses)
 
     ranges = np.ptp(np.asarray(log_densities), axis=1)
@@ -110,7 +120,7 @@ def test_the_burn_in_teaches_every_mode(key: jax.Array, seed: int) -> None:
 
     def mixture(log_weights: jax.Array, covariances: jax.Array) -> PoseMixture:
         log_weights = jax.nn.log_softmax(log_weights)
-        return PoseMixture.build(*own_components(log_weights, means, covariances, jnp.asarray(-1)))
+        return built(log_weights, means, covariances, jnp.asarray(-1))
 
     first = mixture(used, jnp.broadcast_to(1e-5 * jnp.eye(6), (MODES, 6, 6)))
     expected = mixture(used + jnp.log(jnp.where(jnp.arange(MODES) == 0, 0.95, 0.05)), covariances)

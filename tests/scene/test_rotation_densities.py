@@ -1,3 +1,5 @@
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,7 +59,7 @@ def test_gaussian_pose_integrates_to_one(key: jax.Array, spread_rad: float) -> N
     factor = jnp.diag(jnp.array([1.0, 1, 1, spread_rad, spread_rad, spread_rad])).at[4, 3].set(0.2)
     whitening = jnp.linalg.inv(factor)
     rotations = jax.vmap(uniform_rotation)(jax.random.uniform(key, (400_000, 3)))
-    at_origin = jax.vmap(lambda q: log_gaussian_pose(whitening, jnp.zeros(3), q))(rotations)
+    at_origin = jax.jit(jax.vmap(partial(log_gaussian_pose, whitening, jnp.zeros(3))))(rotations)
     log_translation = -1.5 * jnp.log(2 * jnp.pi)
 
     assert_mean(jnp.exp(at_origin - log_translation + LOG_ROTATION_MASS), 1.0, detectable=0.1)
@@ -73,8 +75,8 @@ def test_pose_mixture_agrees_with_its_sampler(key: jax.Array) -> None:
     mixture = PoseMixture.build(jnp.log(jnp.array([[3.0, 1.0]])), centres, covariances).of(jnp.array(0))
     uniforms = jax.random.uniform(uniform_key, (300_000,))
     normals = jax.random.normal(normal_key, (300_000, 6))
-    poses = jax.vmap(pose_mixture.sample, in_axes=(0, 0, None))(uniforms, normals, mixture)
+    poses = jax.jit(jax.vmap(pose_mixture.sample, in_axes=(0, 0, None)))(uniforms, normals, mixture)
     inside = jnp.all(jnp.abs(poses[:, 4:]) < 0.5, axis=1)
-    log_density = jax.vmap(lambda pose: pose_mixture.log_density(mixture, pose))(poses)
+    log_density = jax.jit(jax.vmap(pose_mixture.log_density, in_axes=(None, 0)))(mixture, poses)
 
     assert_mean(jnp.where(inside, jnp.exp(-log_density), 0.0), jnp.pi**2, detectable=1.0)

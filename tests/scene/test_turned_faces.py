@@ -41,7 +41,7 @@ def test_a_turned_cube_rests_as_it_did(key: jax.Array) -> None:
     wxyz = jnp.asarray(turned.as_quat()[:, [3, 0, 1, 2]])
     poses = jnp.concatenate([wxyz, jnp.broadcast_to(scene.poses[0, 4:], (24, 3))], axis=1)
 
-    scenes = jax.vmap(partial(placed, at_reference(scene, chosen, reference), chosen))(poses)
+    scenes = jax.jit(jax.vmap(partial(placed, at_reference(scene, chosen, reference), chosen)))(poses)
 
     expected = float(model.log_prior(scene))
     assert np.isfinite(expected)
@@ -65,8 +65,12 @@ def test_names_of_faces_compose(key: jax.Array) -> None:
     first, second = jnp.stack(poses).reshape(2, 64, 7)
     for chosen in (0, 1):
         number = jnp.array(chosen)
-        at = jax.vmap(
-            lambda scene, pose, number=number: placed(at_reference(scene, number, reference), number, pose)
+        at = jax.jit(
+            jax.vmap(
+                lambda scene, pose, number=number: placed(
+                    at_reference(scene, number, reference), number, pose
+                )
+            )
         )
         direct = at(scenes, second)
         for other in (at(at(scenes, first), second), at(at(direct, first), second)):

@@ -211,9 +211,9 @@ def test_gradient_and_curvature_are_those_of_the_log_density(key):
             depth, _ = depth_and_jacobian(planes, rays, pose_gaussian.displaced(pose, xi))
             return depth_noise.log_density_of_hit(noise, observed, depth, jnp.sqrt(variance)).sum()
 
-        terms = pixel_terms(planes, variance, observed, rays, pose, noise)
-        gradient = np.asarray(jax.grad(log_density)(jnp.zeros(6)))
-        hessian = np.asarray(jax.hessian(log_density)(jnp.zeros(6)))
+        terms = jax.jit(pixel_terms)(planes, variance, observed, rays, pose, noise)
+        gradient = np.asarray(jax.jit(jax.grad(log_density))(jnp.zeros(6)))
+        hessian = np.asarray(jax.jit(jax.hessian(log_density))(jnp.zeros(6)))
         scores, precision = np.asarray(terms.scores()), np.asarray(terms.precision())
 
     scale = float(np.abs(gradient).max())

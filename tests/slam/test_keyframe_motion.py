@@ -64,9 +64,9 @@ def test_residuals_bend_as_the_density_does() -> None:
         return pose_gaussian.displaced(here, xi)
 
     residual = motion.expected_residual(history, at(xi))
-    jacobian = jax.jacfwd(lambda xi: motion.expected_residual(history, at(xi)))(xi)
-    slope = jax.grad(lambda xi: -motion.log_density(history, at(xi)))(xi)
-    bend = jax.hessian(lambda xi: -motion.log_density(history, at(xi)))(xi)
+    jacobian = jax.jit(jax.jacfwd(lambda xi: motion.expected_residual(history, at(xi))))(xi)
+    slope = jax.jit(jax.grad(lambda xi: -motion.log_density(history, at(xi))))(xi)
+    bend = jax.jit(jax.hessian(lambda xi: -motion.log_density(history, at(xi))))(xi)
 
     np.testing.assert_allclose(residual @ jacobian, slope, atol=0.02)
     np.testing.assert_allclose(jacobian.T @ jacobian, bend, atol=25.0)

@@ -82,8 +82,8 @@ def test_terms_of_an_overlap_are_those_of_autodiff():
             return jnp.log(1.0 - OUTLIER_SHARE) - 0.5 * normalised
 
         zero = jnp.zeros(12, jnp.float64)
-        gradient = jax.grad(lambda xi: -jnp.logaddexp(log_surface(xi), LOG_OUTLIER).sum())(zero)
-        jacobian = jax.jacfwd(gaps)(zero)
+        gradient = jax.jit(jax.grad(lambda xi: -jnp.logaddexp(log_surface(xi), LOG_OUTLIER).sum()))(zero)
+        jacobian = jax.jit(jax.jacfwd(gaps))(zero)
         inlier = jax.nn.sigmoid(log_surface(zero) - LOG_OUTLIER)
         precision = (jacobian * (inlier / variance)[:, None]).T @ jacobian
         inlier, precision, gradient = map(np.asarray, (inlier, precision, gradient))

@@ -48,11 +48,11 @@ def test_free_motion_density_is_that_of_its_sampler(key):
     """E under the prior of a Gaussian's density over the prior's is one, for each of its three kinds."""
     history = MotionHistory(_pose([0.0] * 6), _pose([0.03, 0.0, 0.0, 0.0, 0.05, 0.0]), jnp.zeros(3))
     motion = FreeMotion.default()
-    poses = jax.vmap(motion.sample, (0, None))(jax.random.split(key, 60_000), history)
-    log_prior = jax.vmap(motion.log_density, (None, 0))(history, poses)
+    poses = jax.jit(jax.vmap(motion.sample, (0, None)))(jax.random.split(key, 60_000), history)
+    log_prior = jax.jit(jax.vmap(motion.log_density, (None, 0)))(history, poses)
 
     for centre, scale in ((history.predicted, _scale(0.01, 0.01)), (history.pose, _scale(0.1, 0.1))):
-        log_target = jax.vmap(pose_gaussian.log_density, (0, None, None))(poses, centre, scale)
+        log_target = jax.jit(jax.vmap(pose_gaussian.log_density, (0, None, None)))(poses, centre, scale)
         assert_mean(np.exp(np.asarray(log_target - log_prior)), 1.0, detectable=0.15)
 
 
@@ -65,7 +65,7 @@ def test_free_motion_jump_is_uniform_over_rotations(key):
     rotations = jax.vmap(jaxlie.SO3.sample_uniform)(jax.random.split(key, 20))
     poses = jnp.concatenate([rotations.wxyz, jnp.zeros((20, 3))], axis=-1)
 
-    log_density = jax.vmap(motion.log_density, (None, 0))(history, poses)
+    log_density = jax.jit(jax.vmap(motion.log_density, (None, 0)))(history, poses)
 
     expected = -2 * np.log(np.pi) - 3 * np.log(0.5 * np.sqrt(2 * np.pi))
     np.testing.assert_allclose(log_density, expected, atol=1e-4)
@@ -75,12 +75,12 @@ def test_orbit_density_is_that_of_its_sampler(key):
     """E under the orbit prior of a narrow Gaussian's density over the prior's is one."""
     history = MotionHistory(IDENTITY, IDENTITY, jnp.asarray([0.0, 0.0, 1.0]))
     motion = OrbitMotion(jnp.asarray(0.05), jnp.asarray(30.0), jnp.asarray([0.1, 0.1, 0.2]))
-    poses = jax.vmap(motion.sample, (0, None))(jax.random.split(key, 200_000), history)
-    log_prior = jax.vmap(motion.log_density, (None, 0))(history, poses)
+    poses = jax.jit(jax.vmap(motion.sample, (0, None)))(jax.random.split(key, 200_000), history)
+    log_prior = jax.jit(jax.vmap(motion.log_density, (None, 0)))(history, poses)
 
     centre = _pose([0.05, 0.0, 0.0, 0.0, -0.05, 0.0])
     scale = jnp.diag(jnp.asarray([0.05, 0.05, 0.03, 0.06, 0.06, 0.1], jnp.float32))
-    log_target = jax.vmap(pose_gaussian.log_density, (0, None, None))(poses, centre, scale)
+    log_target = jax.jit(jax.vmap(pose_gaussian.log_density, (0, None, None)))(poses, centre, scale)
 
     assert_mean(np.exp(np.asarray(log_target - log_prior)), 1.0, detectable=0.2)
 
@@ -88,7 +88,7 @@ def test_orbit_density_is_that_of_its_sampler(key):
 def test_orbit_keeps_its_distance_and_looks_at_its_pivot(key):
     """Draws of any direction stay at the radius and aim at the pivot, a half turn included."""
     history = MotionHistory(IDENTITY, IDENTITY, jnp.asarray([0.0, 0.0, 1.2]))
-    poses = jax.vmap(OrbitMotion.default().sample, (0, None))(jax.random.split(key, 2000), history)
+    poses = jax.jit(jax.vmap(OrbitMotion.default().sample, (0, None)))(jax.random.split(key, 2000), history)
 
     offset = np.asarray(history.pivot)[None] - np.asarray(poses[:, 4:])
     distance = np.linalg.norm(offset, axis=1)
@@ -107,10 +107,10 @@ def test_the_whole_mixture_is_a_density(key):
     centres = jnp.stack([_pose([0.05, 0, 0, 0.05, 0, 0]), _pose([-0.05, 0, 0.05, 0, 0.1, 0])])
     scales = jnp.stack([_scale(0.1, 0.08), _scale(0.08, 0.1)])
     log_shares = jnp.log(jnp.asarray([0.3, 0.7]))
-    poses = jax.vmap(motion.sample, (0, None))(jax.random.split(key, 60_000), history)
+    poses = jax.jit(jax.vmap(motion.sample, (0, None)))(jax.random.split(key, 60_000), history)
 
-    log_q, log_prior, _ = jax.vmap(
-        lambda pose: log_proposal_density(pose, centres, scales, log_shares, history, motion)
+    log_q, log_prior, _ = jax.jit(
+        jax.vmap(lambda pose: log_proposal_density(pose, centres, scales, log_shares, history, motion))
     )(poses)
 
     ratio = np.exp(np.asarray(log_q - log_prior))
