@@ -118,18 +118,7 @@ def _sought(
     masks: Sequence[NDArray[np.bool_]],
     turn: int,
 ) -> tuple[Pools, NDArray[np.int32]]:
-    """The pools with new poses of some objects, and the best scene (N,) found from them and from one.
-
-    Args:
-        rng: random numbers.
-        rotations: of every object.
-        key: random key.
-        pools: of poses.
-        scene: (N,) the best one so far.
-        wanted: (N,) the objects that are sought.
-        masks: pixels of every object.
-        turn: the round whose poses make room.
-    """
+    """`scene.gaps.Seek`, with the orientations of every object."""
     size = pools.config.pool
     poses = pools.poses[:, turn * size : (turn + 1) * size].copy()
     poses[wanted] = _hypotheses(pools, np.flatnonzero(wanted), rotations, masks, rng)

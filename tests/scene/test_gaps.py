@@ -19,6 +19,7 @@ from scene.rendering import ObjectRenderer
 from scene.rival_scenes import RIVALS, best_of
 from scene.scene_object import scene_object
 from shapes.poses import poses_of
+from tests.scene.test_lookalikes import camera, moved
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
 SHAPES = {
@@ -64,20 +65,6 @@ def on_the_drum() -> NDArray[np.float64]:
 def beside_the_drum() -> NDArray[np.float64]:
     """Where the can may stand."""
     return moved(0.16, 0.05, 0.05)
-
-
-def camera() -> NDArray[np.float64]:
-    """World_from_camera (4, 4), obliquely from above."""
-    forward = np.array([0.0, 0.6, -0.4]) / np.hypot(0.6, 0.4)
-    right = np.array([1.0, 0.0, 0.0])
-    pose = np.eye(4)
-    pose[:3] = np.stack([right, np.cross(forward, right), forward, [0.0, -0.6, 0.45]], axis=1)
-    return pose
-
-
-def moved(*offset_m: float) -> NDArray[np.float64]:
-    """A pose (4, 4) that is not turned."""
-    return trimesh.transformations.translation_matrix(offset_m)
 
 
 def test_what_stands_on_a_lookalike_stays(seed: int) -> None:

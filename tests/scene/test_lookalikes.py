@@ -49,12 +49,12 @@ SHAPES = {
 def seen(*shapes: str) -> NDArray[np.floating]:
     """Depth (240, 320) of a table with shapes on it, each behind the one before."""
     table = trimesh.creation.box((1.0, 1.0, 0.02))
-    parts = [Part(name="table", mesh=table, world_from_part=_moved(0, 0, -0.01))]
+    parts = [Part(name="table", mesh=table, world_from_part=moved(0, 0, -0.01))]
     parts += [
         Part(name=shape, mesh=SHAPES[shape], world_from_part=standing(shape, place))
         for place, shape in enumerate(shapes)
     ]
-    return RayCaster(parts).view(INTRINSICS, _camera()).depth_m
+    return RayCaster(parts).view(INTRINSICS, camera()).depth_m
 
 
 def standing(shape: str, place: int) -> NDArray[np.float64]:
@@ -64,7 +64,8 @@ def standing(shape: str, place: int) -> NDArray[np.float64]:
     return pose
 
 
-def _camera() -> NDArray[np.float64]:
+def camera() -> NDArray[np.float64]:
+    """World_from_camera (4, 4), obliquely from above."""
     forward = np.array([0.0, 0.6, -0.4]) / np.hypot(0.6, 0.4)
     right = np.array([1.0, 0.0, 0.0])
     pose = np.eye(4)
@@ -72,7 +73,8 @@ def _camera() -> NDArray[np.float64]:
     return pose
 
 
-def _moved(*offset_m: float) -> NDArray[np.float64]:
+def moved(*offset_m: float) -> NDArray[np.float64]:
+    """A pose (4, 4) that is not turned."""
     return trimesh.transformations.translation_matrix(offset_m)
 
 
@@ -204,7 +206,7 @@ def test_a_shape_is_found_behind_a_thing_that_explains_more(
 ) -> None:
     """The thing shows more pixels that are like the shape's than the shape, which looks more like itself."""
     found = searched(key, observed(thing, asked, seed=seed), asked)
-    true = np.linalg.inv(_camera()) @ standing(asked, 1)
+    true = np.linalg.inv(camera()) @ standing(asked, 1)
     assert found.found[0]
     assert np.linalg.norm(found.poses[0, 4:] - true[:3, 3]) < 0.002
     assert expit(log_odds_of_presence(found.log_odds, [0.0], 0.9))[0] > 0.9
