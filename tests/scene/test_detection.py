@@ -75,6 +75,7 @@ def test_faces_of_several_objects_are_no_table(seed: int) -> None:
     assert support_plane(in_camera(np.concatenate([plane[on_face], before])), 1, lambda _: True) is None
 
 
+@pytest.mark.parametrize("seed", range(2))
 def test_strays_in_a_plane_come_in_pieces_of_two(seed: int) -> None:
     """Sparse points all round at a table's height, of which a neighbouring piece leaves some two or one."""
     rng = np.random.default_rng(seed)

@@ -40,11 +40,12 @@ def test_every_involution_returns(key: jax.Array) -> None:
     assert float(jnp.max(info.involution_error)) < 1e-9
 
 
-def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array) -> None:
-    """p(G) not uniform, log L[G] neither: frequencies are p(G) exp(log L[G]) / sum."""
+@pytest.mark.parametrize("strength", [0.0, 1.5])
+def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array, strength: float) -> None:
+    """p(G) not uniform, log L[G] constant or not: frequencies are p(G) exp(log L[G]) / sum."""
     model, probabilities = weighted(3)
     trees = all_trees(3)
-    log_likelihood = 1.5 * np.cos(np.arange(len(trees)))
+    log_likelihood = strength * np.cos(np.arange(len(trees)))
     posterior = probabilities * np.exp(log_likelihood)
     model = replace(model, likelihood=GraphTable.build(trees, log_likelihood))
 
@@ -53,12 +54,12 @@ def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array) -> None:
     assert_mean(frequencies, posterior / posterior.sum(), detectable=0.06)
 
 
-def test_no_data_returns_the_prior_beside_an_empty_slot(key: jax.Array) -> None:
+@pytest.mark.parametrize("weight", [1.0, 0.3])
+def test_no_data_returns_the_prior_beside_an_empty_slot(key: jax.Array, weight: float) -> None:
     """Likelihood constant, two objects, a table and a slot for one that is not there: 8 trees.
 
     Each floating object counts its weight.
     """
-    weight = 0.3
     prior = WeightedTrees(jnp.asarray(weight))
     model = cube_model(3, table=True, structure=prior, upward_concentration=2.0)
     start_key, run_key = jax.random.split(key)
@@ -77,8 +78,14 @@ def test_no_data_returns_the_prior_beside_an_empty_slot(key: jax.Array) -> None:
     assert_mean(frequencies, weights / weights.sum(), detectable=0.06)
 
 
-@pytest.mark.slow  # compiles the kernel three times
-@pytest.mark.parametrize(("factor", "right"), [(8.0, True), (1.0, False), (64.0, False)])
+@pytest.mark.parametrize(
+    ("factor", "right"),
+    [
+        (8.0, True),
+        pytest.param(1.0, False, marks=pytest.mark.slow),
+        pytest.param(64.0, False, marks=pytest.mark.slow),
+    ],
+)
 def test_the_factor_eight_is_seen(
     key: jax.Array, factor: float, right: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
