@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from slam.contradictions import agreeing, placed_anew
 from slam.depth_view import central_depth
-from slam.joint_refinement import Detail
 from slam.jury import Jury
 from slam.keyframe_motion import KeyframeMotion
+from slam.keyframe_overlaps import Detail
 from slam.modes import Modes
 from slam.motion import OrbitMotion
 from slam.regular_motion import regular_steps, repeated

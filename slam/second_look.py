@@ -31,9 +31,9 @@ from slam import smc
 from slam.config import SlamConfig
 from slam.contradictions import agreeing, placed_anew
 from slam.filter_state import FilterState
-from slam.joint_refinement import Detail
 from slam.jury import Jury
 from slam.keyframe_motion import KeyframeMotion
+from slam.keyframe_overlaps import Detail
 from slam.modes import carried, dealt
 from slam.particles import CameraParticles, grouped, mean_keyframes
 from slam.rigid import single_precision_poses

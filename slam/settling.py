@@ -2,7 +2,7 @@
 
 What a search leaves is centimetres off. Along bare walls each view is held by others that are off as well:
 one by one, each in the map of the others, they need dozens of rounds, the graph of their overlaps
-(`slam.joint_refinement`) needs few.
+(`slam.keyframe_optimum`) needs few.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from shapes.poses import matrices_of
-from slam.joint_refinement import HELD_INFLATIONS, INFLATIONS, Detail, keyframes_at, optimum
 from slam.keyframe_map import KeyframeMap
 from slam.keyframe_motion import KeyframeMotion
+from slam.keyframe_optimum import HELD_INFLATIONS, INFLATIONS, optimum
+from slam.keyframe_overlaps import Detail, keyframes_at
 from slam.rigid import single_precision_poses
 
 FAR_INFLATIONS = (16.0, 8.0, *INFLATIONS)

@@ -15,8 +15,9 @@ from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
 from slam.filter_state import FilterState, FrameInfo
 from slam.history import History
-from slam.joint_refinement import Detail, detail_of, refined
+from slam.joint_refinement import refined
 from slam.keyframe_motion import KeyframeMotion
+from slam.keyframe_overlaps import Detail, detail_of
 from slam.odometry import KissOdometry
 from slam.result import SlamResult
 from slam.second_look import is_handful, reconsidered

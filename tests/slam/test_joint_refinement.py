@@ -14,7 +14,8 @@ from slam.beginning import init
 from slam.config import SlamConfig
 from slam.depth_view import FINE_CANVAS, view_of_frame
 from slam.filter_state import FilterState
-from slam.joint_refinement import detail_of, refined
+from slam.joint_refinement import refined
+from slam.keyframe_overlaps import detail_of
 from slam.rigid import single_precision_poses
 from tests.slam import box_room
 
