@@ -22,8 +22,9 @@ from slam.rigid import single_precision_poses
 
 JUDGING = 5
 """Images that a step is judged by."""
-STEPS = 40
-"""Distinct ones that are refined: the true step was up to the nineteenth on the grid (circles of 5)."""
+STARTS, STEPS = 160, 40
+"""Distinct ones whose refinement is begun and of which it is ended: the true step was up to the seventieth of
+the grid, and among the first five of the refined (circles of 5 in bare rooms, from 7010000)."""
 STEP_SHIFT_M, STEP_ANGLE_RAD = 0.12, 0.15
 BLUR, LEAST_BLUR = 0.06, 0.01
 REFINING = tuple(0.05 * 0.75**round_ for round_ in range(12))
@@ -41,10 +42,7 @@ def regular_steps(jury: Jury, distances_m: NDArray[np.float64]) -> NDArray[np.fl
     """
     candidates = enumeration.orbit_steps(distances_m)
     ranked = candidates[np.argsort(-_scores(jury, candidates, BLUR), kind="stable")]
-    chosen = enumeration.distinct(ranked, STEPS, STEP_SHIFT_M, STEP_ANGLE_RAD)
-    steps, scores = _refined(jury, ranked[chosen])
-    ranked = steps[np.argsort(-scores, kind="stable")]
-    return ranked[enumeration.distinct(ranked, STEPS, STEP_SHIFT_M, STEP_ANGLE_RAD)]
+    return _refined(jury, _first_distinct(ranked, STARTS))
 
 
 def repeated(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
@@ -65,15 +63,19 @@ def _scores(jury: Jury, steps: NDArray[np.float64], blur: float) -> NDArray[np.f
     return total
 
 
-def _refined(jury: Jury, steps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The best step near each (S, 4, 4), in clouds that grow narrower, and their scores (S,)."""
-    each, scores = np.arange(len(steps)), np.full(len(steps), -np.inf)
+def _first_distinct(steps: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    return steps[enumeration.distinct(steps, count, STEP_SHIFT_M, STEP_ANGLE_RAD)]
+
+
+def _refined(jury: Jury, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The best steps near each (S, 4, 4), in clouds that grow narrower and fewer: distinct, best first."""
     for width in REFINING:
         clouds = steps[:, None] @ np.asarray(expm(width * _cloud()))
-        found = _scores(jury, clouds.reshape(-1, 4, 4), max(width, LEAST_BLUR)).reshape(len(steps), -1)
-        best = found.argmax(axis=1)
-        steps, scores = clouds[each, best], found[each, best]
-    return steps, scores
+        scores = _scores(jury, clouds.reshape(-1, 4, 4), max(width, LEAST_BLUR)).reshape(len(steps), -1)
+        best = clouds[np.arange(len(steps)), scores.argmax(axis=1)]
+        ranked = best[np.argsort(-scores.max(axis=1), kind="stable")]
+        steps = _first_distinct(ranked, max(STEPS, len(steps) // 2))
+    return steps
 
 
 @cache
