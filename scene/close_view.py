@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from scene.cores import side_by_side
 from scene.foreground import background
 from scene.pools import Pools
 from scene.scene_data import SceneData
@@ -61,11 +62,9 @@ def close_views(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> 
         noise: of the sensor and the surfaces together.
     """
     shown_m = np.where(pools.data.window.inside, pools.shown(scene), np.inf)
-    views = {
-        one: _close_view(pools, scene, one, shown_m[one], noise)
-        for one in np.flatnonzero(np.isfinite(shown_m).any(axis=(1, 2))).tolist()
-    }
-    return {one: view for one, view in views.items() if view.covers.any()}
+    seen = np.flatnonzero(np.isfinite(shown_m).any(axis=(1, 2))).tolist()
+    views = side_by_side(lambda one: _close_view(pools, scene, one, shown_m[one], noise), seen)
+    return {one: view for one, view in zip(seen, views, strict=True) if view.covers.any()}
 
 
 def _close_view(

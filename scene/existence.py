@@ -69,16 +69,15 @@ def _log_sums_of_products(logs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @partial(jax.jit, static_argnames="candidates", compiler_options=SELDOM)
-def best_scene(layers: PoseLayers, choices: jax.Array, candidates: int) -> jax.Array:
-    """The best scene (N,) found from some (S, N); pairs try the `candidates` best poses of each object."""
+def best_scene(layers: PoseLayers, choice: jax.Array, candidates: int) -> tuple[jax.Array, jax.Array]:
+    """The best scene (N,) found from one (N,), and its log density.
 
-    def improved(choice: jax.Array) -> jax.Array:
-        choice = filled(layers, choice, jnp.zeros(len(choice), bool))
-        choice = improve_pairs(layers, choice, candidates)
-        return _without_any(layers, _with_replacements(layers, choice))
-
-    choices = jax.lax.map(improved, choices)
-    return choices[jnp.argmax(jax.vmap(partial(log_density_of_choice, layers))(choices))]
+    Pairs try the `candidates` best poses of each object.
+    """
+    choice = filled(layers, choice, jnp.zeros(len(choice), bool))
+    choice = improve_pairs(layers, choice, candidates)
+    choice = _without_any(layers, _with_replacements(layers, choice))
+    return choice, log_density_of_choice(layers, choice)
 
 
 @partial(jax.jit, compiler_options=SELDOM)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,18 +25,16 @@ class Seek(Protocol):
         key: jax.Array,
         pools: Pools,
         scene: NDArray[np.integer],
-        wanted: NDArray[np.bool_],
-        masks: Sequence[NDArray[np.bool_]],
+        masks: Mapping[int, NDArray[np.bool_]],
         turn: int,
     ) -> tuple[Pools, NDArray[np.integer]]:
-        """Pools with poses on the masks of those wanted (N,), and the best scene (N,) found from one.
+        """Pools with poses on the masks of those sought, and the best scene (N,) found from one.
 
         Args:
             key: random key.
             pools: of poses.
             scene: (N,) the best one so far.
-            wanted: (N,) the objects that are sought.
-            masks: pixels of every object.
+            masks: pixels of every object that is sought.
             turn: the round whose poses make room.
         """
         ...
@@ -95,8 +93,9 @@ def without_gaps(key: jax.Array, seek: Seek, best: Settled, noise: DepthNoise) -
     last_round = best.pools.config.rounds
     while best.gaps:
         key, seek_key, last_key = jax.random.split(key, 3)
-        masks = unexplained_by_others(best.pools, best.scene)
-        sought = seek(seek_key, best.pools, best.scene, ~best.found, masks, last_round)
+        unexplained = unexplained_by_others(best.pools, best.scene)
+        masks = {one: mask for one, mask in unexplained.items() if not best.found[one]}
+        sought = seek(seek_key, best.pools, best.scene, masks, last_round)
         pools, scene = told(last_key, *sought, noise)
         if not (convincing(pools, scene, noise) & ~best.found).any():
             break

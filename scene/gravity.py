@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from scene.ahead import SELDOM
 from scene.detection import SupportPlane
@@ -109,8 +110,7 @@ def _gaps(
     gaps_m = np.full((count * places, count * places), np.inf, np.float32)
     rows = np.flatnonzero(hanging)
     for foot in (middles[rows, :2], lowest_m.reshape(-1, 3)[rows, :2]):
-        distance = foot[:, None] - middles[None, :, :2]
-        near = (distance**2).sum(axis=-1) < (half**2).sum(axis=1)
+        near = cdist(foot, middles[:, :2], "sqeuclidean") < (half**2).sum(axis=1)
         child, parent = np.nonzero(near & (owners[rows][:, None] != owners))
         top_m = _top_below(boxes[parent], half[parent], foot[child])
         gap_m = np.abs(lowest_m.reshape(-1, 3)[rows[child], 2] - top_m)

@@ -9,7 +9,7 @@ once more. The result is a maximum and a set of hypotheses, never samples (MATH.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -44,7 +44,9 @@ ANCHOR_SPACING_M = 0.012
 CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
 FEWEST_PIXELS = 10
 """Of a mask; else an object is sought on the whole foreground."""
-HOT, COLD, SWEEPS, PARTICLES = 150.0, 2.0, 12, 8
+HOT, COLD, SWEEPS = 150.0, 2.0, 12
+PARTICLES, GROUPS = 4, 2
+"""Annealed together, and how many groups of them."""
 
 
 def initialise(
@@ -70,11 +72,11 @@ def initialise(
     pools = Pools.of(data, objects, renderer, noise, config, poses, rng)
     seek = partial(_sought, rng, [_orientations(one, data.table) for one in objects])
     *keys, last_key, again_key = jax.random.split(key, config.rounds + 3)
-    scene, everyone = np.full(len(objects), pools.absent), np.ones(len(objects), bool)
-    masks = [data.foreground] * len(objects)
+    scene = np.full(len(objects), pools.absent)
+    masks = dict.fromkeys(range(len(objects)), data.foreground)
     with compiled_beside(*_kernels(pools)):
         for turn, round_key in enumerate(keys):
-            pools, scene = seek(round_key, pools, scene, everyone, masks, turn)
+            pools, scene = seek(round_key, pools, scene, masks, turn)
             masks = unexplained_by_others(pools, scene)
     settled = Settled.of(*told(last_key, pools, scene, noise), noise)
     settled = without_gaps(again_key, seek, settled, noise)
@@ -90,12 +92,12 @@ def initialise(
 
 def _kernels(pools: Pools) -> list[Callable[[], object]]:
     """What the search runs, to be compiled."""
-    layers, scenes = pools.layers, np.zeros((2, len(pools.objects)), np.int32)
+    layers, scene = pools.layers, np.zeros(len(pools.objects), np.int32)
     return [
         lambda: pools.renderer.compile(pools.data.window),
-        lambda: best_scene.lower(layers, scenes, PAIRED).compile(),
+        lambda: best_scene.lower(layers, scene, PAIRED).compile(),
         lambda: choose.lower(jax.random.key(0), layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
-        lambda: rivals.lower(layers, scenes[0]).compile(),
+        lambda: rivals.lower(layers, scene).compile(),
     ]
 
 
@@ -114,38 +116,46 @@ def _sought(
     key: jax.Array,
     pools: Pools,
     scene: NDArray[np.integer],
-    wanted: NDArray[np.bool_],
-    masks: Sequence[NDArray[np.bool_]],
+    masks: Mapping[int, NDArray[np.bool_]],
     turn: int,
 ) -> tuple[Pools, NDArray[np.int32]]:
     """`scene.gaps.Seek`, with the orientations of every object."""
     size = pools.config.pool
     poses = pools.poses[:, turn * size : (turn + 1) * size].copy()
-    poses[wanted] = _hypotheses(pools, np.flatnonzero(wanted), rotations, masks, rng)
+    poses[list(masks)] = _hypotheses(pools, rotations, masks, rng)
     pools = pools.with_poses(poses, turn * size)
-    choices, log_densities = choose(key, pools.layers, HOT, COLD, PARTICLES, SWEEPS)
-    return pools, best_of(pools, np.asarray(choices)[np.argmax(np.asarray(log_densities))], scene)
+    return pools, best_of(pools, _annealed(key, pools.layers), scene)
+
+
+def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
+    """The best scene (N,) of all particles, groups of which are annealed side by side."""
+
+    def anneal(key: jax.Array) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        return jax.device_get(choose(key, layers, HOT, COLD, PARTICLES, SWEEPS))
+
+    groups = side_by_side(anneal, jax.random.split(key, GROUPS))
+    choices, log_densities = (np.concatenate(leaves) for leaves in zip(*groups, strict=True))
+    return choices[np.argmax(log_densities)]
 
 
 def _hypotheses(
     pools: Pools,
-    wanted: NDArray[np.intp],
     rotations: Sequence[NDArray[np.float32]],
-    masks: Sequence[NDArray[np.bool_]],
+    masks: Mapping[int, NDArray[np.bool_]],
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Poses (M, pool, 7) of M objects on the pixels of their masks, searched side by side on all cores."""
+    """Poses (M, pool, 7) of objects on the pixels of M masks, searched side by side on all cores."""
     data, size = pools.data, pools.config.pool
     points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
-    enough = [mask if mask.sum() >= FEWEST_PIXELS else data.foreground for mask in masks]
-    drawn = {index: _drawn(points[enough[index]], rng) for index in wanted.tolist()}
+    enough = {one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()}
+    drawn = {one: _drawn(points[mask], rng) for one, mask in enough.items()}
 
     def find(index: int) -> NDArray[np.float32]:
         one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
         places = _places(*drawn[index])
         return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places, size)[0])
 
-    return np.stack(side_by_side(find, wanted.tolist()))
+    return np.stack(side_by_side(find, masks))
 
 
 def _drawn(

@@ -142,9 +142,14 @@ def log_density_of_choice(layers: PoseLayers, choice: jax.Array) -> jax.Array:
 def log_conditional(layers: PoseLayers, choice: jax.Array, index: jax.Array) -> jax.Array:
     """Log density (K,) of each pose of one object given the others' choice."""
     others_m, others = front(layers, choice, jnp.arange(len(choice)) != index)
-    nearer = layers.depth_m[index] < others_m[None]
-    shown = jnp.where(nearer, layers.log_density[index], others[None])
-    return jnp.sum(shown, axis=1) + layers.log_alone[index] + layers.rests.given(choice, index)
+
+    def shown(pose: tuple[jax.Array, jax.Array]) -> jax.Array:
+        depth_m, log_density = pose
+        return jnp.sum(jnp.where(depth_m < others_m, log_density, others))
+
+    # one pose after the other: particles side by side find it in the cache
+    by_pose = jax.lax.map(shown, (layers.depth_m[index], layers.log_density[index]))
+    return by_pose + layers.log_alone[index] + layers.rests.given(choice, index)
 
 
 def none(layers: PoseLayers) -> int:

@@ -29,9 +29,13 @@ RIVALS = 6
 
 
 def best_of(pools: Pools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]:
-    """The best scene (N,) found from one or two, by one kernel."""
-    two = np.stack([scenes[0], scenes[-1]]).astype(np.int32)
-    return np.asarray(best_scene(pools.layers, two, PAIRED))
+    """The best scene (N,) found from some, each on a core of its own."""
+
+    def better(one: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        return jax.device_get(best_scene(pools.layers, one.astype(np.int32), PAIRED))
+
+    found, log_densities = zip(*side_by_side(better, scenes), strict=True)
+    return found[int(np.argmax(log_densities))]
 
 
 def rivals_of(pools: Pools, scene: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.floating]]:

@@ -16,11 +16,11 @@ AGREE_M, FITTING = 0.006, 0.85
 """Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
 
 
-def unexplained_by_others(pools: Pools, scene: NDArray[np.integer]) -> list[NDArray[np.bool_]]:
+def unexplained_by_others(pools: Pools, scene: NDArray[np.integer]) -> dict[int, NDArray[np.bool_]]:
     """For every object the view's foreground that a scene leaves unexplained without it."""
     shown_m = pools.shown(scene)
     shown_m[_fit(pools.data, shown_m) < FITTING] = np.inf
-    return [_unexplained(pools.data, np.delete(shown_m, one, axis=0)) for one in range(len(scene))]
+    return {one: _unexplained(pools.data, np.delete(shown_m, one, axis=0)) for one in range(len(scene))}
 
 
 def _fit(data: SceneData, shown_m: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -42,7 +42,7 @@ def test_odds_are_prior_odds_times_the_bayes_factor() -> None:
     layers = _layers(_covering((0, 3), (3, 8), (8, 20)), gain=0.9, log_odds=-4.0)
     scenes = np.array(list(itertools.product((0, 1), repeat=3)))
     log_posterior = np.array([float(log_density_of_choice(layers, jnp.asarray(scene))) for scene in scenes])
-    found = best_scene(layers, jnp.array([[1, 1, 1]]), 8)
+    found, _ = best_scene(layers, jnp.array([1, 1, 1]), 8)
     np.testing.assert_array_equal(found, scenes[log_posterior.argmax()])
     _, log_odds = rivals(layers, found)
     for one in range(3):
@@ -77,7 +77,7 @@ def test_an_object_that_nothing_shows_has_its_prior_odds() -> None:
 def test_one_object_stands_for_two_that_explain_no_more(start: tuple[int, ...]) -> None:
     """Two halves cost their existence twice; from any start the whole is found, and the halves are absent."""
     layers = _layers(_covering((0, 10), (10, 20), (0, 20)), gain=1.0, log_odds=-3.0)
-    found = best_scene(layers, jnp.array([start]), 8)
+    found, _ = best_scene(layers, jnp.array(start), 8)
     np.testing.assert_array_equal(found, [1, 1, 0])
     scenes, log_odds = rivals(layers, found)
     np.testing.assert_array_equal(scenes[2], [0, 0, 1])
@@ -100,8 +100,9 @@ def test_two_objects_are_found_as_well_as_by_enumeration() -> None:
         )
         scenes = jnp.asarray(list(itertools.product(range(6), repeat=2)))
         densities = jax.vmap(lambda scene, layers=layers: log_density_of_choice(layers, scene))(scenes)
-        found = best_scene(layers, jnp.full((1, 2), 5), 8)
+        found, log_density = best_scene(layers, jnp.full(2, 5), 8)
         assert float(log_density_of_choice(layers, found)) == pytest.approx(float(densities.max()), abs=1e-4)
+        assert float(log_density) == pytest.approx(float(densities.max()), abs=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(6, 10))

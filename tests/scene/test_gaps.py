@@ -1,6 +1,6 @@
 """What lookalikes hid is found: what stands on them stays, and the missing are sought once more."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import numpy as np
@@ -88,11 +88,10 @@ def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Arr
         key: jax.Array,  # noqa: ARG001
         pools: Pools,
         scene: NDArray[np.integer],
-        wanted: NDArray[np.bool_],
-        masks: Sequence[NDArray[np.bool_]],
+        masks: Mapping[int, NDArray[np.bool_]],
         turn: int,  # noqa: ARG001
     ) -> tuple[Pools, NDArray[np.integer]]:
-        asked.append((wanted.tolist(), bool(masks[CAN].any())))
+        asked.append({one: bool(mask.any()) for one, mask in masks.items()})
         pools = pools.with_poses(in_camera(found_at, on_the_drum())[:, None], SECOND)
         return pools, best_of(pools, np.array([SECOND, FIRST]), scene)
 
@@ -103,7 +102,7 @@ def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Arr
 
     assert first.found.tolist() == [False, True]
     assert first.gaps
-    assert asked == [([True, False], True)]
+    assert asked == [{CAN: True}]
     assert best.found.tolist() == [can_beside, True]
     if can_beside:
         off_m = best.pools.placed(best.scene)[CAN, 4:] - in_camera(beside_the_drum())[0, 4:]
