@@ -105,7 +105,9 @@ class Pools:
             floating_weight=config.floating_weight,
         )
         below = table if config.graph == "infer" else None
-        return replace(layers, rests=gravity.rests(below, self.objects, poses, 1 / config.pixel_weight))
+        return replace(
+            layers, rests=gravity.rests(self.data.view, below, self.objects, poses, 1 / config.pixel_weight)
+        )
 
     def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
         """The chosen poses (N, 7) of a scene (N,), of the absent ones any."""

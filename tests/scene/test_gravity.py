@@ -1,5 +1,7 @@
 """What hangs in the air is improbable, by how far it is over what is below it."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,19 +9,20 @@ import trimesh
 from scipy.stats import norm
 
 from scene.detection import SupportPlane
-from scene.gravity import Gravity
+from scene.gravity import UNKNOWN_CARRIER, Gravity
+from scene.observation import DepthView
 from scene.prior import FLOATING_HEIGHT_M
 from scene.scene_object import scene_object
 from shapes.poses import poses_of
+from tests.scene.test_detection import CAMERA_FROM_TABLE
+from tests.scene.test_unseen import depth_of, view_of
 
 HALF_M = np.array([0.04, 0.05, 0.03])
-TABLE = SupportPlane(
-    camera_from_table=np.array([[1, 0, 0, 0.02], [0, -0.8, -0.6, 0.1], [0, 0.6, -0.8, 0.9], [0, 0, 0, 1.0]]),
-    half_size_m=np.array([0.4, 0.3]),
-    bend=np.zeros(6),
-)
+TABLE = SupportPlane(camera_from_table=CAMERA_FROM_TABLE, half_size_m=np.array([0.4, 0.3]), bend=np.zeros(6))
 GRAVITY = Gravity(contact_sigma_m=0.005, loose_sigma_m=0.02, slack_share=0.1, floating_weight=0.02)
 ABSENT = 1
+BARE = view_of(depth_of([]))
+"""The table with nothing on it."""
 
 
 def expected(gap_m: float) -> float:
@@ -31,7 +34,9 @@ def expected(gap_m: float) -> float:
     return float(np.log(max(density(gap_m), 0.02 / FLOATING_HEIGHT_M) / density(0.0)))
 
 
-def log_rests(table: SupportPlane | None, *bottoms_m: tuple[float, float]) -> list[float]:
+def log_rests(
+    table: SupportPlane | None, *bottoms_m: tuple[float, float], view: DepthView = BARE
+) -> list[float]:
     """Of boxes, alike, with places along x and heights of their bottoms; the last one is absent."""
     mesh = trimesh.creation.box(2 * HALF_M)
     box = scene_object("box", np.asarray(mesh.vertices), np.asarray(mesh.faces))
@@ -39,7 +44,7 @@ def log_rests(table: SupportPlane | None, *bottoms_m: tuple[float, float]) -> li
     for pose, (x_m, bottom_m) in zip(table_from_box, bottoms_m, strict=True):
         pose[:3, 3] = [x_m, 0.0, bottom_m + HALF_M[2]]
     poses = poses_of(TABLE.camera_from_table @ table_from_box)[:, None]
-    rests = GRAVITY.rests(table, [box] * len(bottoms_m), poses, 2.0)
+    rests = GRAVITY.rests(view, table, [box] * len(bottoms_m), poses, 2.0)
     choice = np.append(np.zeros(len(bottoms_m) - 1, int), ABSENT)
     return [float(value) / 2 for value in rests.of(jnp.asarray(choice))]
 
@@ -67,6 +72,22 @@ def test_boxes_rest_on_boxes_that_are_below_them_and_there(gap_m: float) -> None
     np.testing.assert_allclose(log_rests(TABLE, upper, (0.0, 0.0)), [floats, 0], atol=1e-4)
 
 
+def test_boxes_may_rest_on_a_thing_that_is_seen_though_nobody_knows_it() -> None:
+    """On its top at the odds of unknown carriers, beside it not; on what is known as before."""
+    low = np.array([0.06, 0.07, 0.03])
+    depth_m = depth_of([(np.array([0.0, 0.0, low[2]]), low)])
+    view = replace(
+        BARE, unexplained=jnp.asarray(depth_m < depth_of([]) - 0.003), depth_m=jnp.asarray(depth_m)
+    )
+    top_m, absent = 2 * low[2], (0.3, 0.0)
+    carried, beside = log_rests(TABLE, (0.01, top_m), (0.2, top_m), absent, view=view)[:2]
+    assert np.log(UNKNOWN_CARRIER) - 1.0 < carried <= np.log(UNKNOWN_CARRIER)
+    np.testing.assert_allclose(beside, expected(top_m), atol=1e-4)
+    np.testing.assert_allclose(
+        log_rests(TABLE, (0.01, top_m), (0.0, 0.0), absent, view=view)[0], 0, atol=1e-4
+    )
+
+
 def test_a_box_rests_by_its_edge_on_what_its_middle_is_not_over() -> None:
     """Tilted, its lowest edge over another box."""
     mesh = trimesh.creation.box(2 * HALF_M)
@@ -78,6 +99,6 @@ def test_a_box_rests_by_its_edge_on_what_its_middle_is_not_over() -> None:
     lower = np.eye(4)
     lower[:3, 3] = [np.sign(lowest[0]) * (HALF_M[0] + 0.01) + 0.03, 0.0, HALF_M[2]]
     poses = poses_of(TABLE.camera_from_table @ np.stack([tilted, lower]))[:, None]
-    rests = GRAVITY.rests(TABLE, [box, box], poses, 1.0)
+    rests = GRAVITY.rests(BARE, TABLE, [box, box], poses, 1.0)
     np.testing.assert_allclose(rests.of(jnp.zeros(2, int)), 0, atol=1e-3)
     assert float(rests.of(jnp.array([0, ABSENT]))[0]) < -5
