@@ -1,52 +1,30 @@
-"""Stage K of the supplement: a search for the most probable scene, which gives chains their start.
-
-Hypotheses come from observed points and from DBSCAN clusters of points that the scene without the object
-leaves unexplained, in resting, cube and spread orientations, refined by ICP; whole scenes are annealed
-over the pools; then the search is repeated on what is left unexplained. Scenes that are about as good are
-refined before they are told apart. Where lookalikes were taken out, what stood behind their names is sought
-once more. The result is a maximum and a set of hypotheses, never samples (MATH.md section K).
-"""
+"""Objects are sought once more where lookalikes were: what took another's place hid it from the search."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from scene.ahead import compiled_beside
 from scene.config import ParseConfig
-from scene.cores import side_by_side
-from scene.detection import SupportPlane, clusters
-from scene.existence import best_scene, rivals
-from scene.gaps import Settled, told, without_gaps
-from scene.initial_scene import Initialisation
-from scene.observation import unprojected
-from scene.orientations import cube_rotations, resting_rotations, spread_rotations
-from scene.pools import Pools
-from scene.pose_choice import PoseLayers, choose, log_conditional
-from scene.rendering import ObjectRenderer
-from scene.rival_scenes import PAIRED, RIVALS, best_of
-from scene.scene_data import SceneData
-from scene.scene_object import SceneObject
-from scene.template_search import search
-from scene.unexplained import unexplained_by_others
-
-ORIENTATIONS, FREE_ORIENTATIONS = 416, 576
-YAWS = 24
-ANCHORS, CENTRES = 192, 8
-ANCHOR_SPACING_M = 0.012
-CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
-FEWEST_PIXELS = 10
-"""Of a mask; else an object is sought on the whole foreground."""
-HOT, COLD, SWEEPS = 150.0, 2.0, 12
-PARTICLES, GROUPS = 4, 2
-"""Annealed together, and how many groups of them."""
+from scene.execution import compiled_beside
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.objects.scene_object import SceneObject
+from scene.observation.frame_data import SceneData
+from scene.search.assignment import choose
+from scene.search.competing_scenes import PAIRED, RIVALS, best_of, decided, polished_rivals
+from scene.search.hypotheses import Pools
+from scene.search.residual import unexplained_by_others
+from scene.search.scene_edits import best_scene, rivals
+from scene.search.search_result import Initialisation
+from scene.search.search_round import COLD, HOT, PARTICLES, SWEEPS, _gains, _orientations, _sought
+from scene.verification.reassignment import CONVINCING, convincing, without_lookalikes
 
 
 def initialise(
@@ -101,88 +79,91 @@ def _kernels(pools: Pools) -> list[Callable[[], object]]:
     ]
 
 
-def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
-    """Camera_from_box rotations (O, 3, 3): resting, the cube's 24, and an even spread."""
-    if table is None:
-        return spread_rotations(FREE_ORIENTATIONS).astype(np.float32)
-    fixed = np.concatenate([resting_rotations(one.rests, YAWS), cube_rotations()])
-    fixed = table.camera_from_table[:3, :3] @ fixed
-    return np.concatenate([fixed, spread_rotations(ORIENTATIONS - len(fixed))]).astype(np.float32)
+class Seek(Protocol):
+    """A round of the search."""
+
+    def __call__(
+        self,
+        key: jax.Array,
+        pools: Pools,
+        scene: NDArray[np.integer],
+        masks: Mapping[int, NDArray[np.bool_]],
+        turn: int,
+    ) -> tuple[Pools, NDArray[np.integer]]:
+        """Pools with poses on the masks of those sought, and the best scene (N,) found from one.
+
+        Args:
+            key: random key.
+            pools: of poses.
+            scene: (N,) the best one so far.
+            masks: pixels of every object that is sought.
+            turn: the round whose poses make room.
+        """
+        ...
 
 
-def _sought(
-    rng: np.random.Generator,
-    rotations: Sequence[NDArray[np.float32]],
-    key: jax.Array,
-    pools: Pools,
-    scene: NDArray[np.integer],
-    masks: Mapping[int, NDArray[np.bool_]],
-    turn: int,
-) -> tuple[Pools, NDArray[np.int32]]:
-    """`scene.gaps.Seek`, with the orientations of every object."""
-    size = pools.config.pool
-    poses = pools.poses[:, turn * size : (turn + 1) * size].copy()
-    poses[list(masks)] = _hypotheses(pools, rotations, masks, rng)
-    pools = pools.with_poses(poses, turn * size)
-    return pools, best_of(pools, _annealed(key, pools.layers), scene)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Settled:
+    """A scene without lookalikes.
+
+    Attributes:
+        pools: of poses.
+        scene: (N,).
+        log_odds: (N,) of each object being there.
+        gaps: whether something was taken out of it.
+    """
+
+    pools: Pools
+    scene: NDArray[np.integer]
+    log_odds: NDArray[np.float64]
+    gaps: bool
+
+    @classmethod
+    def of(cls, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> Settled:
+        """What is left of a scene (N,)."""
+        left, log_odds = without_lookalikes(pools, scene, noise)
+        gaps = (scene < pools.absent) & (left == pools.absent)
+        return cls(pools=pools, scene=left, log_odds=log_odds, gaps=bool(gaps.any()))
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """(N,) objects that are in the scene."""
+        return self.scene < self.pools.absent
 
 
-def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
-    """The best scene (N,) of all particles, groups of which are annealed side by side."""
-
-    def anneal(key: jax.Array) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        return jax.device_get(choose(key, layers, HOT, COLD, PARTICLES, SWEEPS))
-
-    groups = side_by_side(anneal, jax.random.split(key, GROUPS))
-    choices, log_densities = (np.concatenate(leaves) for leaves in zip(*groups, strict=True))
-    return choices[np.argmax(log_densities)]
-
-
-def _hypotheses(
-    pools: Pools,
-    rotations: Sequence[NDArray[np.float32]],
-    masks: Mapping[int, NDArray[np.bool_]],
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
-    """Poses (M, pool, 7) of objects on the pixels of M masks, searched side by side on all cores."""
-    data, size = pools.data, pools.config.pool
-    points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
-    enough = {one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()}
-    drawn = {one: _drawn(points[mask], rng) for one, mask in enough.items()}
-
-    def find(index: int) -> NDArray[np.float32]:
-        one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
-        places = _places(*drawn[index])
-        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places, size)[0])
-
-    return np.stack(side_by_side(find, masks))
+def told(
+    key: jax.Array, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+) -> tuple[Pools, NDArray[np.integer]]:
+    """Pools with fits that tell a scene (N,) from those that are about as good, and the best of them."""
+    last = pools.absent - 1 - RIVALS
+    pools = pools.with_poses(polished_rivals(pools, scene), last)
+    scene = np.where((last <= scene) & (scene < pools.absent), last, scene)
+    return decided(key, pools, best_of(pools, scene), last, noise)
 
 
-def _drawn(
-    points_m: NDArray[np.float32], rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The points (M, 3) in random order, and as random ones (A, 3) spread over them."""
-    points_m = points_m[rng.permutation(len(points_m))]
-    return points_m, points_m[rng.permutation(_one_a_cell(points_m))]
+def without_gaps(key: jax.Array, seek: Seek, best: Settled, noise: DepthNoise) -> Settled:
+    """The scene after the missing objects were sought where lookalikes had been, while that finds more.
 
+    As where an object is sought elsewhere, one that is found only then has to look convincing.
 
-def _places(
-    points_m: NDArray[np.float32], anchors_m: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Anchors (ANCHORS, 3) and centres (CENTRES, 3) of their clusters and of all the points they are from."""
-    centres = clusters(anchors_m, CLUSTER_SCALES_M, fewest=3)
-    centres = np.concatenate([centres, points_m.mean(axis=0)[None]])
-    return np.resize(anchors_m, (ANCHORS, 3)), np.resize(centres, (CENTRES, 3)).astype(np.float32)
-
-
-def _one_a_cell(points_m: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Places of the first of the points (N, 3) in each cell of ANCHOR_SPACING_M."""
-    cells = np.floor(points_m / ANCHOR_SPACING_M).astype(np.int64)
-    cells -= cells.min(axis=0)
-    return np.unique(np.ravel_multi_index(tuple(cells.T), cells.max(axis=0) + 1), return_index=True)[1]
-
-
-@jax.jit
-def _gains(layers: PoseLayers, chosen: jax.Array) -> jax.Array:
-    conditionals = jax.vmap(lambda index: log_conditional(layers, chosen, index))(jnp.arange(len(chosen)))
-    return conditionals - conditionals[jnp.arange(len(chosen)), chosen][:, None]
+    Args:
+        key: random key.
+        seek: a round of the search.
+        best: the scene so far.
+        noise: of the sensor.
+    """
+    last_round = best.pools.config.rounds
+    while best.gaps:
+        key, seek_key, last_key = jax.random.split(key, 3)
+        unexplained = unexplained_by_others(best.pools, best.scene)
+        masks = {one: mask for one, mask in unexplained.items() if not best.found[one]}
+        sought = seek(seek_key, best.pools, best.scene, masks, last_round)
+        pools, scene = told(last_key, *sought, noise)
+        if not (convincing(pools, scene, noise) & ~best.found).any():
+            break
+        other = Settled.of(pools, scene, noise)
+        unsure = other.found & ~best.found & (other.log_odds < CONVINCING)
+        if other.found.sum() <= best.found.sum() or unsure.any():
+            break
+        best = other
+    return best

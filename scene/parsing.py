@@ -13,24 +13,25 @@ from scipy.spatial import KDTree
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
-from scene.foreground import frame_data, scene_data
-from scene.found_objects import FoundObjects
-from scene.initial_scene import Initialisation
 from scene.initialisation import initialise
-from scene.observation import unprojected
-from scene.refinement import refine
-from scene.rendering import ObjectRenderer
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.mcmc.sampling import sampled
+from scene.objects.scene_object import SceneObject
+from scene.objects.slots import FoundObjects
+from scene.observation.depth_view import unprojected
+from scene.observation.frame_data import SceneData
+from scene.observation.segmentation import frame_data, scene_data
 from scene.result import SceneResult
-from scene.sampling import sampled
-from scene.scene_data import SceneData
-from scene.scene_object import SceneObject
+from scene.search.importance_sampling import refine
+from scene.search.search_result import Initialisation
 from scene.summary import summarise
-from scene.unseen import PlacedObject, unseen_share
+from scene.verification.occlusion import PlacedObject, unseen_share
 from shapes.depth_noise import with_surface_error
-from shapes.poses import matrices_of, poses_of
+from shapes.geometry.poses import matrices_of, poses_of
 
 NEW_M = 0.015
 """What is so far from all that the first frame shows is new, and counts by cells of that edge."""
+
 AGREE_M = 0.01
 
 

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.archive import load_fields, save_fields
-from shapes.poses import matrices_of, poses_of
+from shapes.geometry.poses import matrices_of, poses_of
 
 FORMAT_VERSION = 3
+
 TABLE = "table"
+
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 
 

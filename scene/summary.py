@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import jax
 import numpy as np
@@ -11,45 +10,20 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from scene.config import ParseConfig
-from scene.existence import log_odds_of_presence
-from scene.found_objects import FoundObjects
-from scene.graph import ROOT
-from scene.initial_scene import Initialisation
-from scene.poses import motions_of, tangents_of
+from scene.mcmc.samples import Samples
+from scene.model.presence import log_odds_of_presence
+from scene.model.scene_graph import ROOT
+from scene.objects.scene_object import SceneObject
+from scene.objects.slots import FoundObjects
 from scene.result import SceneResult
-from scene.scene_object import SceneObject
-from shapes.poses import matrices_of, poses_of
+from scene.search.search_result import Initialisation
+from shapes.geometry.poses import matrices_of, motions_of, poses_of, tangents_of
 
 MODES = 4
+
 MODE_RADIUS_M, MODE_RADIUS_RAD = 0.02, 0.5
+
 MEAN_STEPS = 5
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Samples:
-    """Kept states of chains: (S, chains, ...) of whole runs, any leading axes before.
-
-    Attributes:
-        poses: (..., C, 7) world_from_box.
-        parents: (..., C).
-        parent_faces: (..., C).
-        child_faces: (..., C).
-        log_posterior: (...).
-        accepted: (...) share of the moves of poses before it that were accepted.
-    """
-
-    poses: NDArray[np.float64]
-    parents: NDArray[np.int32]
-    parent_faces: NDArray[np.int32]
-    child_faces: NDArray[np.int32]
-    log_posterior: NDArray[np.float64]
-    accepted: NDArray[np.float64]
-
-    @classmethod
-    def joined(cls, blocks: Sequence[Samples]) -> Samples:
-        """Blocks (count, chains, ...) after one another."""
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *blocks)
 
 
 def summarise(

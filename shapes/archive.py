@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+
 LARGEST_BYTES = 4 << 30
 """An archive whose arrays claim more than this is refused before memory is taken."""
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.archive import load_arrays, save_arrays
-from shapes.learning.grid import VoxelGrid
 from shapes.surface import SurfaceMesh, level_surface
+from shapes.voxel_grid import VoxelGrid
 
 FORMAT_VERSION = 1
 

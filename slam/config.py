@@ -8,6 +8,7 @@ from typing import Literal
 from recordings.types import DepthNoise
 
 Motion = Literal["free", "orbit"]
+
 ProposalSource = Literal["enumerate", "kiss", "both"]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.archive import load_fields, save_fields
-from slam.particles import grouped
+from shapes.geometry.pose_sets import grouped
 
 FORMAT_VERSION = 2
 

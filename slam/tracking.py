@@ -9,18 +9,18 @@ import jax
 import numpy as np
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
-from slam import filter as camera_filter
-from slam.beginning import before_the_map, init
 from slam.config import SlamConfig
-from slam.depth_view import FINE_CANVAS, DepthView, view_of_frame
-from slam.filter_state import FilterState, FrameInfo
-from slam.history import History
-from slam.joint_refinement import refined
-from slam.keyframe_motion import KeyframeMotion
-from slam.keyframe_overlaps import Detail, detail_of
+from slam.filter.init import before_the_map, init
+from slam.filter.state import FilterState, FrameInfo
+from slam.filter.step import step
+from slam.keyframes.depth_view import FINE_CANVAS, DepthView, view_of_frame
+from slam.map_hypotheses.mode_jump import is_handful, reconsidered
 from slam.odometry import KissOdometry
+from slam.pose_graph.overlaps import Detail, detail_of
+from slam.pose_graph.refinement import refined
+from slam.pose_graph.trajectory_prior import KeyframeMotion
 from slam.result import SlamResult
-from slam.second_look import is_handful, reconsidered
+from slam.smoothing import History
 
 OnFrame = Callable[[FrameInfo], None]
 
@@ -70,7 +70,7 @@ def track(
                     on_frame(unseen)
         else:
             frame_key = jax.random.fold_in(key, index)
-            state, info = camera_filter.step(frame_key, state, view, frame.time_ns, config, motion)
+            state, info = step(frame_key, state, view, frame.time_ns, config, motion)
         history.append(frame.time_ns, info)
         if info.keyframe is not None:
             details.append(detail_of(view_of_frame(frame, intrinsics, FINE_CANVAS), full_detail_noise))

@@ -7,15 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scene.chain import Kernel, run_block, scene_kernel
-from scene.graph import Bodies, SceneGraph, all_trees, floating_scene, tree_code
-from scene.involution import Move
-from scene.model import ChainState, Likelihood, NoData, SceneModel, start_chain
-from scene.pair_move import PairMove
-from scene.pose_mixture import PoseMixture
-from scene.prior import POSE_UNIFORMS, PosePrior, StructurePrior, WeightedTrees, sample_pose
-from scene.spin_lines import SpinLines
-from scene.symmetries import Symmetries
+from scene.mcmc.edges import PairMove
+from scene.mcmc.involution import Move
+from scene.mcmc.kernel import Kernel, run_block, scene_kernel
+from scene.mcmc.pose_mixture import PoseMixture
+from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
+from scene.model.posterior import ChainState, Likelihood, NoData, SceneModel, start_chain
+from scene.model.prior import POSE_UNIFORMS, PosePrior, StructurePrior, WeightedTrees, sample_pose
+from scene.model.scene_graph import Bodies, SceneGraph, all_trees, floating_scene, tree_code
 
 
 def cube_model(

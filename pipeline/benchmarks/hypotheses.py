@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics, DepthNoise
-from scene.likelihood import DepthEvidence, depth_evidence
-from shapes.camera import Camera, stacked
-from shapes.depth_rendering import render_layers
-from shapes.object_library import ObjectLibrary
-from shapes.ray_casting import PosedObjects
+from scene.likelihood.one_object import DepthEvidence, depth_evidence
+from shapes.geometry.camera import Camera, stacked
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import ObjectLibrary
+from shapes.rendering.ray_casting import PosedObjects
 
 DISTANCE_M = 0.6
 BACKGROUND_M = 0.9

@@ -10,7 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from pipeline.benchmarks.shape_films import film_of, with_slam
-from scene.scene_object import SceneObject, scene_object
+from scene.objects.scene_object import SceneObject, scene_object
 from shapes.learning.config import LearnConfig
 from shapes.learning.distillation import learn_shape
 

@@ -17,8 +17,8 @@ from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
 from recordings.truth import TrueObject
 from recordings.types import Frame
-from scene.observation import unprojected
-from shapes.camera import Camera
+from scene.observation.depth_view import unprojected
+from shapes.geometry.camera import Camera
 
 STACKED_SHARE = 1 / 3
 VISIBLE = 0.25

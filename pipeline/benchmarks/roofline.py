@@ -18,9 +18,9 @@ import numpy as np
 
 from pipeline.benchmarks.hypotheses import NOISE, Problem
 from shapes import depth_noise
-from shapes.depth_rendering import render_layers
-from shapes.ray_casting import CONE_STEPS, STEPS, Rays, advanced, free_depth, image_rays, tile_rays
-from shapes.tiles import TILE_PIXELS, tile_counts
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.ray_casting import CONE_STEPS, STEPS, Rays, advanced, free_depth, image_rays, tile_rays
+from shapes.rendering.tiles import TILE_PIXELS, tile_counts
 
 COUNT = 2**22
 """Look-ups, densities or additions of one measurement: as many as keep every core busy."""

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.benchmarks.cubes import code_of, cube_kernel, cube_model, start_chains
-from scene.chain import run_block
-from scene.graph import all_trees, tree_code
-from scene.graph_table import GraphTable
-from scene.model import ChainState, SceneModel
+from pipeline.benchmarks.enumerated_target import GraphTable
+from scene.mcmc.kernel import run_block
+from scene.model.posterior import ChainState, SceneModel
+from scene.model.scene_graph import all_trees, tree_code
 
 OBJECTS = (2, 3, 4)
 CHAINS, GROUPS = 256, 2

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics
-from shapes.learning.grid import VoxelGrid
+from shapes.voxel_grid import VoxelGrid
 
 
 def reached_voxels(

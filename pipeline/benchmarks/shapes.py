@@ -24,8 +24,8 @@ from pipeline.peers.voxel_maps import PosedViews, VoxelMap, octomap, open3d_tsdf
 from pipeline.synthesis.world import Part, RayCaster
 from shapes.learning.config import LearnConfig
 from shapes.learning.distillation import learn_shape
-from shapes.learning.grid import VoxelGrid
 from shapes.prior import ShapePrior
+from shapes.voxel_grid import VoxelGrid
 
 Poses = Literal["true", "slam"]
 SUPPLEMENT_IOU: Mapping[str, float] = {

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.benchmarks.slam_cases import Case, Row
+from pipeline.evaluation.trajectory_errors import coverage, squared_distances, trajectory_errors
 from pipeline.peers.registry import Track, settings_of
 from pipeline.timing import timed
 from recordings.errors import RecordingError
+from shapes.geometry.pose_sets import within_reach
 from slam.config import SlamConfig
-from slam.particles import within_reach
 from slam.result import SlamResult
 from slam.tracking import track
-from slam.trajectory_errors import coverage, squared_distances, trajectory_errors
 
 TUNING_ROOMS = 2
 FIRST_TUNING_ROOM = 5_000

@@ -25,7 +25,7 @@ from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
 from recordings.truth import SceneTruth
 from recordings.types import CameraIntrinsics, Frame, Trajectory
-from shapes.poses import orthonormalised
+from shapes.geometry.poses import orthonormalised
 from slam.config import SlamConfig
 
 RADIUS_M = 1.5

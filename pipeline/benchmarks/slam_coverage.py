@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pipeline.benchmarks.slam_cases import Case, short_walk
+from pipeline.evaluation.trajectory_errors import LEVELS, level_of, squared_distances
 from slam.config import SlamConfig
 from slam.tracking import track
-from slam.trajectory_errors import LEVELS, level_of, squared_distances
 
 ROW = "coverage, short runs"
 INTERVAL = 0.999

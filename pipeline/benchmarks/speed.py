@@ -20,13 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.benchmarks.distance_score import distance_score
 from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
 from pipeline.benchmarks.lathe import mug
 from pipeline.benchmarks.roofline import measure_roofline
-from scene.distance_score import distance_score
-from scene.likelihood import gain_over_rest, log_likelihood_ratio, log_likelihood_ratio_of_scenes
-from shapes.depth_rendering import render_layers
-from shapes.object_library import joined, library_of_mesh
+from scene.likelihood.one_object import gain_over_rest, log_likelihood_ratio, log_likelihood_ratio_of_scenes
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import joined, library_of_mesh
 
 SIDES = (50, 100, 200)
 OBJECTS = (1, 2, 5, 10)

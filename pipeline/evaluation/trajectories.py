@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
+from pipeline.evaluation.trajectory_errors import coverage, matched, squared_distances, trajectory_errors
 from pipeline.peers.registry import best_of
 from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
 from recordings.types import CameraIntrinsics, Frame, Trajectory
-from shapes.poses import orthonormalised
+from shapes.geometry.poses import orthonormalised
 from slam.result import SlamResult
-from slam.trajectory_errors import coverage, matched, squared_distances, trajectory_errors
 
 TUM_COLUMNS = 8
 

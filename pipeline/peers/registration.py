@@ -11,7 +11,7 @@ import open3d as o3d
 import trimesh
 from numpy.typing import NDArray
 
-from scene.orientations import cube_rotations
+from scene.objects.orientations import cube_rotations
 
 MODEL_POINTS = 4000
 RANSAC_ITERATIONS = 50_000

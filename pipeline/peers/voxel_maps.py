@@ -14,7 +14,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, CameraIntrinsics
-from shapes.learning.grid import VoxelGrid
+from shapes.voxel_grid import VoxelGrid
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import Surfaces
-from scene.convergence import convergence
+from scene.diagnostics import convergence
 from scene.result import FACES, TABLE, SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult

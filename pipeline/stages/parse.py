@@ -20,10 +20,10 @@ from pipeline.stages.slam import slam_stage
 from pipeline.surfaces import Surfaces
 from recordings.types import DepthNoise, Frame
 from scene.config import ParseConfig
-from scene.foreground import shows_enough
+from scene.objects.scene_object import scene_object
+from scene.observation.segmentation import shows_enough
 from scene.parsing import parse_scene
 from scene.result import SceneResult
-from scene.scene_object import scene_object
 
 SHAPE_DRAWS = 16
 """Draws of a learned shape among which the likelihood's estimates choose."""

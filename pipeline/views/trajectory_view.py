@@ -7,9 +7,9 @@ import rerun as rr
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pipeline.evaluation.trajectory_errors import largest_squared_distance
 from pipeline.room import RoomView
 from slam.result import SlamResult
-from slam.trajectory_errors import largest_squared_distance
 
 ENLARGED = 10.0
 """Ellipsoids of uncertainty are drawn this much larger than they are."""

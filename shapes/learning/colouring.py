@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from recordings.types import NO_RETURN, CameraIntrinsics, Frame
-from shapes.learning.grid import VoxelGrid
+from shapes.voxel_grid import VoxelGrid
 
 AT_SURFACE_PITCHES = 1.5
 

@@ -16,10 +16,10 @@ from scipy import ndimage
 from recordings.types import CameraIntrinsics, Frame
 from shapes.learning.colouring import voxel_colours
 from shapes.learning.config import LearnConfig
-from shapes.learning.grid import VoxelGrid
 from shapes.learning.occupancy import Occupancy, occupancy, windows
 from shapes.learning.region import object_grid
 from shapes.prior import ShapePrior
+from shapes.voxel_grid import VoxelGrid
 
 BORDER = 2
 """Voxels round what was seen occupied."""

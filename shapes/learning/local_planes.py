@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from recordings.types import NO_RETURN, DepthNoise
-from shapes.camera import Camera
 from shapes.depth_noise import standard_deviation
+from shapes.geometry.camera import Camera
 
 STEEPEST = 2.0
 """Standard deviation of a surface's slope, depth per lateral metre, before its neighbours are seen."""

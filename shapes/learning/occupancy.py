@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, CameraIntrinsics
-from shapes.camera import Camera
+from shapes.geometry.camera import Camera
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
-from shapes.learning.grid import VoxelGrid
 from shapes.learning.local_planes import LocalPlanes, local_planes
 from shapes.learning.readings import BEFORE, BEHIND, NEAR, first_look, voxel_readings
 from shapes.learning.voxel_rays import ViewReadings, bucket, evidence
+from shapes.voxel_grid import VoxelGrid
 
 WINDOW_MARGIN = 8
 WINDOW_BUCKET = 64

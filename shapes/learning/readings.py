@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from shapes.camera import Camera
+from shapes.geometry.camera import Camera
 from shapes.learning.local_planes import LocalPlanes
 
 SPLIT_SIGMAS = 3.0

@@ -14,8 +14,8 @@ from scipy import ndimage
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from shapes.learning.config import LearnConfig
-from shapes.learning.grid import VoxelGrid
 from shapes.learning.support_plane import INLIER_M, Plane, fitted_plane, planes_below
+from shapes.voxel_grid import VoxelGrid
 
 REACH_M = 0.6
 """Points farther from what the cameras looked at are not considered."""

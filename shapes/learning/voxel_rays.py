@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import SensorRays
-from shapes.learning.grid import VoxelGrid
+from shapes.voxel_grid import VoxelGrid
 
 BAND_PITCHES = 1.0
 BAND_SIGMAS = 4.0

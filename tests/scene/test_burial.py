@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from scene.burial import log_not_buried
-from scene.detection import SupportPlane
-from scene.scene_object import scene_object
-from shapes.poses import poses_of
+from scene.objects.scene_object import scene_object
+from scene.observation.detection import SupportPlane
+from scene.search.support_prior import log_not_buried
+from shapes.geometry.poses import poses_of
 
 SIGMA_M = 0.02
 HALF_M = np.array([0.03, 0.05, 0.07])

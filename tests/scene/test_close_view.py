@@ -6,13 +6,14 @@ import trimesh
 
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import CameraIntrinsics, DepthNoise
-from scene.close_view import close_views
 from scene.config import ParseConfig
-from scene.foreground import scene_data
-from scene.pools import Pools
-from scene.rendering import OUT_OF_SIGHT, ObjectRenderer
-from scene.scene_object import scene_object
-from shapes.poses import poses_of
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.objects.scene_object import scene_object
+from scene.objects.slots import OUT_OF_SIGHT
+from scene.observation.segmentation import scene_data
+from scene.search.hypotheses import Pools
+from scene.verification.object_crop import close_views
+from shapes.geometry.poses import poses_of
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
 DOWNWARD = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]])

@@ -5,10 +5,10 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from scene.cloud_likelihood import CloudNoise, log_density, window_half_width
-from scene.observation import unprojected
-from shapes.depth_rendering import render_layers
-from shapes.object_library import library_of_mesh
+from scene.likelihood.point_clouds import CloudNoise, log_density, window_half_width
+from scene.observation.depth_view import unprojected
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views
 
 HEIGHT, WIDTH = INTRINSICS.height, INTRINSICS.width

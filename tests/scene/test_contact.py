@@ -4,9 +4,9 @@ import jaxlie
 import numpy as np
 import pytest
 
-from scene import contact
-from scene.contact import Contact, contact_from_poses, face_contact, pose_from_contact, relative_box
-from scene.rotation_densities import hopf_coordinates, rotation_from_hopf, uniform_rotation
+from scene.model import contact
+from scene.model.contact import Contact, contact_from_poses, face_contact, pose_from_contact, relative_box
+from shapes.geometry.rotation_densities import hopf_coordinates, rotation_from_hopf, uniform_rotation
 
 
 def random_poses(key: jax.Array, count: int) -> jax.Array:

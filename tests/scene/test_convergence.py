@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scene.convergence import convergence, effective_samples, split_r_hat
+from scene.diagnostics import convergence, effective_samples, split_r_hat
 from tests.scene.results import scene_result
 
 

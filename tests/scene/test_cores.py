@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scene.cores import LEAST, shared_among_cores
+from scene.execution import LEAST, shared_among_cores
 
 
 @pytest.mark.parametrize("count", [1, LEAST, 2 * LEAST, 4 * LEAST + 1, 1000])

@@ -11,19 +11,18 @@ import trimesh
 from scipy.spatial import KDTree
 
 from recordings.types import DepthNoise
-from scene.cloud_images import CloudImages
-from scene.cloud_likelihood import CloudNoise, window_half_width
-from scene.depth_images import DepthImages
-from scene.graph import SceneGraph, floating_scene
-from scene.model import Estimate
-from scene.observation import unprojected
-from scene.rendering import ObjectRenderer
-from scene.scene_object import SceneObject, scene_object
-from scene.shape_choices import candidate_keys
+from scene.likelihood.depth_images import DepthImages
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.point_clouds import CloudImages, CloudNoise, window_half_width
+from scene.likelihood.shape_draws import candidate_keys
+from scene.model.posterior import Estimate
+from scene.model.scene_graph import SceneGraph, floating_scene
+from scene.objects.scene_object import SceneObject, scene_object
+from scene.observation.depth_view import unprojected
 from shapes import depth_noise
-from shapes.camera import Camera
-from shapes.depth_rendering import render_layers
-from shapes.tiles import tiled
+from shapes.geometry.camera import Camera
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.tiles import tiled
 from tests.statistical import assert_mean
 
 HEIGHT, WIDTH, WEIGHT = 48, 64, 0.25

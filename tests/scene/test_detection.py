@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scene.detection import SupportPlane, clusters, support_plane
+from scene.observation.detection import SupportPlane, clusters, support_plane
 
 CAMERA_FROM_TABLE = np.array([[1, 0, 0, 0.02], [0, -0.8, -0.6, 0.1], [0, 0.6, -0.8, 0.9], [0, 0, 0, 1.0]])
 

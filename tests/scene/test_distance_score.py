@@ -5,8 +5,8 @@ import numpy as np
 import open3d as o3d
 import trimesh
 
-from scene.distance_score import distance_score
-from shapes.object_library import joined, library_of_mesh
+from pipeline.benchmarks.distance_score import distance_score
+from shapes.rendering.object_library import joined, library_of_mesh
 from tests.shapes.views import posed, random_views
 
 SCALE_M = 0.01

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.special import betaln, expit, logit
 
-from scene.existence import SHAPES, best_scene, filled, log_odds_of_presence, log_prior_odds, rivals
-from scene.pose_choice import PoseLayers, log_density_of_choice
-from scene.rests import Rests
+from scene.model.presence import SHAPES, log_odds_of_presence, log_prior_odds
+from scene.search.assignment import PoseLayers, log_density_of_choice
+from scene.search.scene_edits import best_scene, filled, rivals
+from scene.search.support_table import Rests
 
 PIXELS = 24
 

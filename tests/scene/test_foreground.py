@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 
 from recordings.types import NO_RETURN, CameraIntrinsics
-from scene.foreground import scene_data
+from scene.observation.segmentation import scene_data
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=300.0, fy=300.0, cx=159.5, cy=119.5)
 CAMERA_FROM_TABLE = np.array([[1, 0, 0, 0.0], [0, -0.6, -0.8, 0.0], [0, 0.8, -0.6, 0.9], [0, 0, 0, 1.0]])

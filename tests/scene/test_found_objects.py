@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scene.found_objects import SLOTS, FoundObjects
-from scene.initial_scene import Initialisation
+from scene.objects.slots import SLOTS, FoundObjects
+from scene.search.search_result import Initialisation
 
 
 def beginning(found: np.ndarray, rng: np.random.Generator) -> Initialisation:

@@ -9,8 +9,8 @@ from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
+from scene.objects.scene_object import scene_object
 from scene.parsing import parse_scene
-from scene.scene_object import scene_object
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
 SIZES = {"wall": (0.24, 0.05, 0.2), "block": (0.07, 0.05, 0.06)}

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise
 from scene.config import ParseConfig
-from scene.foreground import scene_data
-from scene.gaps import Settled, told, without_gaps
-from scene.likely_places import CONVINCING, without_lookalikes
-from scene.pools import Pools
-from scene.rendering import ObjectRenderer
-from scene.rival_scenes import RIVALS, best_of
-from scene.scene_object import scene_object
-from shapes.poses import poses_of
+from scene.initialisation import Settled, told, without_gaps
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.objects.scene_object import scene_object
+from scene.observation.segmentation import scene_data
+from scene.search.competing_scenes import RIVALS, best_of
+from scene.search.hypotheses import Pools
+from scene.verification.reassignment import CONVINCING, without_lookalikes
+from shapes.geometry.poses import poses_of
 from tests.scene.test_lookalikes import camera, moved
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)

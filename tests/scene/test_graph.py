@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scene.graph import ROOT, all_trees, subtree, tree_code
+from scene.model.scene_graph import ROOT, all_trees, subtree, tree_code
 
 
 @pytest.mark.parametrize("free", [1, 2, 3, 4])

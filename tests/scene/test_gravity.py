@@ -8,12 +8,12 @@ import pytest
 import trimesh
 from scipy.stats import norm
 
-from scene.detection import SupportPlane
-from scene.gravity import UNKNOWN_CARRIER, Gravity
-from scene.observation import DepthView
-from scene.prior import FLOATING_HEIGHT_M
-from scene.scene_object import scene_object
-from shapes.poses import poses_of
+from scene.model.prior import FLOATING_HEIGHT_M
+from scene.objects.scene_object import scene_object
+from scene.observation.depth_view import DepthView
+from scene.observation.detection import SupportPlane
+from scene.search.support_prior import UNKNOWN_CARRIER, Gravity
+from shapes.geometry.poses import poses_of
 from tests.scene.test_detection import CAMERA_FROM_TABLE
 from tests.scene.test_unseen import depth_of, view_of
 

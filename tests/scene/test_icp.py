@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recordings.types import CameraIntrinsics
-from scene.icp import ViewTable, align
-from scene.observation import pooled_view, unprojected
-from shapes.poses import matrices_of
+from scene.observation.depth_view import pooled_view, unprojected
+from scene.search.icp import ViewTable, align
+from shapes.geometry.poses import matrices_of
 
 INTRINSICS = CameraIntrinsics(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
 

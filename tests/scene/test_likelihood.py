@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from recordings.types import DepthNoise
-from scene.likelihood import depth_evidence, gain_over_rest, log_likelihood_ratio
-from shapes.depth_rendering import render_layers
-from shapes.object_library import ObjectLibrary, joined, library_of_mesh
+from scene.likelihood.one_object import depth_evidence, gain_over_rest, log_likelihood_ratio
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import ObjectLibrary, joined, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views
 
 HEIGHT, WIDTH = INTRINSICS.height, INTRINSICS.width

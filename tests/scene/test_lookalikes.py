@@ -14,13 +14,15 @@ from scipy.stats import betabinom
 
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise
-from scene.close_view import CloseView
 from scene.config import ParseConfig
-from scene.existence import log_odds_of_presence
-from scene.foreground import scene_data
-from scene.initial_scene import Initialisation
 from scene.initialisation import initialise
-from scene.lookalikes import (
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.model.presence import log_odds_of_presence
+from scene.objects.scene_object import scene_object
+from scene.observation.frame_data import SceneData
+from scene.observation.segmentation import scene_data
+from scene.search.search_result import Initialisation
+from scene.verification.appearance_test import (
     QUESTIONS,
     agreeing_pixels,
     closely_agreeing_pixels,
@@ -28,9 +30,7 @@ from scene.lookalikes import (
     log_ratio_of_lookalike,
     uncovered_pixels,
 )
-from scene.rendering import ObjectRenderer
-from scene.scene_data import SceneData
-from scene.scene_object import scene_object
+from scene.verification.object_crop import CloseView
 from shapes.depth_noise import standard_deviation, with_surface_error
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains
-from scene.dice import Dice
-from scene.near_candidates import stepped
-from scene.spin_lines import SpinLines
+from scene.mcmc.local_multiple_try import stepped
+from scene.mcmc.random_variates import Dice
+from scene.mcmc.symmetry_arrays import SpinLines
 
 LINE = SpinLines(jnp.array([0.48, 0.6, -0.64]), jnp.array([0.1, -0.2, 0.3]))
 NO_LINE = SpinLines(jnp.zeros(3), jnp.zeros(3))

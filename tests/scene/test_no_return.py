@@ -10,9 +10,9 @@ import trimesh
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene import parsing
-from scene.compared_pixels import FOREGROUND_PIXELS, ComparedPixels
 from scene.config import ParseConfig
-from scene.scene_object import SceneObject, scene_object
+from scene.objects.scene_object import SceneObject, scene_object
+from scene.search.pixel_sample import FOREGROUND_PIXELS, ComparedPixels
 
 NOISE = DepthNoise(none_hit_probability=0.11, none_miss_probability=0.83)
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scene.pose_choice import PoseLayers, improve_pairs, log_conditional, log_density_of_choice
-from scene.rests import Rests
+from scene.search.assignment import PoseLayers, improve_pairs, log_conditional, log_density_of_choice
+from scene.search.support_table import Rests
 
 
 def _layers(objects: int, poses: int, pixels: int, seed: int = 0) -> PoseLayers:

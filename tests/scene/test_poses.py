@@ -3,8 +3,7 @@
 import numpy as np
 from scipy.linalg import expm
 
-from scene.poses import motions_of, tangents_of
-from shapes.poses import matrices_of, poses_of
+from shapes.geometry.poses import matrices_of, motions_of, poses_of, tangents_of
 
 
 def test_exponentials_and_logarithms_are_those_of_matrices(seed: int) -> None:

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, floating_draw, start_chains
-from scene.chain import Kernel, run_block
-from scene.contact import TOP_FACE
-from scene.graph import ROOT, SceneGraph
-from scene.model import Apart, ChainState, Estimate, SceneModel
-from scene.near_candidates import NearCandidates
-from scene.prior import sample_pose
-from scene.spin_lines import SpinLines
-from scene.symmetries import Symmetries
+from scene.mcmc.kernel import Kernel, run_block
+from scene.mcmc.local_multiple_try import NearCandidates
+from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
+from scene.model.contact import TOP_FACE
+from scene.model.posterior import Apart, ChainState, Estimate, SceneModel
+from scene.model.prior import sample_pose
+from scene.model.scene_graph import ROOT, SceneGraph
 from tests.statistical import assert_mean
 
 CHAINS, SWEEPS, BURN_IN = 256, 160, 40

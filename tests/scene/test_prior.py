@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_model, floating_draw
-from scene.contact import relative_box
-from scene.graph import SceneGraph, all_trees, floating_scene
-from scene.prior import (
+from scene.model.contact import relative_box
+from scene.model.prior import (
     WeightedTrees,
     contact_densities,
     contact_density,
@@ -18,7 +17,8 @@ from scene.prior import (
     sample_pose,
     supporting_face_probabilities,
 )
-from scene.rotation_densities import LOG_CONTACT_JACOBIAN
+from scene.model.scene_graph import SceneGraph, all_trees, floating_scene
+from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 from tests.scene.test_contact import random_poses
 from tests.statistical import assert_mean, assert_uniform
 

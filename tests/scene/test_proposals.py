@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from scene import pose_mixture
-from scene.adaptation import adapted
-from scene.pose_mixture import PoseMixture
-from scene.proposals import own_components, round_axis, spin
-from scene.refinement import MODES
-from scene.scene_object import scene_object
+from scene.mcmc import pose_mixture
+from scene.mcmc.mixture_adaptation import adapted
+from scene.mcmc.mixture_init import own_components, round_axis, spin
+from scene.mcmc.pose_mixture import PoseMixture
+from scene.objects.scene_object import scene_object
+from scene.search.importance_sampling import MODES
 
 MEAN = np.array([0.8, 0.36, 0.48, 0.0, 0.1, -0.2, 0.5])
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains
-from scene.chain import run_block
-from scene.graph import SceneGraph
-from scene.model import Apart, ChainState, Estimate
-from scene.shape_choices import drawn, redrawn
+from scene.likelihood.shape_draws import drawn, redrawn
+from scene.mcmc.kernel import run_block
+from scene.model.posterior import Apart, ChainState, Estimate
+from scene.model.scene_graph import SceneGraph
 from tests.statistical import assert_mean
 
 CHAINS, SWEEPS, BURN_IN = 256, 160, 40

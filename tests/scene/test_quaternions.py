@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from scene import quaternions
+from shapes.geometry import quaternions
 
 
 def test_operations_are_those_of_jaxlie(key: jax.Array) -> None:

@@ -14,10 +14,10 @@ from pipeline.benchmarks.learned_objects import true_object
 from pipeline.meshes import load_meshes
 from recordings.types import CameraIntrinsics, DepthNoise
 from scene.config import ParseConfig
-from scene.existence import log_odds_of_presence
-from scene.foreground import scene_data
 from scene.initialisation import initialise
-from scene.rendering import ObjectRenderer
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.model.presence import log_odds_of_presence
+from scene.observation.segmentation import scene_data
 
 
 @pytest.mark.slow

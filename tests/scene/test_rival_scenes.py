@@ -7,12 +7,12 @@ import trimesh
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import CameraIntrinsics, DepthNoise
 from scene.config import ParseConfig
-from scene.foreground import scene_data
-from scene.pools import Pools
-from scene.rendering import ObjectRenderer
-from scene.rival_scenes import RIVALS, best_of, decided
-from scene.scene_object import scene_object
-from shapes.poses import poses_of
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.objects.scene_object import scene_object
+from scene.observation.segmentation import scene_data
+from scene.search.competing_scenes import RIVALS, best_of, decided
+from scene.search.hypotheses import Pools
+from shapes.geometry.poses import poses_of
 
 INTRINSICS = CameraIntrinsics(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
 DOWNWARD = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]])

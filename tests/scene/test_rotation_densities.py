@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_model
-from scene import pose_mixture
-from scene.pose_mixture import PoseMixture
-from scene.prior import eta_density
-from scene.rotation_densities import (
+from scene.mcmc import pose_mixture
+from scene.mcmc.pose_mixture import PoseMixture
+from scene.model.prior import eta_density
+from shapes.geometry.rotation_densities import (
     LOG_ROTATION_MASS,
     log_gaussian_pose,
     uniform_rotation,

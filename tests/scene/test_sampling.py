@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from scene.detection import SupportPlane
-from scene.sampling import space_of
+from scene.mcmc.sampling import space_of
+from scene.observation.detection import SupportPlane
 
 
 def test_chains_start_where_objects_can_be() -> None:

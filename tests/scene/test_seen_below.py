@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scene.seen_below import STEP_M, UNDERSIDE_M, UNDERSIDE_POINTS, gaps_to_seen, undersides
+from scene.search.support_prior import STEP_M, UNDERSIDE_M, UNDERSIDE_POINTS, gaps_to_seen, undersides
 from tests.scene.test_unseen import TABLE, depth_of, view_of
 
 CARRIER_M = np.array([0.0, 0.0, 0.04]), np.array([0.05, 0.05, 0.04])

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from scene.better_spins import APART, better, spun
-from scene.scene_object import scene_object
+from scene.objects.scene_object import scene_object
+from scene.objects.symmetry import APART, better, spun
 
 RADIUS_M, HEIGHT_M = 0.04, 0.09
 

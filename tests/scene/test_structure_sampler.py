@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import code_of, cube_kernel, cube_model, start_chains, tree_frequencies
-from scene import pair_move
-from scene.chain import run_block
-from scene.graph import ROOT, all_trees, tree_code
-from scene.graph_table import GraphTable
-from scene.model import SceneModel
-from scene.prior import WeightedTrees
+from pipeline.benchmarks.enumerated_target import GraphTable
+from scene.mcmc import edges
+from scene.mcmc.kernel import run_block
+from scene.model.posterior import SceneModel
+from scene.model.prior import WeightedTrees
+from scene.model.scene_graph import ROOT, all_trees, tree_code
 from tests.statistical import assert_mean
 
 CHAINS = 256
@@ -91,7 +91,7 @@ def test_the_factor_eight_is_seen(
 ) -> None:
     """P(all floating) of two objects is 1/3; without the 8, or with it twice, it is not."""
     model = cube_model(2)
-    monkeypatch.setattr(pair_move, "LOG_CONTACT_JACOBIAN", np.log(factor))
+    monkeypatch.setattr(edges, "LOG_CONTACT_JACOBIAN", np.log(factor))
     jax.clear_caches()
 
     frequencies, trees = tree_frequencies(key, model, cube_kernel(2), chains=CHAINS, sweeps=200, burn_in=60)

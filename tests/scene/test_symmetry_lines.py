@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from scene.scene_object import SceneObject, scene_object
-from scene.symmetries import Symmetries, part_of_turn
+from scene.mcmc.symmetry_arrays import Symmetries, part_of_turn
+from scene.objects.scene_object import SceneObject, scene_object
 from tests.statistical import assert_mean
 
 SQUARE = (0.06, 0.06, 0.15)

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.benchmarks.cubes import cube_model, start_chains
-from scene.graph import SceneGraph
-from scene.orientations import cube_rotations
-from scene.turned_faces import at_reference, placed
+from scene.mcmc.face_relabelling import at_reference, placed
+from scene.model.scene_graph import SceneGraph
+from scene.objects.orientations import cube_rotations
 from tests.scene.test_contact import random_poses
 
 

@@ -6,12 +6,12 @@ import pytest
 import trimesh
 from scipy.special import expit
 
-from scene.detection import SupportPlane
-from scene.existence import log_odds_of_presence, log_prior_odds
-from scene.observation import DepthView
-from scene.scene_object import SceneObject, scene_object
-from scene.unseen import DRAWS, PlacedObject, unseen_share
-from shapes.camera import Camera
+from scene.model.presence import log_odds_of_presence, log_prior_odds
+from scene.objects.scene_object import SceneObject, scene_object
+from scene.observation.depth_view import DepthView
+from scene.observation.detection import SupportPlane
+from scene.verification.occlusion import DRAWS, PlacedObject, unseen_share
+from shapes.geometry.camera import Camera
 from tests.scene.test_detection import CAMERA_FROM_TABLE
 
 HALF_SIZE_M = np.array([0.3, 0.2])

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from recordings.types import CameraIntrinsics
-from shapes.camera import Camera, pixel_rays, project
+from shapes.geometry.camera import Camera, pixel_rays, project
 
 INTRINSICS = CameraIntrinsics(width=31, height=17, fx=40.0, fy=42.0, cx=14.2, cy=8.9)
 

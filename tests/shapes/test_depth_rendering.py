@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from shapes.depth_rendering import render_layers
-from shapes.object_library import ObjectLibrary, joined, library_of_mesh
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import ObjectLibrary, joined, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views, ray_cast
 
 MESHES = {

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from shapes.poses import orthonormalised, pose_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
+from shapes.geometry.poses import orthonormalised, pose_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
 
 
 def test_quaternion_orders_agree_with_scipy(seed: int) -> None:

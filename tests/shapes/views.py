@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recordings.types import CameraIntrinsics
-from shapes.camera import Camera, stacked
-from shapes.ray_casting import PosedObjects
+from shapes.geometry.camera import Camera, stacked
+from shapes.rendering.ray_casting import PosedObjects
 
 INTRINSICS = CameraIntrinsics(width=128, height=96, fx=140.0, fy=145.0, cx=60.3, cy=50.1)
 

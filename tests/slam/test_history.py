@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from slam import pose_gaussian
-from slam.history import _with_placed
-from slam.joint_refinement import Placed
-from slam.particles import IDENTITY
+from shapes.geometry import pose_gaussian
+from shapes.geometry.pose_sets import IDENTITY
+from slam.pose_graph.refinement import Placed
+from slam.smoothing import _with_placed
 
 
 def _pose(*tangent: float) -> jax.Array:

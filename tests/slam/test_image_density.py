@@ -9,16 +9,21 @@ import pytest
 from scipy.integrate import trapezoid
 
 from recordings.types import DepthNoise
-from slam import pose_gaussian
-from slam.alignment import depth_and_jacobian, pixel_terms
-from slam.depth_view import block_reduce, view_of_frame
-from slam.foreseen import Foreseen, foreseen_from_before, log_density_of_unknown
-from slam.image_density import log_density_of_shown, log_image_density, rendered_depth, scored_pixels
-from slam.keyframes import surface_of
-from slam.localisation import LocalMap, optimum_at
-from slam.plane_fitting import region_planes
-from slam.rendering import depth_on_rays, fused_planes, planes_in_frame, render
-from slam.rigid import single_precision_poses
+from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import single_precision_poses
+from slam.keyframes.depth_view import block_reduce, view_of_frame
+from slam.keyframes.planes import region_planes
+from slam.keyframes.rendering import depth_on_rays, fused_planes, planes_in_frame, render
+from slam.keyframes.surfels import surface_of
+from slam.likelihood.image_density import (
+    log_density_of_shown,
+    log_image_density,
+    rendered_depth,
+    scored_pixels,
+)
+from slam.likelihood.unmapped_depth import Foreseen, foreseen_from_before, log_density_of_unknown
+from slam.registration.alignment import depth_and_jacobian, pixel_terms
+from slam.registration.local_search import LocalMap, optimum_at
 from tests.slam import box_room
 
 NOISE = DepthNoise()

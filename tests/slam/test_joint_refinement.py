@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from recordings.types import DepthNoise
-from shapes.poses import matrices_of
-from slam import filter as camera_filter
-from slam.beginning import init
+from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
-from slam.depth_view import FINE_CANVAS, view_of_frame
-from slam.filter_state import FilterState
-from slam.joint_refinement import refined
-from slam.keyframe_overlaps import detail_of
-from slam.rigid import single_precision_poses
+from slam.filter.init import init
+from slam.filter.state import FilterState
+from slam.filter.step import step
+from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
+from slam.pose_graph.overlaps import detail_of
+from slam.pose_graph.refinement import refined
 from tests.slam import box_room
 
 CONFIG = SlamConfig(particles=8)
@@ -39,7 +38,7 @@ def tracked() -> FilterState:
     views = [view_of_frame(frame, box_room.INTRINSICS) for frame in frames]
     state, _ = init(views[0], frames[0].time_ns, CONFIG)
     for index, (view, frame) in enumerate(zip(views[1:], frames[1:], strict=True)):
-        state, _ = camera_filter.step(jax.random.key(index), state, view, frame.time_ns, CONFIG)
+        state, _ = step(jax.random.key(index), state, view, frame.time_ns, CONFIG)
     return state
 
 

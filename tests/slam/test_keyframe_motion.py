@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam import pose_gaussian
-from slam.enumeration import orbit_steps
-from slam.keyframe_motion import KeyframeMotion
-from slam.motion import FreeMotion, MotionHistory, OrbitMotion
-from slam.regular_motion import repeated
-from slam.rigid import single_precision_poses
+from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import single_precision_poses
+from slam.filter.motion import FreeMotion, MotionHistory, OrbitMotion
+from slam.map_hypotheses.circular_paths import repeated
+from slam.pose_graph.trajectory_prior import KeyframeMotion
+from slam.registration.pose_grids import orbit_steps
 from tests.statistical import assert_mean
 
 PIVOT = np.asarray([0.0, 0.0, 1.5])

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from recordings.types import DepthNoise
-from slam import pose_gaussian
-from slam.depth_view import view_of_frame
-from slam.keyframes import surface_of
-from slam.localisation import LocalMap
-from slam.map_scores import climbed, log_map_scores
-from slam.rigid import single_precision_poses
+from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import single_precision_poses
+from slam.keyframes.depth_view import view_of_frame
+from slam.keyframes.surfels import surface_of
+from slam.registration.global_search import climbed, log_map_scores
+from slam.registration.local_search import LocalMap
 from tests.slam import box_room
 
 NOISE = DepthNoise()

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from slam.modes import Modes, dealt
+from slam.map_hypotheses.modes import Modes, dealt
 
 
 def _map(shift_m: float) -> np.ndarray:

@@ -6,11 +6,18 @@ import jaxlie
 import numpy as np
 
 from recordings.types import DepthNoise
-from slam import pose_gaussian
-from slam.depth_view import FINE_CANVAS, view_of_frame
-from slam.overlap import LOG_OUTLIER, OUTLIER_SHARE, PlaneImage, PointSample, overlap_terms, sampled
-from slam.plane_fitting import region_planes
-from slam.rigid import single_precision_poses
+from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import single_precision_poses
+from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
+from slam.keyframes.planes import region_planes
+from slam.likelihood.overlap_density import (
+    LOG_OUTLIER,
+    OUTLIER_SHARE,
+    PlaneImage,
+    PointSample,
+    overlap_terms,
+    sampled,
+)
 from tests.slam import box_room
 
 NOISE = DepthNoise()

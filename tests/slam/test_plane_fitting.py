@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from recordings.types import DepthNoise, Frame
-from slam.depth_view import FINE_CANVAS, view_of_frame
-from slam.keyframes import LEAST_VARIANCE_SHARE, surface_of
-from slam.plane_fitting import region_planes
-from slam.rendering import depth_on_rays
+from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
+from slam.keyframes.planes import region_planes
+from slam.keyframes.rendering import depth_on_rays
+from slam.keyframes.surfels import LEAST_VARIANCE_SHARE, surface_of
 from tests.slam import box_room
 
 NOISE = DepthNoise()

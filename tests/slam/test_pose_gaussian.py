@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from slam import pose_gaussian
-from slam.motion import FreeMotion, MotionHistory, OrbitMotion
-from slam.proposal import PRIOR_SHARE, log_proposal_density
+from shapes.geometry import pose_gaussian
+from slam.filter.motion import FreeMotion, MotionHistory, OrbitMotion
+from slam.filter.proposal import PRIOR_SHARE, log_proposal_density
 from tests.statistical import assert_mean
 
 IDENTITY = jnp.asarray([1.0, 0, 0, 0, 0, 0, 0], jnp.float32)

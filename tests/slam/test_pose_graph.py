@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam import pose_graph
-from slam.alignment import STIFFNESS
-from slam.pose_graph import JointTerm, PoseGraph, damped_step, draws, marginals, tied_to_first
+from slam.pose_graph import sparse_gaussian
+from slam.pose_graph.sparse_gaussian import JointTerm, PoseGraph, damped_step, draws, marginals, tied_to_first
+from slam.registration.alignment import STIFFNESS
 from tests.statistical import assert_mean
 
 RING = np.asarray([(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2)])
@@ -72,7 +72,7 @@ def test_draws_have_the_covariance_of_dense_algebra(key, seed, jointly):
 @pytest.mark.parametrize("columns", [12, 600])
 def test_marginals_are_blocks_of_the_dense_inverse(seed, columns, monkeypatch):
     """The first keyframe is certain, however many columns are solved at once. Limit: rounding."""
-    monkeypatch.setattr(pose_graph, "MARGINAL_COLUMNS", columns)
+    monkeypatch.setattr(sparse_gaussian, "MARGINAL_COLUMNS", columns)
     graph = _graph(np.random.default_rng(seed))
     inverse = np.linalg.inv(_dense(graph)[0] + STIFFNESS * np.eye(24)).reshape(4, 6, 4, 6)
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from recordings.types import DepthNoise
-from slam import search
-from slam.depth_view import view_of_frame
-from slam.keyframe_map import KeyframeMap
-from slam.keyframes import surface_of
-from slam.particles import IDENTITY
-from slam.search import GroupMap, Searcher
+from shapes.geometry.pose_sets import IDENTITY
+from slam.keyframes.depth_view import view_of_frame
+from slam.keyframes.keyframe_map import KeyframeMap
+from slam.keyframes.surfels import surface_of
+from slam.registration import search
+from slam.registration.search import GroupMap, Searcher
 from tests.slam import box_room
 
 NOISE = DepthNoise()

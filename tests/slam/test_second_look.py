@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recordings.types import DepthNoise
-from slam import pose_gaussian, second_look
-from slam.contradictions import agreeing, placed_anew
-from slam.depth_view import view_of_frame
-from slam.jury import Jury
-from slam.keyframe_map import KeyframeMap
-from slam.keyframes import surface_of
-from slam.modes import carried
-from slam.surest_first import _log_evidence
+from shapes.geometry import pose_gaussian, pose_sets
+from slam.keyframes.depth_view import view_of_frame
+from slam.keyframes.keyframe_map import KeyframeMap
+from slam.keyframes.surfels import surface_of
+from slam.map_hypotheses.beam_search import _log_evidence
+from slam.map_hypotheses.cross_registration import Jury, agreeing, placed_anew
+from slam.map_hypotheses.modes import carried
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -110,5 +109,5 @@ def test_narrow_steps_are_no_reason_to_look_again():
     """A fifth of a circle is a wide step, twelve degrees are not."""
     here, near, far = (box_room.pose(0.0, 0.0, 0.0, np.radians(angle)) for angle in (0, 12, 72))
 
-    assert not second_look.is_wide(here, near)
-    assert second_look.is_wide(here, far)
+    assert not pose_sets.is_wide(here, near)
+    assert pose_sets.is_wide(here, far)

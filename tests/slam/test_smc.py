@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slam import smc
-from slam.resampling import systematic
-from slam.weights import effective_sample_size, normalised
+from slam.filter import smc
+from slam.filter.smc import effective_sample_size, normalised, systematic
 from tests.slam.toy_models import Corridor, RandomWalk, UnknownCorridor
 from tests.statistical import assert_mean, assert_uniform
 

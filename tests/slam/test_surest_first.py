@@ -12,9 +12,15 @@ import pytest
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from slam import surest_first
-from slam.jury import Jury
-from slam.surest_first import KEPT_MAPS, _best, _improved_singly, _PartialMap, placed_surest_first
+from slam.map_hypotheses import beam_search
+from slam.map_hypotheses.beam_search import (
+    KEPT_MAPS,
+    _best,
+    _improved_singly,
+    _PartialMap,
+    placed_surest_first,
+)
+from slam.map_hypotheses.cross_registration import Jury
 
 RING = (0, 3, 1, 4, 2, 5)
 """The keyframes as they stand on a ring; neighbours see the same."""
@@ -69,7 +75,7 @@ class RingJury:
 
 def test_the_surest_comes_next(monkeypatch: pytest.MonkeyPatch) -> None:
     """In their own order most keyframes would stand wrong: their neighbours come after them."""
-    monkeypatch.setattr(surest_first, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
+    monkeypatch.setattr(beam_search, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
 
     placed = placed_surest_first(cast("Jury", RingJury()))
 

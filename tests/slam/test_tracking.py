@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
+from pipeline.evaluation.trajectory_errors import trajectory_errors
 from recordings.types import Frame
 from slam.config import SlamConfig
-from slam.filter_state import FrameInfo
+from slam.filter.state import FrameInfo
 from slam.result import SlamResult
 from slam.tracking import track
-from slam.trajectory_errors import trajectory_errors
 from tests.slam import box_room
 
 CONFIG = SlamConfig(particles=16)

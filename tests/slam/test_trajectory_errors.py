@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from recordings.types import Trajectory
-from slam.trajectory_errors import (
+from pipeline.evaluation.trajectory_errors import (
     coverage,
     largest_squared_distance,
     level_of,
@@ -14,6 +13,7 @@ from slam.trajectory_errors import (
     squared_distances,
     trajectory_errors,
 )
+from recordings.types import Trajectory
 from tests.statistical import assert_coverage
 
 DEGREES = 7.0

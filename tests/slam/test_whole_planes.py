@@ -3,9 +3,9 @@
 import numpy as np
 
 from recordings.types import DepthNoise, Frame
-from slam.depth_view import FINE_CANVAS, view_of_frame
-from slam.plane_fitting import region_planes
-from slam.whole_planes import with_whole_planes
+from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
+from slam.keyframes.plane_segmentation import with_whole_planes
+from slam.keyframes.planes import region_planes
 from tests.slam import box_room
 
 NOISE = DepthNoise()

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from slam import smc
+from slam.filter import smc
 
 
 @dataclass(frozen=True)

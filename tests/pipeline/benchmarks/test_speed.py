@@ -6,16 +6,16 @@ import sys
 import numpy as np
 import pytest
 
+import scene.likelihood.object_renderer
 import scene.parsing
-import scene.refinement
-import scene.rendering
+import scene.search.importance_sampling
 from pipeline.benchmarks import speed
 from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
 from pipeline.benchmarks.lathe import mug
 from pipeline.benchmarks.roofline import measure_roofline
 from pipeline.peers.embree_scoring import EmbreeScorer
-from shapes.object_library import library_of_mesh
-from shapes.ray_casting import STEPS
+from shapes.rendering.object_library import library_of_mesh
+from shapes.rendering.ray_casting import STEPS
 
 NOT_NEEDED = ("open3d", "trimesh", "jaxlie", "pydantic", "mcap", "rerun", "PIL", "skimage", "platformdirs")
 
@@ -28,9 +28,9 @@ def task() -> Problem:
 
 def test_it_calls_what_parse_calls() -> None:
     """The very functions: refinement scores with one; searches render with the other."""
-    assert speed.log_likelihood_ratio is scene.refinement.log_likelihood_ratio
-    assert speed.render_layers is scene.rendering.render_layers
-    assert scene.parsing.refine is scene.refinement.refine
+    assert speed.log_likelihood_ratio is scene.search.importance_sampling.log_likelihood_ratio
+    assert speed.render_layers is scene.likelihood.object_renderer.render_layers
+    assert scene.parsing.refine is scene.search.importance_sampling.refine
 
 
 def test_the_rooflines_follow_from_the_rates(task: Problem) -> None:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from recordings.types import CameraIntrinsics, DepthNoise
-from shapes.camera import Camera
+from shapes.geometry.camera import Camera
 from shapes.learning.local_planes import local_planes
 from tests.statistical import assert_mean
 

@@ -5,8 +5,8 @@ import numpy as np
 
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
-from shapes.learning.grid import VoxelGrid
 from shapes.learning.voxel_rays import ViewReadings, evidence
+from shapes.voxel_grid import VoxelGrid
 
 OPACITY = np.asarray([[1.0, 0.0], [1.0, 0.0]])
 SIGMA_M = 0.0006

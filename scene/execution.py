@@ -1,0 +1,76 @@
+"""Kernels compiled beside other work: a first parse waits for its compiler more than for anything else.
+
+JAX compiles a kernel once: whoever calls one that is being compiled waits for it. Threads must not differ in
+`jax.enable_x64` meanwhile: JAX 0.10 then hands host arrays of one precision to kernels of the other.
+
+####
+Batches of hypotheses shared among the processor's cores.
+
+A kernel's own threads meet after every operation, and its loops wait for them; kernels that run side by side,
+each on its share of the batch, do not. Accelerators get the batch whole.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+SELDOM: dict[str, bool | int] = {"xla_backend_optimization_level": 1}
+"""Compiler options of kernels that run for less time than they take to compile: half of that."""
+
+
+if jax.__version_info__ < (0, 11, 1):  # newer ones refuse it, for their compiler has no other way
+    SELDOM["xla_cpu_use_fusion_emitters"] = False
+
+
+@contextmanager
+def compiled_beside(*kernels: Callable[[], object]) -> Iterator[None]:
+    """Compile kernels, by calls that do so and in this order, on another core while the block runs."""
+    with ThreadPoolExecutor(1) as beside:
+        compiled = [beside.submit(kernel) for kernel in kernels]
+        yield
+    for kernel in compiled:
+        kernel.result()
+
+
+LEAST = 64
+"""Hypotheses of a share."""
+
+Batch = TypeVar("Batch")
+
+Item = TypeVar("Item")
+
+Done = TypeVar("Done")
+
+
+def shared_among_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDArray[np.float32]:
+    """The scores (N,) of a batch, leaves (N, ...); shares have one size, for one kernel to serve them all."""
+    count = len(jax.tree.leaves(batch)[0])
+    shares = max(min(_cores(), count // LEAST), 1)
+    if shares == 1:
+        return np.asarray(score(batch))
+    length = -(-count // shares)
+    batch = jax.tree.map(np.asarray, batch)
+
+    def scored(share: int) -> NDArray[np.float32]:
+        mine = np.minimum(np.arange(share * length, (share + 1) * length), count - 1)
+        return np.asarray(score(jax.tree.map(lambda leaf: leaf[mine], batch)))
+
+    return np.concatenate(side_by_side(scored, range(shares)))[:count]
+
+
+def side_by_side(work: Callable[[Item], Done], items: Iterable[Item]) -> list[Done]:
+    """What becomes of items, in their order, each worked on by one core."""
+    with ThreadPoolExecutor(_cores()) as cores:
+        return list(cores.map(work, items))
+
+
+def _cores() -> int:
+    return (os.cpu_count() or 1) if jax.default_backend() == "cpu" else 1

@@ -1,0 +1,92 @@
+"""Depth layers of scene objects in windows, through one library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.execution import side_by_side
+from scene.objects.scene_object import SceneObject
+from scene.objects.slots import OUT_OF_SIGHT
+from scene.observation.pixel_window import WINDOW_HEIGHT, WINDOW_WIDTH, PixelWindow
+from shapes.geometry.camera import Camera
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import ObjectLibrary, joined
+from shapes.rendering.ray_casting import PosedObjects
+
+LAYERS = 128
+"""Rendered in one kernel; kernels run side by side, each on a core."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ObjectRenderer:
+    """The objects' library, with the step from box frames to the objects' own.
+
+    Attributes:
+        library: N objects.
+        centres_m: (N, 3) float32, the boxes' centres in the objects' frames.
+    """
+
+    library: ObjectLibrary
+    centres_m: jax.Array
+
+    @classmethod
+    def of(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
+        """The renderer of these objects, in order."""
+        centres = np.stack([one.centre_m for one in objects])
+        return cls(joined([one.library for one in objects]), jax.device_put(centres.astype(np.float32)))
+
+    @classmethod
+    def of_draws(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
+        """The renderer of all draws of these objects' shapes: the first of each object, the second, ..."""
+        draws = zip(*[one.draws or (one.library,) for one in objects], strict=True)
+        libraries = [library for draw in draws for library in draw]
+        centres = np.tile([one.centre_m for one in objects], (len(libraries) // len(objects), 1))
+        return cls(joined(libraries), jax.device_put(centres.astype(np.float32)))
+
+    def compile(self, window: PixelWindow) -> None:
+        """What `layers` runs."""
+        nowhere = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (LAYERS, 1))
+        _layers.lower(self, np.zeros(LAYERS, np.int32), nowhere, window.camera).compile()
+
+    def layers(
+        self, indices: NDArray[np.integer], poses: NDArray[np.floating], window: PixelWindow
+    ) -> NDArray[np.float32]:
+        """Depth (n, WINDOW_HEIGHT, WINDOW_WIDTH) of n objects alone, at poses (n, 7) camera_from_box.
+
+        `LAYERS` in a kernel, so that one kernel serves any number.
+        """
+        parts = -(-len(indices) // LAYERS)
+        every = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (parts * LAYERS, 1))
+        every[: len(poses)] = poses
+        which = np.resize(np.asarray(indices, np.int32), parts * LAYERS)
+
+        def rendered(part: tuple[NDArray[np.int32], NDArray[np.float32]]) -> NDArray[np.float32]:
+            return np.asarray(_layers(self, *part, window.camera))
+
+        depth = side_by_side(rendered, zip(np.split(which, parts), np.split(every, parts), strict=True))
+        return np.concatenate(depth)[: len(indices)]
+
+    def posed(self, indices: jax.Array, poses: jax.Array, camera_index: jax.Array) -> PosedObjects:
+        """Objects at poses (n, 7) camera_from_box as the engine takes them."""
+
+        def matrix(index: jax.Array, pose: jax.Array) -> jax.Array:
+            back = jaxlie.SE3.from_translation(-self.centres_m[index])
+            return (jaxlie.SE3(pose.astype(jnp.float32)) @ back).as_matrix()
+
+        indices = indices.astype(jnp.int32)
+        return PosedObjects(indices, jax.vmap(matrix)(indices, poses), camera_index.astype(jnp.int32))
+
+
+@jax.jit
+def _layers(renderer: ObjectRenderer, indices: jax.Array, poses: jax.Array, camera: Camera) -> jax.Array:
+    posed = renderer.posed(indices, poses, jnp.zeros(len(indices), jnp.int32))
+    cameras = jax.tree.map(lambda leaf: leaf[None], camera)
+    return render_layers(renderer.library, posed, cameras, WINDOW_HEIGHT, WINDOW_WIDTH)

@@ -1,0 +1,132 @@
+"""Proposals learned from the first part of the chains, which is then dropped.
+
+Once samples are kept the proposals stay as they are, so that the chains are exact (Roberts and Rosenthal
+2009, Examples of Adaptive MCMC: adaptation that ends).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+
+from scene.execution import SELDOM
+from scene.mcmc.mixture_init import own_components, spin
+from scene.mcmc.pose_mixture import PoseMixture
+from scene.search.importance_sampling import MODES
+
+NEAR_M, NEAR_RAD = 0.005, 0.35
+"""What counts as one unit of distance from a mode; a state belongs to the nearest."""
+
+FURTHEST = 4.0
+"""States that are further from every mode teach nothing."""
+
+LEAST_M, LEAST_RAD = 0.00005, 0.0005
+
+FEW = 4.0
+"""States that say as much of a covariance as is known without: by all modes together, and before."""
+
+KEPT_SHARE = 0.1
+"""Of the old weights: a mode that was not visited may yet be."""
+
+MEAN_STEPS = 3
+
+
+@partial(jax.jit, compiler_options=SELDOM)
+def adapted(mixture: PoseMixture, axes: jax.Array, poses: jax.Array) -> PoseMixture:
+    """The mixtures with components of their own fitted to states (S, C, 7), each in its mode.
+
+    A chain that changes to another mode comes back only where proposals know both.
+
+    Args:
+        mixture: from `pose_proposals`.
+        axes: (C,) the box axis about which each object is round, or -1.
+        poses: (S, C, 7).
+    """
+    log_weights, centres, covariances = jax.vmap(_own, in_axes=(0, 0, 1))(mixture, axes, poses)
+    own = PoseMixture.build(log_weights, centres, covariances)
+    used = log_weights.shape[1]
+    log_share = jax.scipy.special.logsumexp(mixture.log_weights[:, :used], axis=1, keepdims=True)
+    return PoseMixture(
+        _replaced(mixture.log_weights, log_share + own.log_weights),
+        _replaced(mixture.centres, own.centres),
+        _replaced(mixture.choleskys, own.choleskys),
+        _replaced(mixture.whitenings, own.whitenings),
+    )
+
+
+def _replaced(values: jax.Array, own: jax.Array) -> jax.Array:
+    return values.at[:, : own.shape[1]].set(own)
+
+
+def modes_of(log_weights: jax.Array, axis: jax.Array) -> jax.Array:
+    """Weights (MODES,) of one object's modes in its mixture (K,), their sum 1; a round one has the first."""
+    is_mode = (axis < 0) | (jnp.arange(MODES) == 0)
+    return jax.nn.softmax(jnp.where(is_mode, log_weights[:MODES], -jnp.inf))
+
+
+def _own(mixture: PoseMixture, axis: jax.Array, poses: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """One object's own components, as `own_components` has them, of states (S, 7)."""
+    weights, modes = modes_of(mixture.log_weights, axis), mixture.centres[:MODES]
+    steps = jax.vmap(partial(_steps, poses=poses, axis=axis))(modes)
+    unit = jnp.repeat(jnp.array([NEAR_M, NEAR_RAD], poses.dtype), 3)
+    distance = jnp.linalg.norm(steps / unit[None, None], axis=2)
+    distance = jnp.where(weights[:, None] > 0, distance, jnp.inf)
+    nearest = jnp.arange(MODES)[:, None] == jnp.argmin(distance, axis=0)[None]
+    mine = (nearest & (distance < FURTHEST)).astype(poses.dtype)
+    counts = jnp.sum(mine, axis=1)
+
+    centres, scatters = jax.vmap(partial(_moments, poses=poses, axis=axis))(modes, mine)
+    old = jax.vmap(_in_world)(
+        modes, mixture.choleskys[:MODES] @ jnp.swapaxes(mixture.choleskys[:MODES], 1, 2)
+    )
+    together = (jnp.sum(scatters, axis=0) + FEW * old[0]) / (jnp.sum(counts) + FEW)
+    covariances = (scatters + FEW * together[None]) / (counts + FEW)[:, None, None]
+    least = jnp.diag(jnp.repeat(jnp.array([LEAST_M, LEAST_RAD], poses.dtype) ** 2, 3))
+    covariances = jax.vmap(_in_box)(centres, covariances + least[None])
+    seen = counts / jnp.maximum(jnp.sum(counts), 1.0)
+    log_weights = jnp.log((1 - KEPT_SHARE) * seen + KEPT_SHARE * weights)
+    return own_components(log_weights, centres, covariances, axis)
+
+
+def _moments(
+    mode: jax.Array, mine: jax.Array, poses: jax.Array, axis: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Mean (7,) of the states (S, 7) that belong to a mode, and their scatter (6, 6) in the world."""
+    weights = mine / jnp.maximum(jnp.sum(mine), 1.0)
+    mean = mode
+    for _ in range(MEAN_STEPS):
+        step = weights @ _steps(mean, poses, axis)
+        turned = jaxlie.SO3(mean[:4]) @ jaxlie.SO3.exp(step[3:])
+        mean = jnp.concatenate([turned.normalize().wxyz, mean[4:] + step[:3]])
+    steps = _steps(mean, poses, axis)
+    return mean, _in_world(mean, (mine[:, None] * steps).T @ steps)
+
+
+def _in_world(pose: jax.Array, covariance: jax.Array) -> jax.Array:
+    """A covariance (6, 6) with turns along the world's axes, of one with turns along the box's."""
+    frame = jnp.eye(6).at[3:, 3:].set(jaxlie.SO3(pose[:4]).as_matrix())
+    return frame @ covariance @ frame.T
+
+
+def _in_box(pose: jax.Array, covariance: jax.Array) -> jax.Array:
+    """The inverse."""
+    return _in_world(jnp.concatenate([jaxlie.SO3(pose[:4]).inverse().wxyz, pose[4:]]), covariance)
+
+
+def _steps(start: jax.Array, poses: jax.Array, axis: jax.Array) -> jax.Array:
+    """Offsets and turns (S, 6) from a pose (7,) to others (S, 7)."""
+    return jax.vmap(lambda pose: jnp.concatenate(_step(start, pose, axis)))(poses)
+
+
+def _step(start: jax.Array, end: jax.Array, axis: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Offset (3,) in the world and rotation vector (3,) on the right from one pose (7,) to another.
+
+    Where the object is round, its spin is left out (swing-twist decomposition).
+    """
+    turn = jaxlie.SO3(start[:4]).inverse() @ jaxlie.SO3(end[:4])
+    angle = 2 * jnp.arctan2(turn.wxyz[1 + jnp.maximum(axis, 0)], turn.wxyz[0])
+    swing = turn @ spin(axis, -angle)
+    return end[4:] - start[4:], jnp.where(axis < 0, turn.log(), swing.log())

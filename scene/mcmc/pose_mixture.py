@@ -1,0 +1,64 @@
+"""Mixtures of Gaussians on poses, as proposals: they see the other modes that a walk cannot reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from scene.mcmc.random_variates import drawn_place
+from shapes.geometry import quaternions
+from shapes.geometry.rotation_densities import log_gaussian_pose
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PoseMixture:
+    """K components for each of C objects, in the measure Lebesgue x rotations of mass pi^2.
+
+    A component is Gaussian in (offset in the world, rotation vector on the right) about its centre.
+
+    Attributes:
+        log_weights: (C, K), normalised over K; -inf for unused places.
+        centres: (C, K, 7) world_from_object.
+        choleskys: (C, K, 6, 6) lower factors of the covariances, translation first.
+        whitenings: (C, K, 6, 6) their inverses.
+    """
+
+    log_weights: jax.Array
+    centres: jax.Array
+    choleskys: jax.Array
+    whitenings: jax.Array
+
+    @classmethod
+    def build(cls, log_weights: jax.Array, centres: jax.Array, covariances: jax.Array) -> PoseMixture:
+        """Mixtures from weights that need not be normalised and covariances (C, K, 6, 6)."""
+        choleskys = jnp.linalg.cholesky(covariances)
+        identity = jnp.broadcast_to(jnp.eye(6, dtype=choleskys.dtype), choleskys.shape)
+        whitenings = jax.scipy.linalg.solve_triangular(choleskys, identity, lower=True)
+        return cls(jax.nn.log_softmax(log_weights, axis=-1), centres, choleskys, whitenings)
+
+    def of(self, chosen: jax.Array) -> PoseMixture:
+        """The mixture (K,), (K, 7), (K, 6, 6) of one object."""
+        return jax.tree.map(lambda leaf: leaf[chosen], self)
+
+
+def sample(uniform: jax.Array, normal: jax.Array, mixture: PoseMixture) -> jax.Array:
+    """Pose (7,) from one object's mixture, of one uniform number and normal ones (6,)."""
+    component = drawn_place(jnp.exp(mixture.log_weights), uniform)
+    tangent = jnp.sum(mixture.choleskys[component] * normal[None], axis=1)
+    centre = mixture.centres[component]
+    turned = quaternions.times(centre[:4], quaternions.exp(tangent[3:]))
+    return jnp.concatenate([quaternions.normalised(turned), centre[4:] + tangent[:3]])
+
+
+def log_density(mixture: PoseMixture, pose: jax.Array) -> jax.Array:
+    """Log density of one object's mixture at a pose (7,), summed over all components."""
+
+    def component(centre: jax.Array, whitening: jax.Array) -> jax.Array:
+        relative = quaternions.times(quaternions.inverse(centre[:4]), pose[:4])
+        return log_gaussian_pose(whitening, pose[4:] - centre[4:], relative)
+
+    log_components = jax.vmap(component)(mixture.centres, mixture.whitenings)
+    return jax.scipy.special.logsumexp(mixture.log_weights + log_components)

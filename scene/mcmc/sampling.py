@@ -1,0 +1,315 @@
+"""The chains of a parse: their target, their kernel, and how they are run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.config import ParseConfig
+from scene.execution import SELDOM, compiled_beside
+from scene.likelihood.depth_images import DepthImages, log_estimates
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.point_clouds import CloudImages
+from scene.mcmc.edges import PairMove
+from scene.mcmc.kernel import Kernel, run_block, scene_kernel
+from scene.mcmc.mixture_adaptation import adapted, modes_of
+from scene.mcmc.mixture_init import pose_proposals, round_axis
+from scene.mcmc.pose_mixture import PoseMixture
+from scene.mcmc.samples import Samples
+from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
+from scene.model.contact import TOP_FACE
+from scene.model.posterior import ChainState, SceneModel, start_chain
+from scene.model.prior import FLOATING_HEIGHT_M, PosePrior, WeightedTrees
+from scene.model.scene_graph import Bodies, SceneGraph, floating_scene
+from scene.objects.scene_object import SceneObject
+from scene.observation.detection import SupportPlane
+from scene.observation.frame_data import SceneData
+from scene.search.importance_sampling import Refinement
+from scene.search.search_result import Initialisation
+from shapes.geometry.poses import composed, pose_of
+
+TABLE_HALF_THICKNESS_M = 0.01
+
+FREE_HALF_SIZE_M = 1.5
+"""Of the cuboid in front of the camera that holds objects where there is no table."""
+
+SPACE_MARGIN_M = 0.05
+"""Of that cuboid round the places where chains start."""
+
+WALK_M, WALK_RAD = 0.004, 0.05
+
+PRIOR_SHARE = 0.05
+
+LARGEST_VARIANCE = 3.0
+"""Of the log likelihood's estimate; above it only a share of the shapes is drawn anew with a pose."""
+
+CORRELATED_SHARE = 0.2
+
+ESTIMATES = 16
+
+BURN_IN_BLOCKS = 2
+"""Parts of the run after each of which proposals are fitted anew; as many again, twice, are kept."""
+
+TOGETHER = 2
+"""Chains in a kernel; kernels run side by side, each on a core."""
+
+
+def sampled(
+    key: jax.Array,
+    views: Sequence[SceneData],
+    camera_from_world: NDArray[np.float64],
+    world_from_camera: NDArray[np.float64],
+    table: SupportPlane | None,
+    objects: Sequence[SceneObject],
+    start: Initialisation,
+    refined: Refinement,
+    noise: DepthNoise,
+    config: ParseConfig,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Samples, float]:
+    """Samples of the scenes that the views show, and the variance of the log likelihood's estimate.
+
+    Args:
+        key: random key.
+        views: one a frame.
+        camera_from_world: (F, 4, 4) of the frames; the world is the table's frame.
+        world_from_camera: (4, 4) of the frame that was searched.
+        table: in that frame's camera.
+        objects: that a scene may hold.
+        start: the best scene of these objects, in the searched frame's camera.
+        refined: Gaussians on their poses.
+        noise: of the sensor and the surfaces together.
+        config: settings.
+        progress: called with blocks of moves done and in all.
+    """
+    likelihood = _likelihood(views, camera_from_world, objects, noise, config)
+    starts = refined.means[start.found, :, 4:].reshape(-1, 3)
+    starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
+    model = _model(table, objects, likelihood, space_of(table, starts), config)
+    world = pose_of(jnp.asarray(world_from_camera))
+    bodies = len(model.bodies.movable)
+    axes = jax.device_put(np.array([round_axis(one) for one in objects] + [-1] * (bodies - len(objects))))
+    kernel = scene_kernel(
+        pose_proposals(start, refined, config.pixel_weight, world, axes),
+        prior_share=PRIOR_SHARE,
+        translation_m=jax.device_put(np.full(bodies, WALK_M)),
+        rotation_rad=jax.device_put(np.full(bodies, WALK_RAD)),
+        axes=axes,
+        lines=SpinLines.of(objects, bodies - len(objects)),
+        symmetries=Symmetries.of(objects, bodies - len(objects)),
+        structure=PairMove() if config.graph == "infer" else None,
+        repeats=max(len(objects) - 1, 1),
+    )
+    return _sample(key, model, kernel, axes, start, world, config, progress)
+
+
+def _likelihood(
+    views: Sequence[SceneData],
+    camera_from_world: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> DepthImages:
+    images = DepthImages.of(
+        views,
+        camera_from_world,
+        ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
+        noise,
+        config.pixel_weight,
+        objects=len(objects),
+        draws=max(config.shape_samples, 1),
+    )
+    if config.likelihood == "depth":
+        return images
+    return CloudImages.over(
+        images,
+        views,
+        outlier_probability=config.cloud_outlier_probability,
+        radius_m=config.cloud_radius_m,
+        pixel_weight=config.pixel_weight,
+    )
+
+
+def space_of(
+    table: SupportPlane | None, starts_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of the cuboid that holds floating objects: over the table, or before the camera without one.
+
+    It is widened to hold the centres (N, 3) where chains start, so that none starts where it cannot be.
+    """
+    if table is None:
+        low = np.array([-FREE_HALF_SIZE_M, -FREE_HALF_SIZE_M, 0.0])
+        high = np.array([FREE_HALF_SIZE_M, FREE_HALF_SIZE_M, 2 * FREE_HALF_SIZE_M])
+    else:
+        low = np.append(-table.half_size_m, -TABLE_HALF_THICKNESS_M)
+        high = np.append(table.half_size_m, FLOATING_HEIGHT_M)
+    return (
+        np.minimum(low, np.min(starts_m - SPACE_MARGIN_M, axis=0, initial=np.inf)),
+        np.maximum(high, np.max(starts_m + SPACE_MARGIN_M, axis=0, initial=-np.inf)),
+    )
+
+
+def _model(
+    table: SupportPlane | None,
+    objects: Sequence[SceneObject],
+    likelihood: DepthImages,
+    space: tuple[NDArray[np.float64], NDArray[np.float64]],
+    config: ParseConfig,
+) -> SceneModel:
+    """The target in the table's frame; the table is the last body, a slab under z = 0."""
+    half_extents = [one.half_extents_m for one in objects]
+    movable = [True] * len(objects)
+    supporting = [[True] * 6 for _ in objects]
+    if table is not None:
+        half_extents.append(np.append(table.half_size_m, TABLE_HALF_THICKNESS_M))
+        movable.append(False)
+        supporting.append([face == TOP_FACE for face in range(6)])
+    leaves = np.stack(half_extents), np.array(movable), np.array(supporting)
+    bodies = Bodies(*map(jax.device_put, leaves))
+    prior = PosePrior(
+        low_m=jax.device_put(space[0]),
+        high_m=jax.device_put(space[1]),
+        contact_sigma_m=jnp.asarray(config.contact_sigma_m),
+        loose_sigma_m=jnp.asarray(config.loose_sigma_m),
+        contact_concentration=jnp.asarray(config.contact_concentration),
+        slack_share=jnp.asarray(config.slack_share),
+        upward_concentration=jnp.asarray(config.upward_concentration if table else 0.0),
+    )
+    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if table else WeightedTrees.uniform()
+    return SceneModel(bodies, prior, trees, likelihood)
+
+
+def _sample(
+    key: jax.Array,
+    model: SceneModel,
+    kernel: Kernel,
+    axes: jax.Array,
+    start: Initialisation,
+    world: jax.Array,
+    config: ParseConfig,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Samples, float]:
+    """Chains from the best scene found; the first third of their sweeps teaches the proposals.
+
+    Then the variance of the log likelihood's estimate, which is returned too, tells whether all shapes are
+    drawn anew for a new pose, or a share of them.
+    """
+    start_key, run_key, variance_key = jax.random.split(key, 3)
+    spare = len(model.bodies.movable) - len(start.poses)
+    keys = jax.random.split(start_key, config.chains)
+    states = _start(keys, model, kernel.mixture, axes, start.poses, start.found, world, spare)
+    if not start.found.any():
+        nothing = jnp.zeros_like(states.log_prior)
+        recorded = _samples(_scene_and_value(states), nothing)
+        return jax.tree.map(lambda leaf: leaf[None], recorded), 0.0
+    groups = [
+        jax.tree.map(lambda leaf, first=first: np.asarray(leaf)[first : first + TOGETHER], states)
+        for first in range(0, config.chains, TOGETHER)
+    ]
+    blocks = BURN_IN_BLOCKS * 3
+    count = -(-config.sweeps // blocks)
+    kept: list[Samples] = []
+    variance = 0.0
+    with compiled_beside(partial(_compile_taught, kernel, axes, count * config.chains)):
+        for block in range(blocks):
+            block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
+            groups, samples = _advanced(block_keys, groups, model, kernel, count)
+            if block < BURN_IN_BLOCKS:
+                kernel = _taught(kernel, axes, samples)
+            else:
+                kept.append(samples)
+            if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
+                likelihood = model.likelihood
+                assert isinstance(likelihood, DepthImages)
+                spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
+                variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
+                share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
+                model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
+            if progress:
+                progress(block + 1, blocks)
+    return Samples.joined(kept), variance
+
+
+def _advanced(
+    keys: jax.Array, groups: Sequence[ChainState], model: SceneModel, kernel: Kernel, count: int
+) -> tuple[list[ChainState], Samples]:
+    """Groups of chains after `count` sweeps more, side by side on all cores, and the states of all chains."""
+
+    def run(key: jax.Array, states: ChainState) -> tuple[ChainState, Samples]:
+        with jax.enable_x64(True):  # of this thread
+            states, scenes, info = run_block(key, states, model, kernel, count, _scene_and_value)
+            return states, _samples(scenes, np.mean(np.asarray(info.poses.accepted), axis=-1))
+
+    with ThreadPoolExecutor(len(groups)) as cores:
+        states, samples = zip(*cores.map(run, keys, groups), strict=True)
+    return list(states), jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *samples)
+
+
+def _compile_taught(kernel: Kernel, axes: jax.Array, states: int) -> None:
+    """What `_taught` runs on so many states, beside `run_block`, which takes longer to compile."""
+    mixture = kernel.mixture
+    with jax.enable_x64(True):  # of this thread
+        adapted.lower(mixture, axes, np.zeros((states, len(axes), 7))).compile()
+
+
+def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
+    """The kernel with proposals fitted to the states that its chains went through."""
+    states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
+    return kernel.taught(adapted(kernel.mixture, axes, states.poses))
+
+
+@partial(jax.jit, static_argnames="spare", compiler_options=SELDOM)
+def _start(
+    keys: jax.Array,
+    model: SceneModel,
+    mixture: PoseMixture,
+    axes: jax.Array,
+    poses: jax.Array,
+    found: jax.Array,
+    world: jax.Array,
+    spare: int,
+) -> ChainState:
+    """The states of chains, everything floating, that start apart: every object in one of its modes.
+
+    Args:
+        keys: (B,).
+        model: the target.
+        mixture: of the proposals.
+        axes: about which each body is round, or -1.
+        poses: (N, 7) camera_from_box of the best scene, where those stay that were not found.
+        found: (N,).
+        world: (7,) world_from_camera.
+        spare: 1 where there is a table.
+    """
+    poses = jax.vmap(lambda pose: composed(world, pose))(poses)
+    table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]]), (spare, 1))
+    log_weights = jnp.log(jax.vmap(modes_of)(mixture.log_weights, axes))[: len(poses)]
+
+    def start(key: jax.Array) -> ChainState:
+        mode_key, chain_key = jax.random.split(key)
+        modes = jax.random.categorical(mode_key, log_weights)
+        starts = jnp.take_along_axis(mixture.centres[: len(poses)], modes[:, None, None], axis=1)[:, 0]
+        placed = jnp.concatenate([jnp.where(found[:, None], starts, poses), table])
+        scene = floating_scene(placed, jnp.concatenate([found, jnp.ones(spare, bool)]))
+        return start_chain(chain_key, model, scene)
+
+    return jax.vmap(start)(keys)
+
+
+def _scene_and_value(state: ChainState) -> tuple[SceneGraph, jax.Array]:
+    return state.scene, state.log_posterior
+
+
+def _samples(recorded: tuple[SceneGraph, jax.Array], accepted: jax.Array) -> Samples:
+    scene, log_posterior = recorded
+    faces = scene.parent_faces, scene.child_faces
+    leaves = scene.poses, scene.parents, *faces, log_posterior, accepted
+    return Samples(*map(np.asarray, leaves))

@@ -1,0 +1,86 @@
+"""The lines about which objects spin by themselves, for moves of their poses.
+####
+The lines about which parts of a turn leave objects nearly as they are, for moves of their poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from scene.mcmc.random_variates import drawn_object
+from scene.objects.scene_object import SceneObject
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SpinLines:
+    """A line for each of C bodies, in its box frame.
+
+    Attributes:
+        directions: (C, 3) units, 0 where a body has none.
+        points_m: (C, 3) on the lines, 0 where there is none.
+    """
+
+    directions: jax.Array
+    points_m: jax.Array
+
+    @classmethod
+    def none(cls, bodies: int) -> SpinLines:
+        """No body has one."""
+        return cls(jnp.zeros((bodies, 3)), jnp.zeros((bodies, 3)))
+
+    @classmethod
+    def of(cls, objects: Sequence[SceneObject], spare: int) -> SpinLines:
+        """Those of objects, and of as many bodies more that have none."""
+        lines = np.stack([one.spin_line for one in objects] + [np.zeros((2, 3))] * spare)
+        return cls(jnp.asarray(lines[:, 0]), jnp.asarray(lines[:, 1]))
+
+
+STAYS, HALF = 0.6745, 1.1503
+"""Quantiles of |Z|, Z normal: half of all draws stay, and a quarter are over the second."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Symmetries:
+    """Three lines for each of C bodies, in its box frame.
+
+    Attributes:
+        directions: (C, 3, 3) units.
+        points_m: (C, 3, 3) on the lines.
+        orders: (C, 3): 2 where half a turn leaves the body nearly as it is, 4 where a quarter does, else 0.
+    """
+
+    directions: jax.Array
+    points_m: jax.Array
+    orders: jax.Array
+
+    @classmethod
+    def none(cls, bodies: int) -> Symmetries:
+        """No body has one."""
+        return cls(jnp.zeros((bodies, 3, 3)), jnp.zeros((bodies, 3, 3)), jnp.zeros((bodies, 3), jnp.int32))
+
+    @classmethod
+    def of(cls, objects: Sequence[SceneObject], spare: int) -> Symmetries:
+        """Those of objects, and of as many bodies more that have none."""
+        lines = np.stack([one.symmetry_lines for one in objects] + [np.zeros((3, 2, 3))] * spare)
+        orders = np.stack([one.symmetry_orders for one in objects] + [np.zeros(3)] * spare)
+        return cls(jnp.asarray(lines[:, :, 0]), jnp.asarray(lines[:, :, 1]), jnp.asarray(orders, jnp.int32))
+
+    def drawn(self, body: jax.Array, uniform: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Direction (3,), point (3,) and order of one of a body's lines, each as likely; order 0 without."""
+        orders = self.orders[body]
+        line = drawn_object(orders > 0, uniform)
+        return self.directions[body, line], self.points_m[body, line], orders[line]
+
+
+def part_of_turn(order: jax.Array, normal: jax.Array) -> jax.Array:
+    """Angles of normal numbers (...): none half the time, else half a turn or, of order 4, any quarters."""
+    size = jnp.abs(normal)
+    quarter = (order == 4) & (size < HALF)
+    turned = jnp.where(quarter, jnp.copysign(jnp.pi / 2, normal), jnp.pi)
+    return jnp.where((size < STAYS) | (order == 0), 0.0, turned)

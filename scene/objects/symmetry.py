@@ -1,0 +1,225 @@
+"""The line about which most of an object's surface is round: a can's axis, and a mug's for all its handle.
+
+Of a turn about a line with direction a, through p, a point x of the surface moves along a x (x - p). The
+surface is round where that is across the normal n: n . (a x (x - p)) = 0 is linear in (a, -a x p), and the
+line of least squares the eigenvector of a 3 x 3 matrix (Pottmann and Wallner 2001, Computational Line
+Geometry, chapter 6). Weights that fall with the angle between motion and surface leave out the handle.
+
+####
+The lines about which half or quarter of a turn leaves an object's surface nearly as it is.
+
+A box of which only two faces are seen stands as well the other way round, but not in the same place: its
+middle is not the bounding box's to the tenth of a millimetre that depth images tell. Each line is that of
+least squares: the surface, turned, is laid on itself (iterated closest points, to planes), with weights that
+leave out what the turn does not repeat.
+
+####
+Other turns of an object about the line about which most of it is round, that look better.
+
+A mug whose handle was thought to be hidden may well show it: a narrow mode, which a search on a coarse grid
+of turns misses while the body looks right.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+SPIN_SHARE = 0.7
+"""Share of the points at the sides that are round, where an object has such a line."""
+
+ROUND = 0.15
+"""Sine of the angle between motion and surface up to which a point counts, and at which its weight falls."""
+
+SIDE = 0.5
+"""Sine of the angle between a normal and the line from which on a point tells of the line."""
+
+TURNS = 12
+
+SPIN_NEAR_M = 0.005
+"""Points nearer to the line have no more leverage than at that distance."""
+
+LEAST = 1e-3
+"""Of the mean curvature that holds the line where nothing tells: along itself."""
+
+
+def spin_line(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Direction and point (2, 3) of the line about which most of a surface is round; zeros without one.
+
+    Args:
+        points: (P, 3) well spread, in metres.
+        normals: (P, 3).
+    """
+    lines = [_fitted_axis(points, normals, axis) for axis in np.eye(3)]
+    shares = [_share(points, normals, line) for line in lines]
+    best = int(np.argmax(shares))
+    return lines[best] if shares[best] > SPIN_SHARE else np.zeros((2, 3))
+
+
+def _fitted_axis(
+    points: NDArray[np.float64], normals: NDArray[np.float64], start: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The line (2, 3) of least squares, reweighted, from a box axis."""
+    line = np.stack([start, np.zeros(3)])
+    moments = np.cross(points, normals)
+    for _ in range(TURNS):
+        sines, sides, reach = _against(points, normals, line)
+        weights = np.where(sides > SIDE, 1.0, 0.0) / (1 + (sines / ROUND) ** 2) ** 2
+        weights /= np.maximum(reach, SPIN_NEAR_M) ** 2
+        turn, shift = weights[:, None] * moments, weights[:, None] * normals
+        hold = shift.T @ normals
+        hold += LEAST * np.trace(hold) / 3 * np.eye(3) + np.finfo(float).tiny * np.eye(3)
+        velocity = -np.linalg.solve(hold, shift.T @ moments)
+        direction = np.linalg.eigh(turn.T @ moments + turn.T @ normals @ velocity)[1][:, 0]
+        line = np.stack([direction, np.cross(direction, velocity @ direction)])
+    return line
+
+
+def _share(points: NDArray[np.float64], normals: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+    """Of the points at the sides, that are round about the line."""
+    sines, sides, _ = _against(points, normals, line)
+    return float((sines < ROUND)[sides > SIDE].mean()) if (sides > SIDE).any() else 0.0
+
+
+def _against(
+    points: NDArray[np.float64], normals: NDArray[np.float64], line: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Sines between motion and surface and between normal and line, and metres from the line, each (P,)."""
+    motion = np.cross(line[0], points - line[1])
+    reach = np.linalg.norm(motion, axis=1)
+    sides = np.linalg.norm(np.cross(line[0], normals), axis=1)
+    sines = np.abs((motion * normals).sum(axis=1)) / np.maximum(reach * sides, 1e-9)
+    return sines, sides, reach
+
+
+NEAR_M = 0.003
+"""Distance up to which a turned point counts as on the surface, and at which its weight falls."""
+
+MOSTLY = 0.8
+"""Share of the points that are, where there is such a line."""
+
+SQUARE = 0.15
+"""Relative difference of two extents up to which a quarter of a turn is tried."""
+
+ROUNDS = 6
+
+TURNED = 512
+"""Points that are laid on the surface."""
+
+
+def symmetry_lines(
+    points: NDArray[np.float64], normals: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
+    """Directions and points (3, 2, 3) of the lines, and their orders (3,): 4, 2, or 0 where there is none.
+
+    The axes of the least bounding box are tried.
+
+    Args:
+        points: (P, 3) many of a surface, in random order, in metres.
+        normals: (P, 3).
+    """
+    to_box, extents = trimesh.bounds.oriented_bounds(points)
+    axes = to_box[:3, :3]
+    tree = KDTree(points)
+    lines, orders = np.zeros((3, 2, 3)), np.zeros(3, int)
+    for number, axis in enumerate(axes):
+        across = np.delete(extents, number)
+        for order in (4, 2) if np.ptp(across) < SQUARE * across.max() else (2,):
+            line, share = _fitted(tree, points, normals, axis, 2 * np.pi / order)
+            if share > MOSTLY:
+                lines[number], orders[number] = line, order
+                break
+    return lines, orders
+
+
+def _fitted(
+    tree: KDTree,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    axis: NDArray[np.float64],
+    angle: float,
+) -> tuple[NDArray[np.float64], float]:
+    """The line (2, 3) next to an axis through the middle, and the share of points that its turn repeats."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    line = np.stack([axis, middle])
+    for _ in range(ROUNDS):
+        turned, across, gaps = _laid(tree, points, normals, line, angle)
+        weights = 1 / (1 + (gaps / NEAR_M) ** 2) ** 2
+        design = np.concatenate([np.cross(turned - line[1], across), across], axis=1)
+        square = design.T @ (weights[:, None] * design)
+        square += 1e-6 * np.trace(square) / 6 * np.eye(6)
+        step = -np.linalg.solve(square, design.T @ (weights * gaps))
+        line = _line_of(
+            Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(angle * line[0]), step[3:], line
+        )
+    gaps = _laid(tree, points, normals, line, angle)[2]
+    return line, float((np.abs(gaps) < NEAR_M).mean())
+
+
+def _laid(
+    tree: KDTree,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    line: NDArray[np.float64],
+    angle: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """The first points (T, 3) turned about a line, the normals next to them, and metres over the surface."""
+    turned = Rotation.from_rotvec(angle * line[0]).apply(points[:TURNED] - line[1]) + line[1]
+    nearest = tree.query(turned)[1]
+    across = normals[nearest]
+    return turned, across, ((turned - points[nearest]) * across).sum(axis=1)
+
+
+def _line_of(turn: Rotation, shift: NDArray[np.float64], before: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The line (2, 3) of a turn about a point of the line before, shifted then, but for its slide."""
+    vector = turn.as_rotvec()
+    direction = vector / np.linalg.norm(vector)
+    direction *= np.sign(direction @ before[0])
+    across = shift - shift @ direction * direction
+    moved = np.linalg.lstsq(np.eye(3) - turn.as_matrix(), across, rcond=None)[0]
+    return np.stack([direction, before[1] + moved])
+
+
+MOST = 2
+"""Turns of an object that are looked at."""
+
+APART = 2 * np.pi / 36
+"""Radians between them, and between them and none."""
+
+
+def spun(poses: NDArray[np.float64], lines: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Poses (N, count, 7) once round the lines (N, 2, 3) of their box frames, from poses (N, 7) on."""
+    angles = 2 * np.pi * np.arange(count) / count
+    spins = [Rotation.from_rotvec(angles[:, None] * line[0]) for line in lines]
+    placed = [Rotation.from_quat(pose[[1, 2, 3, 0]]) for pose in poses]
+    turned = [before * spin for before, spin in zip(placed, spins, strict=True)]
+    return np.stack(
+        [
+            np.concatenate(
+                [
+                    after.as_quat()[:, [3, 0, 1, 2]],
+                    pose[4:] + before.apply(line[1]) - after.apply(line[1]),
+                ],
+                axis=1,
+            )
+            for pose, line, before, after in zip(poses, lines, placed, turned, strict=True)
+        ]
+    )
+
+
+def better(log_densities: NDArray[np.floating]) -> list[int]:
+    """Places of the highest peaks of S equal steps round a circle that are higher than the first step's."""
+    count = len(log_densities)
+    least = APART * count / (2 * np.pi)
+    highest = (log_densities >= np.roll(log_densities, 1)) & (log_densities >= np.roll(log_densities, -1))
+    chosen = [0]
+    for place in np.argsort(-np.where(highest, log_densities, -np.inf)).tolist():
+        if not highest[place] or log_densities[place] <= log_densities[0] or len(chosen) > MOST:
+            break
+        steps = np.abs(place - np.array(chosen))
+        if np.minimum(steps, count - steps).min() >= least:
+            chosen.append(place)
+    return chosen[1:]

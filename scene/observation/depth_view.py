@@ -1,0 +1,114 @@
+"""A depth image as the search sees it: fewer pixels, fewer holes, surface normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import NO_RETURN, CameraIntrinsics
+from scene.execution import SELDOM
+from shapes.geometry.camera import Camera
+
+NORMAL_WINDOW = 2
+"""Half width in pixels of the window to which a tangent plane is fitted."""
+
+SAME_SURFACE_M = 0.02
+"""Pixels of the window that differ more in depth belong to another surface."""
+
+FEWEST_PIXELS = 8
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class DepthView:
+    """A pooled depth image.
+
+    Attributes:
+        camera: of the pooled pixels.
+        depth_m: (H, W) float32, `NO_RETURN` where nothing was measured.
+        normals: (H, W, 3) float32, unit and towards the camera; zero where they are unknown.
+        unexplained: (H, W) bool, pixels that wait for an object to show: neither table nor background.
+    """
+
+    camera: Camera
+    depth_m: jax.Array
+    normals: jax.Array
+    unexplained: jax.Array
+
+    def pixels(
+        self, points_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """Row and column of camera points (..., 3), 0 outside the image, and whether they are inside."""
+        height, width = self.depth_m.shape
+        z = np.where(points_m[..., 2] > 0, points_m[..., 2], np.inf)
+        columns = np.rint(points_m[..., 0] / z * float(self.camera.fx) + float(self.camera.cx)).astype(
+            np.intp
+        )
+        rows = np.rint(points_m[..., 1] / z * float(self.camera.fy) + float(self.camera.cy)).astype(np.intp)
+        inside = np.isfinite(z) & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
+
+
+def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, width: int) -> DepthView:
+    """The view with about `width` columns: medians of square blocks, and their normals."""
+    factor = max(1, round(intrinsics.width / width))
+    pooled = _median_pool(depth_m, factor)
+    rows, columns = pooled.shape
+    small = intrinsics.resized(intrinsics.width // factor, intrinsics.height // factor)
+    camera = Camera.from_intrinsics(small)
+    normals = _normals(pooled, camera)
+    assert normals.shape == (rows, columns, 3)
+    return DepthView(camera, jax.device_put(pooled), normals, jax.device_put(pooled != NO_RETURN))
+
+
+def unprojected(depth_m: NDArray[np.float32], camera: CameraIntrinsics | Camera) -> NDArray[np.float64]:
+    """Points (H, W, 3) in the camera frame."""
+    columns = (np.arange(depth_m.shape[1]) - float(camera.cx)) / float(camera.fx)
+    rows = (np.arange(depth_m.shape[0]) - float(camera.cy)) / float(camera.fy)
+    rays = np.stack(np.broadcast_arrays(columns[None, :], rows[:, None], 1.0), axis=-1)
+    return rays * depth_m[..., None].astype(np.float64)
+
+
+def _median_pool(depth_m: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Lower median of the measured pixels of each block."""
+    rows, columns = depth_m.shape[0] // factor, depth_m.shape[1] // factor
+    blocks = depth_m[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    blocks = blocks.transpose(0, 2, 1, 3).reshape(rows, columns, factor**2)
+    measured = np.sort(np.where(blocks == NO_RETURN, np.inf, blocks), axis=-1)
+    count = np.isfinite(measured).sum(axis=-1)
+    middle = np.take_along_axis(measured, np.maximum((count - 1) // 2, 0)[..., None], axis=-1)[..., 0]
+    return np.where(count > 0, middle, NO_RETURN).astype(np.float32)
+
+
+@partial(jax.jit, compiler_options=SELDOM)
+def _normals(depth_m: jax.Array, camera: Camera) -> jax.Array:
+    """Tangent planes by least squares: on a plane, inverse depth is linear in the pixel's place."""
+    height, width = depth_m.shape
+    radius = NORMAL_WINDOW
+    padded = jnp.pad(depth_m, radius)
+    inverse = jnp.where(depth_m > 0, 1 / jnp.maximum(depth_m, 1e-3), 0.0)
+    zero = jnp.zeros_like(depth_m)
+    count, x, y, xx, xy, yy, d, xd, yd = (zero,) * 9
+    for dy in range(-radius, radius + 1):
+        for dx in range(-radius, radius + 1):
+            near = padded[radius + dy : radius + dy + height, radius + dx : radius + dx + width]
+            use = ((near > 0) & (jnp.abs(near - depth_m) < SAME_SURFACE_M)).astype(depth_m.dtype)
+            rise = use * (1 / jnp.maximum(near, 1e-3) - inverse)
+            count, x, y = count + use, x + use * dx, y + use * dy
+            xx, xy, yy = xx + use * dx * dx, xy + use * dx * dy, yy + use * dy * dy
+            d, xd, yd = d + rise, xd + rise * dx, yd + rise * dy
+    n = jnp.maximum(count, 1)
+    xx, xy, yy = xx - x * x / n + 1e-3, xy - x * y / n, yy - y * y / n + 1e-3
+    xd, yd = xd - x * d / n, yd - y * d / n
+    determinant = xx * yy - xy**2
+    slope_x, slope_y = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
+    columns, rows = jnp.meshgrid(jnp.arange(width) - camera.cx, jnp.arange(height) - camera.cy)
+    along = inverse - slope_x * columns - slope_y * rows
+    normal = -jnp.stack([slope_x * camera.fx, slope_y * camera.fy, along], axis=-1)
+    normal = normal / jnp.maximum(jnp.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    return jnp.where(((depth_m > 0) & (count >= FEWEST_PIXELS))[..., None], normal, 0.0)

@@ -1,0 +1,244 @@
+"""What is found on the host: the plane on which things stand, and clusters of points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+SAMPLED_POINTS = 8000
+
+PLANES, DRAWN_PLANES, REFITS = 6, 400, 3
+
+SMALLEST_SHARE = 0.03
+"""A plane with a smaller share of the points is not worth a look."""
+
+LOWEST_M, HIGHEST_M = 0.01, 0.4
+"""Heights over a plane at which points speak for things that stand on it."""
+
+FITTED_POINTS = 20000
+
+BEND_M, SETTLED_M = 0.012, 0.003
+"""Scales of the robust fit of the bend, first and last."""
+
+NARROWEST_HALF_M = 0.12
+"""A narrower plane is an object's face."""
+
+CONNECTED_M = 0.05
+"""A gap in a plane's points at which another piece of furniture of the same height begins."""
+
+PIECE_POINTS = 5
+"""Within that distance of each other; pieces that a neighbour has taken points from have fewer."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SupportPlane:
+    """The table: a rectangle on which objects stand.
+
+    Attributes:
+        camera_from_table: (4, 4) float64; the origin is the rectangle's middle, z its upward normal.
+        half_size_m: (2,) along x and y.
+        bend: (6,) height of the seen surface over the plane, as coefficients of 1, x, y, x^2, xy, y^2:
+            depth cameras bend planes by millimetres.
+    """
+
+    camera_from_table: NDArray[np.float64]
+    half_size_m: NDArray[np.float64]
+    bend: NDArray[np.float64]
+
+    def spanning(self, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> SupportPlane:
+        """The same surface with another rectangle, of which these (2,) are corners in this one's frame."""
+        x, y = (low_m + high_m) / 2
+        _, by_x, by_y, by_xx, by_xy, by_yy = self.bend
+        height = _quadratic(np.array([x, y])) @ self.bend
+        slopes = by_x + 2 * by_xx * x + by_xy * y, by_y + by_xy * x + 2 * by_yy * y
+        bend = np.array([height, *slopes, by_xx, by_xy, by_yy])
+        pose = self.camera_from_table.copy()
+        pose[:3, 3] += pose[:3, 0] * x + pose[:3, 1] * y
+        return SupportPlane(camera_from_table=pose, half_size_m=(high_m - low_m) / 2, bend=bend)
+
+    def in_table_frame(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Camera points (..., 3) in the table's frame."""
+        rotation, origin = self.camera_from_table[:3, :3], self.camera_from_table[:3, 3]
+        return (points_m - origin) @ rotation
+
+    def heights(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Heights (...) of camera points (..., 3) over the surface that the camera sees."""
+        inside = self.in_table_frame(points_m)
+        within = np.clip(inside[..., :2], -self.half_size_m, self.half_size_m)
+        return inside[..., 2] - _quadratic(within) @ self.bend
+
+
+def support_plane(
+    points_m: NDArray[np.floating],
+    seed: int,
+    is_seen: Callable[[SupportPlane], bool],
+    tolerance_m: float = 0.006,
+) -> SupportPlane | None:
+    """The plane with the most points standing over its own extent, seen from above; None where none has.
+
+    Args:
+        points_m: (N, 3) in the camera frame.
+        seed: of the random samples.
+        is_seen: whether the image shows a table where it would be seen; others are cuts through things.
+        tolerance_m: distance at which a point lies in a plane.
+    """
+    rng = np.random.default_rng(seed)
+    sampled = points_m[rng.permutation(len(points_m))[:SAMPLED_POINTS]].astype(np.float64)
+    rest = sampled
+    fewest = max(int(SMALLEST_SHARE * len(rest)), 50)
+    planes = []
+    while len(planes) < PLANES and len(rest) > fewest:
+        inliers = _plane_inliers(rest, tolerance_m, rng)
+        if len(inliers) < fewest:
+            break
+        piece = inliers[_largest_piece(rest[inliers], sampled)]
+        if len(piece) >= fewest:
+            planes.append(rest[piece])
+        rest = np.delete(rest, piece, axis=0)
+    tables = [_table(members) for members in planes]
+    tables = [table for table in tables if table.half_size_m.min() > NARROWEST_HALF_M and is_seen(table)]
+    standing = [_count_standing(table, sampled) for table in tables]
+    if not tables or max(standing) == 0:
+        return None
+    return _settled(
+        tables[int(np.argmax(standing))], points_m[rng.permutation(len(points_m))[:FITTED_POINTS]]
+    )
+
+
+def _plane_inliers(
+    points_m: NDArray[np.floating], tolerance_m: float, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Rows of the points in the best plane, by MSAC (Torr and Zisserman 2000) and a least-squares fit.
+
+    Open3D's own search runs on several threads, which makes its draws depend on their order.
+    """
+    corners = points_m[rng.integers(len(points_m), size=(DRAWN_PLANES, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals[lengths > 0] / lengths[lengths > 0, None]
+    offsets = np.sum(normals * corners[lengths > 0, 0], axis=1)
+    costs = [
+        np.minimum(((points_m @ normal - offset) / tolerance_m) ** 2, 1).sum()
+        for normal, offset in zip(normals, offsets, strict=True)
+    ]
+    if not costs:
+        return np.zeros(0, np.int64)
+    best = int(np.argmin(costs))
+    normal, offset = normals[best], offsets[best]
+    for _ in range(REFITS):
+        members = points_m[np.abs(points_m @ normal - offset) < tolerance_m]
+        middle, normal = _fitted_plane(members)
+        offset = normal @ middle
+    return np.flatnonzero(np.abs(points_m @ normal - offset) < tolerance_m)
+
+
+def _largest_piece(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points (M,) of a plane belong to its largest connected piece.
+
+    What stands before a table does not part it: where a point of (N, 3) hides the plane it is taken to go on,
+    from that piece to others too long for an object's face.
+    """
+    parts = _pieces(members)
+    if parts.max() < 0:
+        return np.ones(len(members), bool)
+    sizes = np.bincount(parts[parts >= 0])
+    first, *others = np.argsort(-sizes, kind="stable")
+    largest = parts == first
+    large = [part for part in others if sizes[part] >= PIECE_POINTS and _is_large(members[parts == part])]
+    if not large:
+        return largest
+    joined = _pieces(np.concatenate([members, _hidden(members, points_m)]))[: len(members)]
+    return largest | (np.isin(parts, large) & np.isin(parts, parts[np.isin(joined, joined[largest])]))
+
+
+def _is_large(members: NDArray[np.float64]) -> bool:
+    diagonal_m = np.linalg.norm(np.ptp(members, axis=0))  # spares the fit of the many tiny ones
+    return bool(diagonal_m > 2 * NARROWEST_HALF_M and _table(members).half_size_m.max() > NARROWEST_HALF_M)
+
+
+def _hidden(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where (H, 3) points hide a plane within the bounds of its members."""
+    middle, normal = _fitted_plane(members)
+    with np.errstate(divide="ignore"):
+        farther = (normal @ middle) / (points_m @ normal)
+    hidden = points_m[farther > 1] * farther[farther > 1, None]
+    return hidden[((hidden > members.min(axis=0)) & (hidden < members.max(axis=0))).all(axis=1)]
+
+
+def _pieces(points_m: NDArray[np.floating]) -> NDArray[np.int64]:
+    """The piece (N,) that each point belongs to, -1 for strays."""
+    return np.asarray(_cloud(points_m).cluster_dbscan(CONNECTED_M, PIECE_POINTS))
+
+
+def _fitted_plane(members: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A point of the least-squares plane, and its unit normal."""
+    middle = members.mean(axis=0)
+    return middle, np.linalg.svd(members - middle, full_matrices=False)[2][2]
+
+
+def clusters(
+    points_m: NDArray[np.floating], scales_m: Sequence[float], fewest: int = 10
+) -> NDArray[np.float64]:
+    """Centres (C, 3) of DBSCAN clusters at several neighbourhood sizes, large clusters first.
+
+    Close objects merge at a coarse scale and come apart at a fine one; sparse ones the other way round.
+    """
+    centres, sizes = [np.zeros((0, 3))], []
+    for scale in scales_m:
+        labels = np.asarray(_cloud(points_m).cluster_dbscan(scale, fewest))
+        members = [points_m[labels == label] for label in range(labels.max(initial=-1) + 1)]
+        centres += [(member.min(axis=0) + member.max(axis=0))[None] / 2 for member in members]
+        sizes += [len(member) for member in members]
+    return np.concatenate(centres)[np.argsort(-np.array(sizes), kind="stable")]
+
+
+def _table(members: NDArray[np.float64]) -> SupportPlane:
+    """The plane's least-squares fit, its normal towards the camera, its extent that of its points."""
+    middle, normal = _fitted_plane(members)
+    normal = normal * np.sign(-normal @ middle)
+    right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    if np.linalg.norm(right) < 0.1:
+        right = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(normal, right), normal], axis=1)
+    inside = (members - middle) @ rotation
+    low, high = np.percentile(inside[:, :2], [0.5, 99.5], axis=0)
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = middle + rotation[:, :2] @ ((low + high) / 2)
+    return SupportPlane(camera_from_table=pose, half_size_m=(high - low) / 2, bend=np.zeros(6))
+
+
+def _settled(table: SupportPlane, points_m: NDArray[np.floating]) -> SupportPlane:
+    """The same table with its bend, by iterated reweighting: what stands on it does not pull it up."""
+    inside = table.in_table_frame(points_m)
+    close = (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1) & (np.abs(inside[:, 2]) < BEND_M)
+    terms, height = _quadratic(inside[close, :2]), inside[close, 2]
+    bend = np.zeros(6)
+    for scale in np.geomspace(BEND_M, SETTLED_M, 12):
+        weights = (1 + ((height - terms @ bend) / scale) ** 2) ** -2
+        bend = np.linalg.lstsq(terms * np.sqrt(weights)[:, None], height * np.sqrt(weights), rcond=None)[0]
+    return replace(table, bend=bend)
+
+
+def _quadratic(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Terms (..., 6) of a quadratic surface at places (..., 2)."""
+    x, y = places_m[..., 0], places_m[..., 1]
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+
+def _count_standing(table: SupportPlane, points_m: NDArray[np.floating]) -> float:
+    """Points over the table; walls, which face the camera as tables do from above, count less."""
+    inside = table.in_table_frame(points_m)
+    over = (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1)
+    count = (over & (inside[:, 2] > LOWEST_M) & (inside[:, 2] < HIGHEST_M)).sum()
+    upward = -table.camera_from_table[1, 2]
+    return float(count * max(upward, 0.1))
+
+
+def _cloud(points_m: NDArray[np.floating]) -> o3d.geometry.PointCloud:
+    return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(points_m, np.float64)))

@@ -1,0 +1,44 @@
+"""What one frame gives to the search for a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import CameraIntrinsics
+from scene.observation.depth_view import DepthView
+from scene.observation.detection import SupportPlane
+from scene.observation.pixel_window import PixelWindow
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneData:
+    """One frame, prepared.
+
+    Attributes:
+        view: pooled image.
+        foreground: (H, W) bool, the view's pixels that may show an object.
+        window: the pixels on which scenes are compared.
+        window_foreground: its pixels that may show an object.
+        rest_m: the window's background depth: the table's plane, elsewhere what was seen; +inf if nothing.
+        detail: the finer pixels on which chains compare scenes.
+        detail_rest_m: their background depth.
+        table: None where nothing supports the objects.
+        intrinsics: of the image.
+        depth_m: the whole image.
+        near: (H, W) bool, the image's pixels that may show an object.
+    """
+
+    view: DepthView
+    foreground: NDArray[np.bool_]
+    window: PixelWindow
+    window_foreground: NDArray[np.bool_]
+    rest_m: NDArray[np.float32]
+    detail: PixelWindow
+    detail_rest_m: NDArray[np.float32]
+    table: SupportPlane | None
+    intrinsics: CameraIntrinsics
+    depth_m: NDArray[np.float32]
+    near: NDArray[np.bool_]

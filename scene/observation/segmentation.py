@@ -1,0 +1,225 @@
+"""Which pixels may show an object, and what is behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import (
+    binary_dilation,
+    label,
+    maximum_filter,
+    median_filter,
+    minimum_filter,
+    uniform_filter,
+)
+
+from recordings.types import NO_RETURN, CameraIntrinsics
+from scene.observation.depth_view import DepthView, pooled_view, unprojected
+from scene.observation.detection import SupportPlane, support_plane
+from scene.observation.frame_data import SceneData
+from scene.observation.pixel_window import DETAIL, PixelWindow, window_over
+
+VIEW_WIDTH = 320
+
+LOWEST_M = 0.006
+
+HIGHEST_M = 0.5
+
+WARP_M, STEP_M, LEVEL_COSINE, SMOOTHED_PX = 0.02, 0.004, 0.9, 5
+"""A table may be warped so far; steps this high and slopes are the sides of things on it."""
+
+TABLE_MARGIN_M = 0.05
+
+UNSEEN_M = 0.2
+"""A table that the image cuts off may go on so far."""
+
+SEEN_SHARE = 0.6
+"""Of a table's rectangle that nothing hides; a round one shows 79%."""
+
+FARTHEST_M = 2.5
+
+FEWEST_PIXELS = 100
+
+COMPANY_PX = 5
+
+
+def shows_enough(depth_m: NDArray[np.float32]) -> bool:
+    """Whether a depth image (H, W) can be parsed."""
+    return bool(_near(depth_m).sum() >= FEWEST_PIXELS)
+
+
+def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed: int) -> SceneData:
+    """The table, the foreground and the background of a depth image.
+
+    Raises:
+        ValueError: nothing is in front of the camera.
+    """
+    points = unprojected(depth_m, intrinsics)
+    if not shows_enough(depth_m):
+        raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
+    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
+    table = support_plane(points[_near(depth_m)], seed, partial(_is_seen, view))
+    if table is not None:
+        table = _continued(table, points[_near(depth_m)], view)
+    return _data_over(table, depth_m, points, view, intrinsics)
+
+
+def frame_data(
+    depth_m: NDArray[np.float32],
+    intrinsics: CameraIntrinsics,
+    first: SceneData,
+    first_camera_from_camera: NDArray[np.float64],
+) -> SceneData:
+    """The same for another frame of the scene, with the table found in the first."""
+    table = first.table
+    if table is not None:
+        moved = np.linalg.inv(first_camera_from_camera) @ table.camera_from_table
+        table = replace(table, camera_from_table=moved)
+    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
+    return _data_over(table, depth_m, unprojected(depth_m, intrinsics), view, intrinsics)
+
+
+def background(
+    table: SupportPlane | None,
+    near: NDArray[np.bool_],
+    window: PixelWindow,
+    intrinsics: CameraIntrinsics,
+) -> NDArray[np.float32]:
+    """What was seen where no object may be, else the depth of the table; +inf where there is neither.
+
+    Args:
+        table: under the objects.
+        near: pixels of the image that may show an object.
+        window: for whose pixels (H, W) it is told.
+        intrinsics: of the image.
+    """
+    observed_m = window.depth_m
+    plane = np.full(observed_m.shape, np.inf)
+    if table is not None:
+        rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
+        plane = _plane_depth(table, rays, TABLE_MARGIN_M)
+    elsewhere = ~window.of(near) & (observed_m != NO_RETURN)
+    return np.where(elsewhere, observed_m, plane).astype(np.float32)
+
+
+def _data_over(
+    table: SupportPlane | None,
+    depth_m: NDArray[np.float32],
+    points: NDArray[np.float64],
+    view: DepthView,
+    intrinsics: CameraIntrinsics,
+) -> SceneData:
+    factor = max(1, round(intrinsics.width / VIEW_WIDTH))
+    foreground = _near(depth_m) & _over(table, points)
+    if table is not None:
+        foreground &= ~_enlarged(_surface_of(table, view), factor, foreground.shape)
+    pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
+    seen = _in_company(foreground)
+    window = window_over(seen, depth_m, intrinsics)
+    detail = window_over(seen, depth_m, intrinsics, DETAIL)
+    return SceneData(
+        view=replace(view, unexplained=jax.device_put(pooled_foreground)),
+        foreground=pooled_foreground,
+        window=window,
+        window_foreground=np.asarray(
+            binary_dilation(window.of(foreground) & window.inside, iterations=2), bool
+        ),
+        rest_m=background(table, foreground, window, intrinsics),
+        detail=detail,
+        detail_rest_m=background(table, foreground, detail, intrinsics),
+        table=table,
+        intrinsics=intrinsics,
+        depth_m=depth_m,
+        near=foreground,
+    )
+
+
+def _is_seen(view: DepthView, table: SupportPlane) -> bool:
+    """Whether most of what nothing hides of the table's rectangle shows the table.
+
+    A plane that cuts through things that hang in the air lets most of what is behind it be seen.
+    """
+    observed_m = np.asarray(view.depth_m)
+    points = unprojected(observed_m, view.camera)
+    plane_m = _plane_depth(table, unprojected(np.ones_like(observed_m), view.camera), 0.0)
+    shows = (observed_m != NO_RETURN) & (np.abs(table.in_table_frame(points)[..., 2]) < WARP_M)
+    hidden = (observed_m != NO_RETURN) & (observed_m < plane_m) & ~shows
+    expected = np.isfinite(plane_m) & ~hidden
+    return bool((shows & expected).sum() > SEEN_SHARE * expected.sum())
+
+
+def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float) -> NDArray[np.float64]:
+    """Depth (...) of the table along rays (..., 3) of unit depth, +inf beyond its rectangle."""
+    normal, origin = table.camera_from_table[:3, 2], table.camera_from_table[:3, 3]
+    depth = (normal @ origin) / (rays @ normal)
+    inside = table.in_table_frame(rays * depth[..., None])
+    on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + margin_m).all(axis=-1)
+    return np.where(on_table, depth, np.inf)
+
+
+def _near(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
+
+
+def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels most of whose neighbours are of the foreground too: stray ones must not widen the window."""
+    return foreground & (uniform_filter(foreground.astype(np.float32), COMPANY_PX) > 0.5)
+
+
+def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: DepthView) -> SupportPlane:
+    """The table, going on beyond the image under what is seen at the border and has its foot out of sight."""
+    inside = table.in_table_frame(points_m)
+    beside = np.maximum(np.abs(inside[:, :2]) - table.half_size_m, 0)
+    heights = table.heights(points_m)
+    standing = (heights > LOWEST_M) & (heights < HIGHEST_M) & (beside < UNSEEN_M).all(axis=-1)
+    feet = inside[standing, :2]
+    rotation, origin = table.camera_from_table[:3, :3], table.camera_from_table[:3, 3]
+    feet = feet[~view.pixels(feet @ rotation[:, :2].T + origin)[2]]
+    if len(feet) < FEWEST_PIXELS:
+        return table
+    half = table.half_size_m
+    return table.spanning(np.minimum(feet.min(axis=0), -half), np.maximum(feet.max(axis=0), half))
+
+
+def _over(table: SupportPlane | None, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    if table is None:
+        return np.ones(points_m.shape[:2], bool)
+    inside = table.in_table_frame(points_m)
+    beside = np.abs(inside[..., :2]) - table.half_size_m
+    heights = table.heights(points_m)
+    return (beside < TABLE_MARGIN_M).all(axis=-1) & (heights > LOWEST_M) & (heights < HIGHEST_M)
+
+
+def _surface_of(table: SupportPlane, view: DepthView) -> NDArray[np.bool_]:
+    """Pixels of the view reached from the table's plane without a step or a slope, though it be warped."""
+    depth = median_filter(np.asarray(view.depth_m), SMOOTHED_PX)
+    heights = np.where(depth > 0, table.heights(unprojected(depth, view.camera)), np.inf)
+    upward = np.asarray(view.normals) @ table.camera_from_table[:3, 2]
+    low = np.abs(heights) < WARP_M
+    level = np.where(low, heights, 0.0)
+    even = maximum_filter(level, 3) - minimum_filter(level, 3) < STEP_M
+    parts = np.zeros(depth.shape, np.int32)
+    if not label(low & even & (upward > LEVEL_COSINE), output=parts):
+        return np.zeros(depth.shape, bool)
+    flat = np.abs(heights) < LOWEST_M
+    share = np.bincount(parts.ravel(), flat.ravel()) / np.maximum(np.bincount(parts.ravel()), 1)
+    share[0] = 0
+    return np.asarray(binary_dilation(share[parts] > 0.5), bool)
+
+
+def _enlarged(mask: NDArray[np.bool_], factor: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """A pooled mask in the pixels of the image, False beyond."""
+    large = np.zeros(shape, bool)
+    blocks = mask.repeat(factor, axis=0).repeat(factor, axis=1)[: shape[0], : shape[1]]
+    large[: blocks.shape[0], : blocks.shape[1]] = blocks
+    return large
+
+
+def _pooled_any(mask: NDArray[np.bool_], factor: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    rows, columns = shape
+    blocks = mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return blocks.mean(axis=(1, 3)) >= 0.25

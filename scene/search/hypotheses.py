@@ -1,0 +1,119 @@
+"""The poses that the search chooses from, and what the image and the prior say of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.config import ParseConfig
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.model.presence import log_prior_odds
+from scene.objects.scene_object import SceneObject
+from scene.objects.slots import OUT_OF_SIGHT
+from scene.observation.frame_data import SceneData
+from scene.search.assignment import PoseLayers
+from scene.search.pixel_sample import ComparedPixels
+from scene.search.support_prior import Gravity, log_not_buried
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pools:
+    """K poses of each of N objects; a scene (N,) takes one of each, or `absent`.
+
+    Log densities have the likelihood's exponent 1, priors are raised to the inverse of the configured one.
+
+    Attributes:
+        data: the frame.
+        objects: what is looked for.
+        renderer: of the same objects.
+        config: settings.
+        pixels: that are compared.
+        poses: (N, K, 7) camera_from_box.
+        layers: what they show, and the absent object.
+    """
+
+    data: SceneData
+    objects: Sequence[SceneObject]
+    renderer: ObjectRenderer
+    config: ParseConfig
+    pixels: ComparedPixels
+    poses: NDArray[np.float32]
+    layers: PoseLayers
+
+    @classmethod
+    def of(
+        cls,
+        data: SceneData,
+        objects: Sequence[SceneObject],
+        renderer: ObjectRenderer,
+        noise: DepthNoise,
+        config: ParseConfig,
+        size: int,
+        rng: np.random.Generator,
+    ) -> Pools:
+        """Pools of `size` poses out of sight."""
+        log_odds = log_prior_odds(config.presence) / config.pixel_weight
+        pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds, rng)
+        return cls(
+            data=data,
+            objects=objects,
+            renderer=renderer,
+            config=config,
+            pixels=pixels,
+            poses=np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), size, 1)),
+            layers=pixels.no_layers(len(objects), size),
+        )
+
+    @property
+    def absent(self) -> int:
+        """The place of an object that is not there."""
+        return self.poses.shape[1]
+
+    def with_poses(self, found: NDArray[np.float32], first: int) -> Pools:
+        """The pools with poses (N, n, 7) in place of those from `first` on."""
+        poses = self.poses.copy()
+        poses[:, first : first + found.shape[1]] = found
+        numbers = np.repeat(np.arange(len(found)), found.shape[1])
+        depth_m = self.renderer.layers(numbers, found.reshape(-1, 7), self.data.window)
+        return replace(self, poses=poses, layers=self._with_layers(depth_m, poses, found, first))
+
+    def without(self, one: int, places: NDArray[np.bool_]) -> Pools:
+        """The pools with some poses (K,) of an object left out."""
+        log_alone = np.array(self.layers.log_alone)
+        log_alone[one, : self.absent][places] = -np.inf
+        return replace(self, layers=replace(self.layers, log_alone=jax.device_put(log_alone)))
+
+    def _with_layers(
+        self,
+        depth_m: NDArray[np.float32],
+        poses: NDArray[np.float32],
+        found: NDArray[np.float32],
+        first: int,
+    ) -> PoseLayers:
+        config, table = self.config, self.data.table
+        log_prior = log_not_buried(table, self.objects, found, config.loose_sigma_m) / config.pixel_weight
+        layers = self.pixels.with_layers(self.layers, depth_m, log_prior, first)
+        gravity = Gravity(
+            contact_sigma_m=config.contact_sigma_m,
+            loose_sigma_m=config.loose_sigma_m,
+            slack_share=config.slack_share,
+            floating_weight=config.floating_weight,
+        )
+        below = table if config.graph == "infer" else None
+        return replace(
+            layers, rests=gravity.rests(self.data.view, below, self.objects, poses, 1 / config.pixel_weight)
+        )
+
+    def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
+        """The chosen poses (N, 7) of a scene (N,), of the absent ones any."""
+        return self.poses[np.arange(len(self.poses)), np.minimum(scene, self.absent - 1)]
+
+    def shown(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Depth (N, H, W) of every object's chosen pose alone in the window, +inf for absent ones."""
+        depth_m = self.renderer.layers(np.arange(len(scene)), self.placed(scene), self.data.window)
+        return np.where((scene < self.absent)[:, None, None], depth_m, np.float32(np.inf))

@@ -1,0 +1,168 @@
+"""The pixels on which the search compares scenes, and what every pose of the pools shows there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.execution import SELDOM
+from scene.likelihood.clutter import log_density_without_objects
+from scene.observation.frame_data import SceneData
+from scene.search.assignment import PoseLayers
+from scene.search.support_table import Rests
+from shapes import depth_noise
+
+FOREGROUND_PIXELS = 2048
+
+LOWEST_LOG_DENSITY = -20.0
+
+RIM_MISSED = 0.5
+"""Probability that a pixel at an object's outline shows what is beside it: cameras shift outlines."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ComparedPixels:
+    """At most FOREGROUND_PIXELS pixels of the foreground, weighted; poses meet the others one by one.
+
+    Attributes:
+        noise: of the sensor.
+        surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
+        log_odds: of an object in one pose against its absence, before the image is seen.
+        observed_m: (pixels,) of the window.
+        rest_m: (pixels,) of the background.
+        uncontested: (pixels,) bool, where no object is seen: a pose that covers them has to pay.
+        places: (X,) the compared ones among the pixels.
+        weight: (X,) how many pixels each of them stands for.
+        shape: (H, W) of the window.
+    """
+
+    noise: DepthNoise
+    surface_sigma_m: jax.Array
+    log_odds: jax.Array
+    observed_m: jax.Array
+    rest_m: jax.Array
+    uncontested: jax.Array
+    places: jax.Array
+    weight: jax.Array
+    shape: tuple[int, int] = field(metadata={"static": True})
+
+    @classmethod
+    def of(
+        cls,
+        data: SceneData,
+        noise: DepthNoise,
+        surface_sigma_m: float,
+        log_odds: float,
+        rng: np.random.Generator,
+    ) -> ComparedPixels:
+        """Pixels of a frame, drawn at random where there are too many."""
+        near, inside = data.window_foreground.ravel(), data.window.inside.ravel()
+        places = rng.permutation(np.flatnonzero(near & inside))
+        share = min(FOREGROUND_PIXELS / max(len(places), 1), 1.0)
+        weight = np.zeros(FOREGROUND_PIXELS, np.float32)
+        weight[: len(places)] = 1 / share
+        numbers = (
+            np.float32(surface_sigma_m),
+            np.float32(log_odds),
+            data.window.depth_m.ravel(),
+            data.rest_m.ravel(),
+            inside & ~near,
+            np.resize(places, FOREGROUND_PIXELS).astype(np.int32),
+            weight,
+        )
+        return cls(noise, *map(jax.device_put, numbers), shape=data.window.inside.shape)
+
+    def no_layers(self, objects: int, poses: int) -> PoseLayers:
+        """Layers of `poses` poses an object of which none shows anything, and of the absent object, last."""
+        shape = objects, poses + 1
+        log_alone = np.full(shape, self.log_odds, np.float32)
+        log_alone[:, -1] = 0.0
+        rest_m, rest_log_density = _rest(self)
+        return PoseLayers(
+            depth_m=jax.device_put(np.full((*shape, FOREGROUND_PIXELS), np.inf, np.float32)),
+            log_density=jax.device_put(np.zeros((*shape, FOREGROUND_PIXELS), np.float32)),
+            log_alone=jax.device_put(log_alone),
+            rests=Rests.sure(*shape),
+            rest_m=rest_m,
+            rest_log_density=rest_log_density,
+        )
+
+    def with_layers(
+        self, layers: PoseLayers, depth_m: NDArray[np.float32], log_prior: NDArray[np.floating], first: int
+    ) -> PoseLayers:
+        """Layers with poses `first`, `first` + 1, ... of every object replaced by those of the given depth.
+
+        Args:
+            layers: of N objects.
+            depth_m: (N * n, H, W) of n poses of each object, alone.
+            log_prior: (N, n) of these poses, beside the odds of being there.
+            first: place of the first of them.
+        """
+        by_object = depth_m.reshape(*log_prior.shape, -1)
+        return _with_layers(self, layers, by_object, log_prior.astype(np.float32), np.int32(first))
+
+
+@jax.jit
+def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
+    """Depth and log density (X,) of the background."""
+    return pixels.rest_m[pixels.places], _without_objects(pixels)[pixels.places] * pixels.weight
+
+
+@partial(jax.jit, compiler_options=SELDOM)
+def _with_layers(
+    pixels: ComparedPixels,
+    layers: PoseLayers,
+    depth_m: jax.Array,
+    log_prior: jax.Array,
+    first: jax.Array,
+) -> PoseLayers:
+    """The layers with depth (N, n, pixels) and priors (N, n) put in from `first` on."""
+    rest = _without_objects(pixels)
+
+    def shown(layer_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        density = _log_density(pixels, layer_m, rest)
+        seen = pixels.uncontested & (layer_m < pixels.rest_m)
+        alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - rest, 0.0))
+        return layer_m[pixels.places], density[pixels.places] * pixels.weight, alone
+
+    count, poses, size = depth_m.shape
+    by_pose = jax.lax.map(shown, depth_m.reshape(-1, size))
+    shown_m, density, log_alone = (leaf.reshape(count, poses, *leaf.shape[1:]) for leaf in by_pose)
+    put = jax.lax.dynamic_update_slice_in_dim
+    return PoseLayers(
+        depth_m=put(layers.depth_m, shown_m, first, 1),
+        log_density=put(layers.log_density, density, first, 1),
+        log_alone=put(layers.log_alone, log_alone + log_prior, first, 1),
+        rests=layers.rests,
+        rest_m=layers.rest_m,
+        rest_log_density=layers.rest_log_density,
+    )
+
+
+def _without_objects(pixels: ComparedPixels) -> jax.Array:
+    """Log density (pixels,) where no object is."""
+    density = log_density_without_objects(
+        pixels.noise,
+        pixels.observed_m,
+        pixels.rest_m,
+        ~pixels.uncontested,
+        pixels.surface_sigma_m,
+    )
+    return jnp.maximum(density, LOWEST_LOG_DENSITY)
+
+
+def _log_density(pixels: ComparedPixels, layer_m: jax.Array, rest: jax.Array) -> jax.Array:
+    """Log density (pixels,) where one layer is what they show, which its rim may miss."""
+    density = depth_noise.log_density(pixels.noise, pixels.observed_m, layer_m, pixels.surface_sigma_m)
+    density = jnp.maximum(density, LOWEST_LOG_DENSITY)
+    uncovered = ~jnp.isfinite(layer_m.reshape(pixels.shape))
+    beside = jax.lax.reduce_window(uncovered, False, jax.lax.bitwise_or, (3, 3), (1, 1), "SAME").ravel()
+    missed = jnp.logaddexp(jnp.log1p(-RIM_MISSED) + density, jnp.log(RIM_MISSED) + rest)
+    return jnp.where(beside, missed, density)

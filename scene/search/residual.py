@@ -1,0 +1,54 @@
+"""What a scene leaves unexplained, where the search goes on."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import NO_RETURN
+from scene.observation.frame_data import SceneData
+from scene.search.hypotheses import Pools
+
+UNEXPLAINED_M = 0.012
+
+AGREE_M, FITTING = 0.006, 0.85
+"""Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
+
+
+def unexplained_by_others(pools: Pools, scene: NDArray[np.integer]) -> dict[int, NDArray[np.bool_]]:
+    """For every object the view's foreground that a scene leaves unexplained without it."""
+    shown_m = pools.shown(scene)
+    shown_m[_fit(pools.data, shown_m) < FITTING] = np.inf
+    return {one: _unexplained(pools.data, np.delete(shown_m, one, axis=0)) for one in range(len(scene))}
+
+
+def _fit(data: SceneData, shown_m: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The share (N,) of what each layer (N, H, W) shows in the scene that agrees with the measurements."""
+    observed_m = data.window.depth_m
+    front_m = np.minimum(shown_m.min(axis=0), data.rest_m)
+    seen = np.isfinite(shown_m) & (shown_m <= front_m) & (observed_m != NO_RETURN)
+    agree = seen & (np.abs(shown_m - observed_m) < AGREE_M)
+    return agree.sum(axis=(1, 2)) / np.maximum(seen.sum(axis=(1, 2)), 1)
+
+
+def _unexplained(data: SceneData, others_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """The view's foreground that other objects, layers (N - 1, H, W) of the window, leave unexplained.
+
+    What they show in a neighbouring pixel of the window explains a pixel too.
+    """
+    view, camera = data.view, data.window.camera
+    rows, columns = np.nonzero(data.foreground)
+    observed_m = np.asarray(view.depth_m)[rows, columns]
+    u = (columns - float(view.camera.cx)) / float(view.camera.fx) * float(camera.fx) + float(camera.cx)
+    v = (rows - float(view.camera.cy)) / float(view.camera.fy) * float(camera.fy) + float(camera.cy)
+    front_m = np.pad(others_m.min(axis=0, initial=np.inf), 1, constant_values=np.inf)
+    height, width = data.rest_m.shape
+    u, v = np.clip(np.rint(u).astype(int), 0, width - 1), np.clip(np.rint(v).astype(int), 0, height - 1)
+    gap_m = np.full(len(rows), np.inf)
+    for down, across in itertools.product(range(3), repeat=2):
+        gap_m = np.minimum(gap_m, np.abs(front_m[v + down, u + across] - observed_m))
+    mask = np.zeros_like(data.foreground)
+    mask[rows, columns] = gap_m >= UNEXPLAINED_M
+    return mask

@@ -1,0 +1,138 @@
+"""Which objects are there: scenes compared as a whole, with objects added, taken away and put for others.
+
+Every object costs the log odds of being there at all, in one pose of the many that it might have had (part of
+the layers), and earns what it explains better than the others and what is unknown do. An object's posterior
+odds compare the scene with the best one without it, in which others may have taken its place. Poses that no
+pixel shows (`scene.unseen`) leave the prior odds as they are.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from scene.execution import SELDOM
+from scene.search.assignment import PoseLayers, front, improve_pairs, log_density_of_choice, none
+
+REPLACING = 8
+"""Poses of each object that are tried in the place of others."""
+
+
+@partial(jax.jit, static_argnames="candidates", compiler_options=SELDOM)
+def best_scene(layers: PoseLayers, choice: jax.Array, candidates: int) -> tuple[jax.Array, jax.Array]:
+    """The best scene (N,) found from one (N,), and its log density.
+
+    Pairs try the `candidates` best poses of each object.
+    """
+    choice = filled(layers, choice, jnp.zeros(len(choice), bool))
+    choice = improve_pairs(layers, choice, candidates)
+    choice = _without_any(layers, _with_replacements(layers, choice))
+    return choice, log_density_of_choice(layers, choice)
+
+
+@partial(jax.jit, compiler_options=SELDOM)
+def rivals(layers: PoseLayers, choice: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """For every object the best scene (N, N) without it, or with it where it is absent; its log odds (N,).
+
+    Both are sought next to the scene (N,), by leaving the object out and filling the gap with others, or by
+    putting it in and leaving out those that it makes superfluous. The log odds are those of the object being
+    there: the log density of the scene with it less that of the scene without.
+    """
+    density = log_density_of_choice(layers, choice)
+
+    def rival(one: jax.Array) -> tuple[jax.Array, jax.Array]:
+        absent = choice[one] == none(layers)
+        scene = jax.lax.cond(
+            absent, lambda: _replaced(layers, choice, one), lambda: _without(layers, choice, one)
+        )
+        gain = log_density_of_choice(layers, scene) - density
+        return scene, jnp.where(absent, gain, -gain)
+
+    return jax.lax.map(rival, jnp.arange(len(choice)))
+
+
+@jax.jit
+def filled(layers: PoseLayers, choice: jax.Array, banned: jax.Array) -> jax.Array:
+    """The scene (N,) with objects added that are not `banned` (N,): what gains most first, while any does."""
+    objects = jnp.arange(len(choice))
+
+    def gains(choice: jax.Array) -> tuple[jax.Array, jax.Array]:
+        front_m, density = front(layers, choice, objects >= 0)
+
+        def best(one: jax.Array) -> tuple[jax.Array, jax.Array]:
+            nearer = layers.depth_m[one] < front_m[None]
+            gain = jnp.sum(jnp.where(nearer, layers.log_density[one] - density[None], 0.0), axis=1)
+            gain = gain + layers.log_alone[one] + layers.rests.given(choice, one)
+            gain = gain.at[none(layers)].set(-jnp.inf)  # rounding is no object
+            return jnp.argmax(gain), jnp.max(gain)
+
+        poses, gain = jax.lax.map(best, objects)
+        gain = gain - jnp.sum(layers.rests.of(choice))
+        return poses, jnp.where(banned | (choice != none(layers)), -jnp.inf, gain)
+
+    def add(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+        choice, poses, gain = state
+        one = jnp.argmax(gain)
+        choice = choice.at[one].set(poses[one])
+        return choice, *gains(choice)
+
+    start = choice, *gains(choice)
+    return jax.lax.while_loop(lambda state: jnp.max(state[2]) > 0, add, start)[0]
+
+
+def _without_any(layers: PoseLayers, choice: jax.Array) -> jax.Array:
+    """The scene, or a better one in which others stand for an object, one object after the other."""
+
+    def leave_out(choice: jax.Array, one: jax.Array) -> tuple[jax.Array, None]:
+        def without() -> jax.Array:
+            return _better(layers, choice, _without(layers, choice, one))
+
+        return jax.lax.cond(choice[one] == none(layers), lambda: choice, without), None
+
+    return jax.lax.scan(leave_out, choice, jnp.arange(len(choice)))[0]
+
+
+def _with_replacements(layers: PoseLayers, choice: jax.Array) -> jax.Array:
+    """The scene, or a better one in which an object stands for others, one object after the other."""
+
+    def put(choice: jax.Array, one: jax.Array) -> tuple[jax.Array, None]:
+        return _better(layers, choice, _replaced(layers, choice, one)), None
+
+    return jax.lax.scan(put, choice, jnp.arange(len(choice)))[0]
+
+
+def _without(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array:
+    """The scene without an object, its gap filled with others."""
+    return filled(layers, choice.at[one].set(none(layers)), jnp.arange(len(choice)) == one)
+
+
+def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array:
+    """The best scene with the object in one of its poses, without those that are then superfluous.
+
+    The poses that are tried are the best ones if they were granted every pixel that they explain, whether or
+    not others explain it too.
+    """
+    front_m, density = front(layers, choice, jnp.arange(len(choice)) != one)
+    covers = layers.depth_m[one] < layers.rest_m[None]
+    explained = jnp.where(covers, layers.log_density[one] - layers.rest_log_density[None], 0.0)
+    spoilt = jnp.where(layers.depth_m[one] < front_m[None], layers.log_density[one] - density[None], 0.0)
+    gain = jnp.sum(jnp.where(explained > 0, explained, jnp.minimum(spoilt, 0.0)), axis=1)
+    gain = (gain + layers.log_alone[one]).at[none(layers)].set(-jnp.inf)
+    _, poses = jax.lax.top_k(gain, min(REPLACING, len(gain) - 1))
+
+    def leave_out(choice: jax.Array, other: jax.Array) -> tuple[jax.Array, None]:
+        without = choice.at[other].set(none(layers))
+        return jnp.where(other == one, choice, _better(layers, choice, without)), None
+
+    def put(pose: jax.Array) -> jax.Array:
+        return jax.lax.scan(leave_out, choice.at[one].set(pose), jnp.arange(len(choice)))[0]
+
+    scenes = jax.lax.map(put, poses)
+    return scenes[jnp.argmax(jax.vmap(partial(log_density_of_choice, layers))(scenes))]
+
+
+def _better(layers: PoseLayers, choice: jax.Array, other: jax.Array) -> jax.Array:
+    better = log_density_of_choice(layers, other) > log_density_of_choice(layers, choice)
+    return jnp.where(better, other, choice)

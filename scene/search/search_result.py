@@ -1,0 +1,40 @@
+"""What the search finds: the scene that chains start from, and what else it looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.objects.slots import FoundObjects
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Initialisation:
+    """The best scene found and the pools that it was chosen from.
+
+    Attributes:
+        poses: (N, 7) camera_from_box, wxyz_xyz; meaningless where not found.
+        found: (N,) bool.
+        log_odds: (N,) of each object being there against not, or another thing in its place.
+        pools: (N, K, 7).
+        log_gains: (N, K) log density of the scene with each pose of the pool in place of the best one,
+            less that of the best scene; the last column is without the object.
+    """
+
+    poses: NDArray[np.float64]
+    found: NDArray[np.bool_]
+    log_odds: NDArray[np.float64]
+    pools: NDArray[np.float64]
+    log_gains: NDArray[np.float64]
+
+    def of_slots(self, found: FoundObjects) -> Initialisation:
+        """The best scene and its pools of some objects alone, in their slots."""
+        return Initialisation(
+            poses=found.poses(self.poses),
+            found=found.present,
+            log_odds=self.log_odds[found.placed],
+            pools=self.pools[found.placed],
+            log_gains=self.log_gains[found.placed],
+        )

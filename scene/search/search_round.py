@@ -1,0 +1,133 @@
+"""Stage K of the supplement: a search for the most probable scene, which gives chains their start.
+
+Hypotheses come from observed points and from DBSCAN clusters of points that the scene without the object
+leaves unexplained, in resting, cube and spread orientations, refined by ICP; whole scenes are annealed
+over the pools; then the search is repeated on what is left unexplained. Scenes that are about as good are
+refined before they are told apart. Where lookalikes were taken out, what stood behind their names is sought
+once more. The result is a maximum and a set of hypotheses, never samples (MATH.md section K).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.execution import side_by_side
+from scene.objects.orientations import cube_rotations, resting_rotations, spread_rotations
+from scene.objects.scene_object import SceneObject
+from scene.observation.depth_view import unprojected
+from scene.observation.detection import SupportPlane, clusters
+from scene.search.assignment import PoseLayers, choose, log_conditional
+from scene.search.competing_scenes import best_of
+from scene.search.hypotheses import Pools
+from scene.search.template_matching import search
+
+ORIENTATIONS, FREE_ORIENTATIONS = 416, 576
+
+YAWS = 24
+
+ANCHORS, CENTRES = 192, 8
+
+ANCHOR_SPACING_M = 0.012
+
+CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
+
+FEWEST_PIXELS = 10
+"""Of a mask; else an object is sought on the whole foreground."""
+
+HOT, COLD, SWEEPS = 150.0, 2.0, 12
+
+PARTICLES, GROUPS = 4, 2
+"""Annealed together, and how many groups of them."""
+
+
+def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
+    """Camera_from_box rotations (O, 3, 3): resting, the cube's 24, and an even spread."""
+    if table is None:
+        return spread_rotations(FREE_ORIENTATIONS).astype(np.float32)
+    fixed = np.concatenate([resting_rotations(one.rests, YAWS), cube_rotations()])
+    fixed = table.camera_from_table[:3, :3] @ fixed
+    return np.concatenate([fixed, spread_rotations(ORIENTATIONS - len(fixed))]).astype(np.float32)
+
+
+def _sought(
+    rng: np.random.Generator,
+    rotations: Sequence[NDArray[np.float32]],
+    key: jax.Array,
+    pools: Pools,
+    scene: NDArray[np.integer],
+    masks: Mapping[int, NDArray[np.bool_]],
+    turn: int,
+) -> tuple[Pools, NDArray[np.int32]]:
+    """`scene.gaps.Seek`, with the orientations of every object."""
+    size = pools.config.pool
+    poses = pools.poses[:, turn * size : (turn + 1) * size].copy()
+    poses[list(masks)] = _hypotheses(pools, rotations, masks, rng)
+    pools = pools.with_poses(poses, turn * size)
+    return pools, best_of(pools, _annealed(key, pools.layers), scene)
+
+
+def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
+    """The best scene (N,) of all particles, groups of which are annealed side by side."""
+
+    def anneal(key: jax.Array) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        return jax.device_get(choose(key, layers, HOT, COLD, PARTICLES, SWEEPS))
+
+    groups = side_by_side(anneal, jax.random.split(key, GROUPS))
+    choices, log_densities = (np.concatenate(leaves) for leaves in zip(*groups, strict=True))
+    return choices[np.argmax(log_densities)]
+
+
+def _hypotheses(
+    pools: Pools,
+    rotations: Sequence[NDArray[np.float32]],
+    masks: Mapping[int, NDArray[np.bool_]],
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Poses (M, pool, 7) of objects on the pixels of M masks, searched side by side on all cores."""
+    data, size = pools.data, pools.config.pool
+    points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
+    enough = {one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()}
+    drawn = {one: _drawn(points[mask], rng) for one, mask in enough.items()}
+
+    def find(index: int) -> NDArray[np.float32]:
+        one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
+        places = _places(*drawn[index])
+        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places, size)[0])
+
+    return np.stack(side_by_side(find, masks))
+
+
+def _drawn(
+    points_m: NDArray[np.float32], rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The points (M, 3) in random order, and as random ones (A, 3) spread over them."""
+    points_m = points_m[rng.permutation(len(points_m))]
+    return points_m, points_m[rng.permutation(_one_a_cell(points_m))]
+
+
+def _places(
+    points_m: NDArray[np.float32], anchors_m: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Anchors (ANCHORS, 3) and centres (CENTRES, 3) of their clusters and of all the points they are from."""
+    centres = clusters(anchors_m, CLUSTER_SCALES_M, fewest=3)
+    centres = np.concatenate([centres, points_m.mean(axis=0)[None]])
+    return np.resize(anchors_m, (ANCHORS, 3)), np.resize(centres, (CENTRES, 3)).astype(np.float32)
+
+
+def _one_a_cell(points_m: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Places of the first of the points (N, 3) in each cell of ANCHOR_SPACING_M."""
+    cells = np.floor(points_m / ANCHOR_SPACING_M).astype(np.int64)
+    cells -= cells.min(axis=0)
+    return np.unique(np.ravel_multi_index(tuple(cells.T), cells.max(axis=0) + 1), return_index=True)[1]
+
+
+@jax.jit
+def _gains(layers: PoseLayers, chosen: jax.Array) -> jax.Array:
+    conditionals = jax.vmap(lambda index: log_conditional(layers, chosen, index))(jnp.arange(len(chosen)))
+    return conditionals - conditionals[jnp.arange(len(chosen)), chosen][:, None]

@@ -1,0 +1,121 @@
+"""TO BE WRITTEN."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from shapes.geometry import pose_gaussian
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def mean_and_covariance(
+    poses: jax.Array,
+    weights: jax.Array,
+    covariances: jax.Array | None = None,
+    central: jax.Array | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """Mean (7,) and covariance (6, 6) of weighted poses (K, 7), in the chart at the mean.
+
+    With the conditional covariances (K, 6, 6) of the particles, theirs is added (the law of total
+    covariance). The mean is the fixed point of averaging chart coordinates. Where weights of `central`
+    particles (K,) are given, it is theirs, and the covariance the second moment of all around it.
+    """
+    of_mean = weights if central is None else central
+
+    def average(mean: jax.Array, _: None) -> tuple[jax.Array, None]:
+        tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
+        return pose_gaussian.displaced(mean, of_mean @ tangents), None
+
+    mean, _ = jax.lax.scan(average, poses[jnp.argmax(of_mean)], None, length=3)
+    tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
+    between = jnp.einsum("k,ki,kj->ij", weights, tangents, tangents)
+    if covariances is None:
+        return mean, between
+    return mean, between + jnp.einsum("k,kij->ij", weights, covariances)
+
+
+@jax.jit
+def mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
+    """Means (N, 7) of keyframe poses (K, N, 7) over weighted particles (K,)."""
+    return jax.vmap(mean_and_covariance, (1, None))(poses, weights)[0]
+
+
+GROUP_SHIFT_M = 0.1
+
+GROUP_ANGLE_RAD = 0.1
+
+MOST_GROUPS = 4
+
+LEAST_GROUP_WEIGHT = 1e-3
+
+
+def within_reach(
+    one: NDArray[np.float64],
+    other: NDArray[np.float64],
+    shift_m: float = GROUP_SHIFT_M,
+    angle_rad: float = GROUP_ANGLE_RAD,
+) -> NDArray[np.bool_]:
+    """Whether (...) poses (..., 4, 4) stand within a shift and a turn of each other."""
+    relative = np.linalg.inv(one) @ other
+    cosine = 0.5 * (np.trace(relative[..., :3, :3], axis1=-2, axis2=-1) - 1)
+    return (np.linalg.norm(relative[..., :3, 3], axis=-1) < shift_m) & (cosine > np.cos(angle_rad))
+
+
+def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int_]:
+    """Group (K,) of each particle by its pose (K, 4, 4), or by all of its poses (K, N, 4, 4).
+
+    Group 0 holds the heaviest. Particles join the first leader within reach, leaders being the heaviest
+    particles. Groups of negligible weight, and all beyond `MOST_GROUPS`, join group 0: a search for them
+    would be wasted.
+    """
+    groups = np.full(len(poses), -1)
+    count = 0
+    for leader in np.argsort(-weights, kind="stable"):
+        if groups[leader] >= 0:
+            continue
+        near = within_reach(poses[leader], poses)
+        members = near.reshape(len(poses), -1).all(axis=1) & (groups < 0)
+        members[leader] = True
+        negligible = weights[members].sum() < LEAST_GROUP_WEIGHT or count == MOST_GROUPS
+        groups[members] = 0 if count and negligible else count
+        count += not (count and negligible)
+    return groups
+
+
+@jax.jit
+def spread_around(centre: jax.Array, poses: jax.Array, log_weights: jax.Array) -> jax.Array:
+    """Second moment (6, 6) of weighted poses (K, 7) in the chart at `centre` (7,)."""
+    tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(centre, poses)
+    return jnp.einsum("k,ki,kj->ij", jnp.exp(log_weights), tangents, tangents)
+
+
+def distinct(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float) -> NDArray[np.int_]:
+    """Indices of the first `count` poses (C, 4, 4) that differ from each other, in their given order."""
+    chosen: list[int] = []
+    for index, pose in enumerate(poses):
+        relative = np.linalg.inv(poses[chosen]) @ pose if chosen else np.empty((0, 4, 4))
+        shift = np.linalg.norm(relative[:, :3, 3], axis=1)
+        cosine = 0.5 * (np.trace(relative[:, :3, :3], axis1=1, axis2=2) - 1.0)
+        if not ((shift < shift_m) & (cosine > np.cos(angle_rad))).any():
+            chosen.append(index)
+        if len(chosen) == count:
+            break
+    return np.asarray(chosen, int)
+
+
+def padded(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
+    """Poses (C, 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
+    return np.concatenate([poses, np.tile(poses[:1], (-len(poses) % multiple, 1, 1))])
+
+
+WIDE_STEP_RAD = 0.4
+"""From frame to frame: with narrower steps the filter does not lose its way."""
+
+
+def is_wide(before: NDArray[np.float64], after: NDArray[np.float64]) -> bool:
+    """Whether a step from a pose (4, 4) to another turns far."""
+    return bool(0.5 * (np.trace(before[:3, :3].T @ after[:3, :3]) - 1.0) < np.cos(WIDE_STEP_RAD))

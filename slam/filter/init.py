@@ -1,0 +1,101 @@
+"""How the filter begins: with the first frame that shows anything, and those before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shapes.geometry.pose_sets import IDENTITY, spread_around
+from slam.config import SlamConfig
+from slam.filter.map_update import CAPACITY_STEP
+from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
+from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_particles
+from slam.filter.step import smc
+from slam.keyframes.depth_view import DepthView, central_depth
+from slam.keyframes.keyframe_map import KeyframeMap
+from slam.keyframes.surfels import surface_of
+from slam.likelihood.noise_calibration import Calibration
+
+LOOSE_RADIUS = 0.15
+"""Relative standard deviation of an orbit's radius that nobody gave."""
+
+
+def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState, FrameInfo]:
+    """The state after the first frame, which is the reference and the first keyframe."""
+    radius = config.orbit_radius_m or central_depth(view)
+    motion: MotionPrior = FreeMotion.default()
+    if config.motion == "orbit":
+        known = config.orbit_radius_m is not None
+        motion = OrbitMotion.default() if known else OrbitMotion.of_unknown_radius(LOOSE_RADIUS * radius)
+    calibration = Calibration.initial(config.noise, config.effective_pixel_share)
+    pivot = np.asarray([0.0, 0.0, radius], np.float32)
+    particles = initial_particles(config.particles, CAPACITY_STEP, pivot)
+    state = FilterState(
+        population=smc.uniform_population(particles),
+        keyframe_map=KeyframeMap().with_keyframe(surface_of(view, calibration.noise)),
+        keyframe_times_ns=(time_ns,),
+        calibration=calibration,
+        motion=motion,
+        times_ns=(time_ns, time_ns),
+        last_found=jnp.asarray(IDENTITY, jnp.float32),
+        was_lost=False,
+        steps_were_wide=False,
+    )
+    return state, _first_frame_info(config.particles)
+
+
+def before_the_map(key: jax.Array, state: FilterState) -> FrameInfo:
+    """A frame before the first that shows anything: lost, anywhere that the motion prior leads from there.
+
+    Args:
+        key: consumed.
+        state: after the first frame that does, by `init`.
+    """
+    count = len(state.population.log_weights)
+    poses = _moved_unseen(jax.random.split(key, count), state)
+    spread = spread_around(jnp.asarray(IDENTITY, jnp.float32), poses, state.population.log_weights)
+    return replace(
+        _first_frame_info(count),
+        relative_poses=np.asarray(poses),
+        component_covariances=np.asarray(spread)[None],
+        lost=True,
+        explained=0.0,
+        covered=0.0,
+        keyframe=None,
+    )
+
+
+def _moved_unseen(keys: jax.Array, state: FilterState) -> jax.Array:
+    """Poses (K, 7), each a step of the motion prior from that of the particle."""
+    particles: CameraParticles = state.population.particles
+
+    def one(key: jax.Array, pose: jax.Array, pivot: jax.Array) -> jax.Array:
+        return state.motion.sample(key, MotionHistory(pose, pose, pivot))
+
+    return jax.vmap(one)(keys, particles.pose, particles.pivot)
+
+
+def _first_frame_info(count: int) -> FrameInfo:
+    """The reference itself: certain, and no evidence for or against anything."""
+    at_anchor = np.tile(np.asarray(IDENTITY, np.float32), (count, 1))
+    return FrameInfo(
+        anchor=0,
+        relative_poses=at_anchor,
+        relative_means=at_anchor,
+        component=np.zeros(count, np.int32),
+        component_covariances=np.zeros((1, 6, 6), np.float32),
+        log_weights=np.full(count, -np.log(count), np.float32),
+        ancestors=np.arange(count, dtype=np.int32),
+        log_evidence=0.0,
+        ess=float(count),
+        resampled=False,
+        lost=False,
+        explained=1.0,
+        covered=1.0,
+        keyframes=1,
+        keyframe=0,
+        components=0,
+    )

@@ -1,0 +1,91 @@
+"""What a found frame does to the map: it teaches the sensor and refines a keyframe, or becomes one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+
+from slam.filter.state import CameraParticles, FilterState, with_capacity
+from slam.keyframes.depth_view import DepthView, central_depth
+from slam.keyframes.fusion import fused
+from slam.keyframes.keyframe_map import KeyframeMap
+from slam.keyframes.surfels import surface_of, with_noise
+from slam.registration.search import Located
+
+CAPACITY_STEP = 32
+
+KEYFRAME_SHIFT = 0.1
+"""A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
+
+KEYFRAME_ANGLE_RAD = 0.2
+
+KEYFRAME_COVERAGE = 0.75
+
+
+def with_room(state: FilterState) -> FilterState:
+    """The state with room for one keyframe more in every particle."""
+    particles: CameraParticles = state.population.particles
+    capacity = particles.keyframe_poses.shape[1]
+    if len(state.keyframe_map) < capacity:
+        return state
+    population = replace(state.population, particles=with_capacity(particles, capacity + CAPACITY_STEP))
+    return replace(state, population=population)
+
+
+def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> FilterState:
+    """The frame teaches the sensor, and refines its anchor or, seen from elsewhere, becomes a keyframe.
+
+    A new keyframe stands where each particle has the camera. While several places compete, no depth is
+    fused: the surfaces are shared by particles that disagree.
+    """
+    best = found[0]
+    anchor = int(best.indices[0])
+    state = replace(with_calibration(state, best), last_found=best.optimum.pose)
+    relative, shift, angle = _motion(best.local_map.poses[0], best.optimum.pose)
+    far = float(shift) > KEYFRAME_SHIFT * central_depth(view) or float(angle) > KEYFRAME_ANGLE_RAD
+    keyframe_map, noise = state.keyframe_map, state.calibration.noise
+    if not far and best.covered >= KEYFRAME_COVERAGE:
+        if len(found) > 1:
+            return state
+        refined = fused(keyframe_map.surfaces[anchor], view, relative, noise)
+        return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
+    particles: CameraParticles = state.population.particles
+    keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
+    population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
+    return replace(
+        state,
+        population=population,
+        keyframe_map=keyframe_map.with_keyframe(surface_of(view, noise)),
+        keyframe_times_ns=(*state.keyframe_times_ns, state.times_ns[1]),
+    )
+
+
+@jax.jit
+def _motion(origin: jax.Array, pose: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """origin_from_pose (7,) of poses (7,), its length and its angle."""
+    relative = jaxlie.SE3(origin).inverse() @ jaxlie.SE3(pose)
+    shift = jnp.linalg.norm(relative.translation())
+    return relative.wxyz_xyz, shift, jnp.linalg.norm(relative.rotation().log())
+
+
+def with_calibration(state: FilterState, located: Located) -> FilterState:
+    """The sensor after one frame more; surfaces keep the variances of the sensor that is now believed."""
+    calibration = state.calibration
+    if not calibration.is_learning:
+        return state
+    optimum = located.optimum
+    learnt = calibration.after(
+        np.asarray(optimum.squared_ratio, np.float64),
+        np.asarray(optimum.inlier_count, np.float64),
+        np.asarray(optimum.layer_precisions, np.float64).sum(0),
+        np.asarray(optimum.score_variance, np.float64),
+    )
+    surfaces = state.keyframe_map.surfaces
+    if not calibration.fixed_sigma:
+        surfaces = tuple(with_noise(surface, calibration.noise, learnt.noise) for surface in surfaces)
+    keyframe_map = KeyframeMap(surfaces=surfaces, samples=state.keyframe_map.samples)
+    return replace(state, calibration=learnt, keyframe_map=keyframe_map)

@@ -1,0 +1,125 @@
+"""What the camera filter carries from frame to frame, and what it tells of each.
+####
+What a camera particle owns, and how a group of them is averaged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from shapes.geometry.pose_sets import IDENTITY
+from slam.filter.motion import MotionPrior
+from slam.filter.step import smc
+from slam.keyframes.keyframe_map import KeyframeMap
+from slam.likelihood.noise_calibration import Calibration
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """What is carried from frame to frame.
+
+    Attributes:
+        population: weighted `CameraParticles`.
+        keyframe_map: shared surfaces.
+        keyframe_times_ns: (N,) their stamps.
+        calibration: of the sensor.
+        motion: prior over motion.
+        times_ns: stamps of the last two frames.
+        last_found: (7,) mean pose of the last frame that was found.
+        was_lost: whether the last frame was not.
+        steps_were_wide: whether the camera ever turned far from one frame to the next.
+    """
+
+    population: smc.Population
+    keyframe_map: KeyframeMap
+    keyframe_times_ns: tuple[int, ...]
+    calibration: Calibration
+    motion: MotionPrior
+    times_ns: tuple[int, int]
+    last_found: jax.Array
+    was_lost: bool
+    steps_were_wide: bool
+
+
+@dataclass(frozen=True)
+class FrameInfo:
+    """What one frame gave. Poses are relative to the particle's keyframe `anchor`.
+
+    Attributes:
+        anchor: index of a keyframe.
+        relative_poses: (K, 7) anchor_from_camera, each particle's draw.
+        relative_means: (K, 7) the same, centres of the components that the draws came from; the pose last
+            found where the frame is lost, so that its spread outlives the particles.
+        component: (K,) which component that was.
+        component_covariances: (J, 6, 6) of the draws around their centres, camera chart.
+        log_weights: (K,) normalised, after this frame.
+        ancestors: (K,) particle before this frame that each one continues.
+        log_evidence: increment.
+        ess: after weighting.
+        resampled: whether particles were drawn anew.
+        lost: whether no pose agreed with the map.
+        explained: share of returns on the map's surface.
+        covered: share of returns that meet the map.
+        keyframes: number of keyframes after this frame.
+        keyframe: index of the one that this frame became, if it did.
+        components: number of components of the proposal.
+    """
+
+    anchor: int
+    relative_poses: NDArray[np.float32]
+    relative_means: NDArray[np.float32]
+    component: NDArray[np.int32]
+    component_covariances: NDArray[np.float32]
+    log_weights: NDArray[np.float32]
+    ancestors: NDArray[np.int32]
+    log_evidence: float
+    ess: float
+    resampled: bool
+    lost: bool
+    explained: float
+    covered: float
+    keyframes: int
+    keyframe: int | None
+    components: int
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class CameraParticles:
+    """K trajectories, as far as the future depends on them. Poses are wxyz_xyz, reference_from_*.
+
+    Attributes:
+        keyframe_poses: (K, N, 7), identity where the map has no keyframe yet.
+        pose: (K, 7) of the last frame.
+        previous_pose: (K, 7) of the frame before.
+        pivot: (K, 3) what an orbit looks at, in the reference frame, metres.
+    """
+
+    keyframe_poses: jax.Array
+    pose: jax.Array
+    previous_pose: jax.Array
+    pivot: jax.Array
+
+
+def initial_particles(count: int, capacity: int, pivot: NDArray[np.float32]) -> CameraParticles:
+    """Every camera at the reference, which is the first keyframe."""
+    identity = jnp.asarray(IDENTITY, jnp.float32)
+    poses = jnp.tile(identity, (count, 1))
+    return CameraParticles(
+        keyframe_poses=jnp.tile(identity, (count, capacity, 1)),
+        pose=poses,
+        previous_pose=poses,
+        pivot=jnp.tile(jnp.asarray(pivot, jnp.float32), (count, 1)),
+    )
+
+
+def with_capacity(particles: CameraParticles, capacity: int) -> CameraParticles:
+    """The same particles with room for `capacity` keyframes."""
+    count, used, _ = particles.keyframe_poses.shape
+    room = jnp.tile(jnp.asarray(IDENTITY, jnp.float32), (count, capacity - used, 1))
+    poses = jnp.concatenate([particles.keyframe_poses, room], axis=1)
+    return CameraParticles(poses, particles.pose, particles.previous_pose, particles.pivot)

@@ -1,0 +1,195 @@
+"""The camera filter: `step`, one frame further (how it begins: `slam.beginning`).
+
+A step finds local optima of the frame's density (`slam.finding`), turns them into a mixture proposal
+(`slam.proposal`), runs the generic step of sequential Monte Carlo on it (`slam.smc`), and lets the
+frame refine the map or become a keyframe of it.
+
+####
+What the filter tells of a frame: poses beside a keyframe, which later refinement carries along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from shapes.geometry.pose_sets import is_wide, spread_around
+from slam.config import SlamConfig
+from slam.filter import smc
+from slam.filter.map_update import with_calibration, with_frame, with_room
+from slam.filter.motion import MotionHistory, MotionPrior
+from slam.filter.pose_hypotheses import MOST_PLACES, found_places, last_step, predicted
+from slam.filter.proposal import Component, Proposed, component_at, propose_all
+from slam.filter.state import CameraParticles, FilterState, FrameInfo
+from slam.keyframes.depth_view import DepthView
+from slam.keyframes.keyframe_map import stacked
+from slam.registration.search import Located
+
+COMPONENT_BUCKETS = (1, 2, 4, MOST_PLACES)
+
+
+def step(
+    key: jax.Array,
+    state: FilterState,
+    view: DepthView,
+    time_ns: int,
+    config: SlamConfig,
+    odometry: NDArray[np.float64] | None = None,
+) -> tuple[FilterState, FrameInfo]:
+    """One frame further.
+
+    Args:
+        key: consumed.
+        state: after the previous frame.
+        view: the frame.
+        time_ns: its stamp.
+        config: settings.
+        odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used and not degenerate.
+    """
+    state = with_room(state)
+    prediction = predicted(state, time_ns)
+    found = found_places(state, view, prediction, config, odometry)
+    if state.calibration.frames == 0 and found[0].group >= 0:
+        state = with_calibration(state, found[0])
+        found = found_places(state, view, prediction, config, odometry)
+    components = _components(found, state, prediction.poses)
+    population, info, proposed = _advance(
+        key,
+        state.population,
+        prediction.poses,
+        jnp.asarray(prediction.groups, jnp.int32),
+        components,
+        state.motion,
+        state.calibration.noise,
+        state.calibration.exponent,
+        config.ess_threshold,
+    )
+    lost = found[0].group < 0
+    known = len(state.keyframe_map)
+    moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
+    if not lost:
+        moved = with_frame(moved, view, found)
+    report = frame_info(moved, known, info, proposed, components, found, lost)
+    turned = state.steps_were_wide or is_wide(*last_step(population))
+    return replace(moved, steps_were_wide=turned), report
+
+
+def _components(found: list[Located], state: FilterState, predicted: jax.Array) -> Component:
+    """The optima as components, stacked (J, ...), J padded to a bucket with components for nobody."""
+    particles: CameraParticles = state.population.particles
+    heaviest = int(jnp.argmax(state.population.log_weights))
+    history = MotionHistory(particles.pose[heaviest], predicted[heaviest], particles.pivot[heaviest])
+    components = [
+        component_at(
+            located.optimum,
+            located.local_map.poses,
+            jnp.asarray(located.indices, jnp.int32),
+            jnp.asarray(located.group, jnp.int32),
+            history,
+            state.motion,
+            state.calibration.exponent,
+        )
+        for located in found
+    ]
+    room = next(bucket for bucket in COMPONENT_BUCKETS if bucket >= len(components))
+    unused = replace(components[0], group=jnp.asarray(-1, jnp.int32))
+    components += [unused] * (room - len(components))
+    return stacked(*components)
+
+
+@partial(jax.jit, static_argnames="ess_threshold")
+def _advance(
+    key: jax.Array,
+    population: smc.Population,
+    predicted: jax.Array,
+    groups: jax.Array,
+    components: Component,
+    motion: MotionPrior,
+    noise: DepthNoise,
+    exponent: float,
+    ess_threshold: float,
+) -> tuple[smc.Population, smc.StepInfo, Proposed]:
+    """The generic step with this frame's proposal; returns the new population and the draws."""
+    count = len(population.log_weights)
+
+    def propose(
+        key: jax.Array, extended: tuple[CameraParticles, jax.Array, jax.Array]
+    ) -> tuple[tuple[CameraParticles, Proposed], jax.Array]:
+        particles, ahead, group = extended
+        history = MotionHistory(particles.pose, ahead, particles.pivot)
+        keys = jax.random.split(key, count)
+        proposed, log_increments = propose_all(
+            keys, particles.keyframe_poses, group, history, components, motion, noise, exponent
+        )
+        moved = replace(particles, pose=proposed.pose, previous_pose=particles.pose)
+        return (moved, proposed), log_increments
+
+    extended = smc.Population((population.particles, predicted, groups), population.log_weights)
+    extended, info = smc.step(key, extended, propose, ess_threshold)
+    particles, proposed = extended.particles
+    return smc.Population(particles, extended.log_weights), info, proposed
+
+
+def frame_info(
+    state: FilterState,
+    known_keyframes: int,
+    info: smc.StepInfo,
+    proposed: Proposed,
+    components: Component,
+    found: list[Located],
+    lost: bool,
+) -> FrameInfo:
+    """Of a frame after its step.
+
+    Args:
+        state: after it.
+        known_keyframes: number of keyframes before it.
+        info: of the generic step.
+        proposed: the draws.
+        components: of the proposal.
+        found: optima, as by `slam.finding.found_places`.
+        lost: whether there was none.
+    """
+    particles: CameraParticles = state.population.particles
+    anchor = int(found[0].indices[0])
+    anchors = particles.keyframe_poses[:, anchor]
+    means, scales = proposed.conditional_mean, np.asarray(components.scale)
+    covariances = scales @ scales.transpose(0, 2, 1)
+    if lost:
+        means = jnp.tile(state.last_found, (len(anchors), 1))
+        spread = spread_around(state.last_found, proposed.pose, state.population.log_weights)
+        covariances = np.tile(spread, (len(scales), 1, 1))
+    return FrameInfo(
+        anchor=anchor,
+        relative_poses=np.asarray(_relative(anchors, proposed.pose)),
+        relative_means=np.asarray(_relative(anchors, means)),
+        component=np.asarray(proposed.component),
+        component_covariances=covariances,
+        log_weights=np.asarray(state.population.log_weights),
+        ancestors=np.asarray(info.ancestors),
+        log_evidence=float(info.log_evidence),
+        ess=float(info.ess),
+        resampled=bool(info.resampled),
+        lost=lost,
+        explained=found[0].explained,
+        covered=found[0].covered,
+        keyframes=len(state.keyframe_map),
+        keyframe=known_keyframes if len(state.keyframe_map) > known_keyframes else None,
+        components=0 if lost else len(found),
+    )
+
+
+@jax.jit
+def _relative(anchors: jax.Array, poses: jax.Array) -> jax.Array:
+    """anchor_from_camera (K, 7)."""
+
+    def one(anchor: jax.Array, pose: jax.Array) -> jax.Array:
+        return (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz
+
+    return jax.vmap(one)(anchors, poses)

@@ -1,0 +1,114 @@
+"""Images of a frame on canvases of fixed size: the working image of the filter, and a finer one.
+
+Depth is averaged over square blocks; one canvas a kind serves recordings of every size, so that kernels are
+compiled once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from operator import add
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import NO_RETURN, CameraIntrinsics, Frame
+from shapes.geometry.camera import Camera, pixel_rays
+
+CANVAS_HEIGHT = 120
+
+CANVAS_WIDTH = 160
+
+CANVAS = (CANVAS_HEIGHT, CANVAS_WIDTH)
+
+FINE_CANVAS = (240, 320)
+"""Rows and columns of the image that the final refinement of the keyframes looks at."""
+
+BLOCK_DEPTH_BAND = 0.03
+"""Relative depth band that counts as one surface when a block of pixels is averaged."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class DepthView:
+    """One frame on a canvas (H, W).
+
+    Attributes:
+        depth_m: (H, W) float32 along the optical axis, `NO_RETURN` where unknown.
+        measured: (H, W) bool, the pixels that the image has (the canvas may be larger).
+        rays: (3, H, W) directions through the pixel centres, scaled to z = 1.
+        camera: intrinsics on the canvas.
+    """
+
+    depth_m: jax.Array
+    measured: jax.Array
+    rays: jax.Array
+    camera: Camera
+
+
+def framing(view: DepthView) -> NDArray[np.float64]:
+    """What the view's image takes in (6,): fx, fy, cx, cy, columns, rows, in pixels."""
+    camera = view.camera
+    rows, columns = np.argwhere(np.asarray(view.measured)).max(axis=0) + 1
+    return np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, columns, rows], float)
+
+
+def central_depth(view: DepthView) -> float:
+    """Median depth of the image's middle ninth, or of all of it, or 1 m where nothing was measured."""
+    depth_m = np.asarray(view.depth_m)
+    rows, columns = depth_m.shape
+    middle = depth_m[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3]
+    for region in (middle, depth_m):
+        if (region > 0).any():
+            return float(np.median(region[region > 0]))
+    return 1.0
+
+
+def reduction_factor(intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> int:
+    """Side in pixels of the square blocks that bring an image onto the canvas."""
+    rows, columns = canvas
+    return max(1, -(-intrinsics.width // columns), -(-intrinsics.height // rows))
+
+
+def view_of_frame(frame: Frame, intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> DepthView:
+    """A frame on a canvas of (rows, columns); one of another size than `intrinsics` is taken as resized."""
+    height, width = frame.depth_m.shape
+    if (height, width) != (intrinsics.height, intrinsics.width):
+        intrinsics = intrinsics.resized(width, height)
+    factor = reduction_factor(intrinsics, canvas)
+    rows, columns = -(-height // factor), -(-width // factor)
+    padded: NDArray[np.float32] = np.full((rows * factor, columns * factor), NO_RETURN, np.float32)
+    padded[:height, :width] = frame.depth_m
+    whole_blocks = replace(intrinsics, width=columns * factor, height=rows * factor)
+    camera = Camera.from_intrinsics(whole_blocks.resized(columns, rows))
+    return _reduce(padded, camera, factor, canvas)
+
+
+@partial(jax.jit, static_argnames=("factor", "canvas"))
+def _reduce(depth_m: jax.Array, camera: Camera, factor: int, canvas: tuple[int, int]) -> DepthView:
+    reduced = block_reduce(depth_m, factor)
+    rows, columns = reduced.shape
+    padding = ((0, canvas[0] - rows), (0, canvas[1] - columns))
+    return DepthView(
+        depth_m=jnp.pad(reduced, padding),
+        measured=jnp.pad(jnp.ones((rows, columns), bool), padding),
+        rays=jnp.moveaxis(pixel_rays(camera, *canvas), -1, 0),
+        camera=camera,
+    )
+
+
+def block_reduce(depth_m: jax.Array, factor: int) -> jax.Array:
+    """Depth (H, W) averaged over `factor` x `factor` blocks, each over its nearest surface alone.
+
+    A block whose nearest surface covers less than half of it has no return: it has no one depth.
+    """
+    block = [depth_m[row::factor, column::factor] for row in range(factor) for column in range(factor)]
+    nearest = reduce(jnp.minimum, [jnp.where(pixel > NO_RETURN, pixel, jnp.inf) for pixel in block])
+    farthest = (1.0 + BLOCK_DEPTH_BAND) * nearest
+    on_surface = [(pixel > NO_RETURN) & (pixel <= farthest) for pixel in block]
+    count = reduce(add, [member.astype(jnp.int32) for member in on_surface])
+    total = reduce(add, [jnp.where(*pair, 0.0) for pair in zip(on_surface, block, strict=True)])
+    return jnp.where(2 * count >= factor * factor, total / jnp.maximum(count, 1), NO_RETURN)

@@ -1,0 +1,230 @@
+"""How well two keyframes agree where they overlap, pixel by pixel of the one on the planes of the other.
+
+A pixel's gap is the distance of its point from the plane of the pixel that it falls on. Its factor is the
+mixture of a Normal, whose variance is that of both depths across the plane, and of a uniform for what the
+other keyframe does not see: an occluded or moved surface, an edge, empty space. Where densities at several
+poses are compared, the same pixels give a factor at each, so that poses which look away cannot win.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import NO_RETURN, DepthNoise
+from shapes import depth_noise
+from shapes.geometry.camera import Camera
+from shapes.geometry.vectors import cross, dot, moved, rotated
+from slam.keyframes.depth_view import DepthView
+from slam.keyframes.rendering import NEAREST_DEPTH_M
+
+SAMPLES = 4096
+
+BLOCKS_ACROSS = 8
+
+BLOCKS = BLOCKS_ACROSS**2
+
+OUTLIER_SHARE = 0.03
+
+OUTLIER_RANGE_M = 0.1
+
+LEAST_NORMAL_COSINE = 0.87
+"""Of the angle between the normals that both keyframes have for one point: 30 degrees."""
+
+LEAST_INCIDENCE_COSINE = 0.2
+"""Depth at more grazing rays is not trusted."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PlaneImage:
+    """A keyframe as a surface.
+
+    Attributes:
+        elements: (H, W, 7) plane in its frame, zeros where there is none, then ray and depth: what a pixel is
+            asked for lies together, and is gathered in less time.
+        camera: intrinsics on the canvas.
+    """
+
+    elements: jax.Array
+    camera: Camera
+
+    @classmethod
+    def of(cls, view: DepthView, planes: jax.Array) -> PlaneImage:
+        """A view with planes (3, H, W)."""
+        leaves = jnp.concatenate([planes, view.rays, view.depth_m[None]])
+        return cls(jnp.moveaxis(leaves, 0, -1), view.camera)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PointSample:
+    """Points of a keyframe as an image, sorted into blocks of neighbours; zeros where there are fewer.
+
+    Attributes:
+        points: (3, SAMPLES) in its frame, metres.
+        normals: (3, SAMPLES) unit, away from the camera.
+    """
+
+    points: jax.Array
+    normals: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class OverlapTerms:
+    """Gauss-Newton terms of one overlap, in displacements of the image's keyframe and of the surface's.
+
+    Attributes:
+        precision: (12, 12).
+        gradient: (12,) of minus the log density.
+        score_variance: (12, 12) of the gradient, from the spread of blocks of pixels.
+        inliers: expected number of pixels on the surface.
+    """
+
+    precision: jax.Array
+    gradient: jax.Array
+    score_variance: jax.Array
+    inliers: jax.Array
+
+
+def sampled(view: DepthView, planes: jax.Array, region_sizes: jax.Array) -> PointSample:
+    """Up to `SAMPLES` of a view's pixels that lie on planes (3, H, W), fewer on large regions (H, W).
+
+    A table top says the same thing many times; what stands on it is seen by few pixels. Systematic: pixels
+    in the order of the image at equal steps of their weights' running sum.
+    """
+    normals, sizes = np.asarray(planes), np.asarray(region_sizes, np.float64)
+    weight = (sizes > 0) / np.sqrt(np.maximum(sizes, 1.0))
+    share = np.minimum(1.0, SAMPLES * weight / max(weight.sum(), 1e-12)).ravel()
+    pixels = np.nonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0)[0][:SAMPLES]
+    rows, columns = weight.shape
+    row, column = np.divmod(pixels, columns)
+    block = (row * BLOCKS_ACROSS // rows) * BLOCKS_ACROSS + column * BLOCKS_ACROSS // columns
+    pixels = pixels[np.argsort(block, kind="stable")]
+    normal = normals.reshape(3, -1)[:, pixels]
+    points = (np.asarray(view.rays) * np.asarray(view.depth_m)).reshape(3, -1)[:, pixels]
+    return PointSample(_padded(points), _padded(normal / np.linalg.norm(normal, axis=0)))
+
+
+def _padded(columns: NDArray[np.floating]) -> jax.Array:
+    return jnp.asarray(np.pad(columns, ((0, 0), (0, SAMPLES - columns.shape[1]))), jnp.float32)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Gaps:
+    """Per sampled pixel (n,): its point and plane normal in the surface's frame (3, n), gap and variance."""
+
+    points: jax.Array
+    normals: jax.Array
+    gap_m: jax.Array
+    variance_m2: jax.Array
+    meets: jax.Array
+
+
+def _gaps(
+    surface: PlaneImage, sample: PointSample, surface_from_image: jax.Array, noise: DepthNoise
+) -> _Gaps:
+    pose = jaxlie.SE3(surface_from_image)
+    rotation = pose.rotation().as_matrix()
+    points = moved(rotation, pose.translation(), sample.points)
+    pixel, inside = _pixels(points, surface)
+    element = surface.elements.reshape(-1, surface.elements.shape[-1])[pixel].T
+    planes, surface_ray, surface_depth = element[:3], element[3:6], element[6]
+    length = jnp.sqrt(dot(planes, planes))
+    normals = planes / jnp.where(length > 0, length, 1.0)[None]
+    depth = sample.points[2]
+    ray = rotated(rotation, sample.points / jnp.where(depth > 0, depth, 1.0)[None])
+    along, surface_along = dot(normals, ray), dot(normals, surface_ray)
+    meets = inside & (depth > NO_RETURN) & (length > 0)
+    meets &= dot(normals, rotated(rotation, sample.normals)) > LEAST_NORMAL_COSINE
+    meets &= along > LEAST_INCIDENCE_COSINE * jnp.sqrt(dot(ray, ray))
+    meets &= surface_along > LEAST_INCIDENCE_COSINE * jnp.sqrt(dot(surface_ray, surface_ray))
+    sigma = depth_noise.standard_deviation(noise, depth)
+    surface_sigma = depth_noise.standard_deviation(noise, surface_depth)
+    variance = (sigma * along) ** 2 + (surface_sigma * surface_along) ** 2
+    gap = (dot(planes, points) - 1.0) / jnp.where(length > 0, length, 1.0)
+    return _Gaps(points, normals, gap, jnp.where(meets, variance, 1.0), meets)
+
+
+def _pixels(points: jax.Array, surface: PlaneImage) -> tuple[jax.Array, jax.Array]:
+    rows, columns, _ = surface.elements.shape
+    camera = surface.camera
+    in_front = points[2] > NEAREST_DEPTH_M
+    depth = jnp.where(in_front, points[2], 1.0)
+    column = jnp.round(camera.fx * points[0] / depth + camera.cx).astype(jnp.int32)
+    row = jnp.round(camera.fy * points[1] / depth + camera.cy).astype(jnp.int32)
+    inside = in_front & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    return jnp.where(inside, row * columns + column, 0), inside
+
+
+def _log_normal(gaps: _Gaps, variance: jax.Array) -> jax.Array:
+    return jnp.log1p(-OUTLIER_SHARE) - 0.5 * (gaps.gap_m**2 / variance + jnp.log(2.0 * jnp.pi * variance))
+
+
+LOG_OUTLIER = float(np.log(OUTLIER_SHARE / OUTLIER_RANGE_M))
+
+
+@jax.jit
+def overlap_terms(
+    surface: PlaneImage,
+    samples: PointSample,
+    surface_from_images: jax.Array,
+    noise: DepthNoise,
+    inflation: jax.Array | float,
+) -> OverlapTerms:
+    """Terms of one surface's overlaps with B images, leaves stacked (B, ...).
+
+    Args:
+        surface: of one keyframe.
+        samples: of B keyframes, leaves (B, ...).
+        surface_from_images: (B, 7).
+        noise: the sensor.
+        inflation: of sigma, over 1 while poses are still far off.
+    """
+
+    def one(pair: tuple[PointSample, jax.Array]) -> OverlapTerms:
+        sample, pose = pair
+        gaps = _gaps(surface, sample, pose, noise)
+        variance = inflation**2 * gaps.variance_m2
+        inlier = jnp.where(gaps.meets, jax.nn.sigmoid(_log_normal(gaps, variance) - LOG_OUTLIER), 0.0)
+        weight = inlier / variance
+        normals = rotated(jaxlie.SE3(pose).rotation().as_matrix().T, gaps.normals)
+        of_image = [normals, cross(sample.points, normals)]
+        of_surface = [-gaps.normals, -cross(gaps.points, gaps.normals)]
+        jacobian = jnp.concatenate([*of_image, *of_surface])
+        gradients = jacobian * (weight * gaps.gap_m)[None]
+        blocks = gradients.reshape(12, BLOCKS, -1).sum(2)
+        return OverlapTerms(
+            precision=(jacobian * weight[None]) @ jacobian.T,
+            gradient=blocks @ jnp.ones(BLOCKS, blocks.dtype),
+            score_variance=blocks @ blocks.T,
+            inliers=inlier.sum(),
+        )
+
+    return jax.lax.map(one, (samples, surface_from_images))
+
+
+@jax.jit
+def log_overlap_densities(
+    surface: PlaneImage, samples: PointSample, surface_from_images: jax.Array, noise: DepthNoise
+) -> jax.Array:
+    """Log densities (B, L) of B images' samples (B, ...) given one surface, at poses (B, L, 7).
+
+    Base measure: Lebesgue in metres of each pixel's gap. Counted are the pixels that meet the surface from
+    all of the poses: those that come and go at the edges would not compare.
+    """
+
+    def at_poses(pair: tuple[PointSample, jax.Array]) -> jax.Array:
+        sample, poses = pair
+        gaps = jax.vmap(lambda pose: _gaps(surface, sample, pose, noise))(poses)
+        log_surface = jnp.logaddexp(_log_normal(gaps, gaps.variance_m2), LOG_OUTLIER)
+        return jnp.where(gaps.meets.all(0), log_surface, 0.0).sum(1)
+
+    return jax.lax.map(at_poses, (samples, surface_from_images))

@@ -1,0 +1,129 @@
+"""All likely maps of a handful of keyframes: sought without regard to what the filter found, and weighed.
+
+Views far apart are explained by more than one map: a corner of a bare room by each other one, an object on a
+pedestal from the wrong side. So several maps are proposed, brought to the optimum next to them, and weighed
+by the composite likelihood of all images, tempered, times the motion prior of the keyframes. All that are not
+negligible remain, and particles stand for them in proportion (`slam.modes`).
+
+####
+Whole maps of keyframes brought to the optimum next to them, all keyframes at once.
+
+What a search leaves is centimetres off. Along bare walls each view is held by others that are off as well:
+one by one, each in the map of the others, they need dozens of rounds, the graph of their overlaps
+(`slam.keyframe_optimum`) needs few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from shapes.geometry.poses import matrices_of, single_precision_poses
+from slam.filter.motion import OrbitMotion
+from slam.keyframes.depth_view import central_depth
+from slam.keyframes.keyframe_map import KeyframeMap
+from slam.map_hypotheses.beam_search import placed_surest_first
+from slam.map_hypotheses.circular_paths import regular_steps, repeated
+from slam.map_hypotheses.cross_registration import Jury, agreeing, placed_anew
+from slam.map_hypotheses.modes import Modes
+from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimum
+from slam.pose_graph.overlaps import Detail, keyframes_at
+from slam.pose_graph.trajectory_prior import KeyframeMotion
+
+MODES_EXPONENT = 0.01
+"""Tempering of the composite likelihood between maps. What tempers one map's optimum (`slam.calibration`: .25
+to 1 here) does not know that maps are wrong at creases, and how much: right maps were ahead of the filter's
+wrong ones by 1056, 155 and 274 nats (5 views of objects, 7010000, 7010001, 7010003), by 1988 and -365 in bare
+rooms (circles of 5, 7010000, 7010001). So few films tell no more than the order of magnitude."""
+
+REGULAR_DISTANCES = (0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.25)
+"""To the pivot of a circle, in depths at the image centre: the object there, or halfway to a far wall."""
+
+REGULAR_MAPS = 6
+"""Circles that are settled: in a bare room three by quarter turns, a corner each view, came before the right
+one (circles of 5, 6020000)."""
+
+MOST_ROUNDS = 3
+"""After the first, in which keyframes are placed without regard to any map."""
+
+
+def likely_maps(
+    jury: Jury,
+    present: Sequence[NDArray[np.float64]],
+    motion: KeyframeMotion,
+    details: Sequence[Detail],
+    noise: DepthNoise,
+) -> Modes:
+    """Maps of all keyframes and their probabilities.
+
+    Args:
+        jury: the keyframes.
+        present: maps (N, 4, 4) of the filter.
+        motion: prior of the keyframes' poses.
+        details: of the keyframes.
+        noise: the sensor at that detail.
+    """
+    settle = partial(settled, keyframe_map=jury.keyframe_map, details=details, noise=noise, motion=motion)
+
+    def log_weight(poses: NDArray[np.float64]) -> float:
+        return MODES_EXPONENT * jury.log_composite(poses) + motion.log_density(poses)
+
+    maps = [settle(poses) for poses in (*present, *_regular_maps(jury, motion))]
+    log_weights = [log_weight(poses) for poses in maps]
+    for round_ in range(1 + MOST_ROUNDS):
+        best = maps[int(np.argmax(log_weights))]
+        core = agreeing(jury, best)
+        if len(core) == len(jury):
+            break
+        proposed = placed_anew(jury, best, core) if round_ else placed_surest_first(jury)
+        if proposed is not None:
+            maps.append(settle(proposed))
+            log_weights.append(log_weight(maps[-1]))
+    return Modes.of(maps, log_weights)
+
+
+def _regular_maps(jury: Jury, motion: KeyframeMotion) -> list[NDArray[np.float64]]:
+    """Maps (N, 4, 4) on circles of the orbit's radius, where there is one, or of any."""
+    distances = np.asarray(REGULAR_DISTANCES, np.float64) * central_depth(jury.view(0))
+    if isinstance(motion.motion, OrbitMotion):
+        distances = np.asarray([np.linalg.norm(motion.pivot_m)], np.float64)
+    return [repeated(step, len(jury)) for step in regular_steps(jury, distances)[:REGULAR_MAPS]]
+
+
+FAR_INFLATIONS = (16.0, 8.0, *INFLATIONS)
+"""Of sigma in the first rounds."""
+
+FARTHEST = 0.3
+"""Metres or radians that a keyframe may move."""
+
+
+def settled(
+    poses: NDArray[np.float64],
+    keyframe_map: KeyframeMap,
+    details: Sequence[Detail],
+    noise: DepthNoise,
+    motion: KeyframeMotion,
+) -> NDArray[np.float64]:
+    """The map (N, 4, 4) at the optimum near `poses`; as it is where no keyframes overlap.
+
+    The motion prior comes last: an orbit's distances, good to millimetres, would bend what is far off.
+
+    Args:
+        poses: reference_from_keyframe.
+        keyframe_map: at working resolution.
+        details: of the keyframes.
+        noise: the sensor at that detail.
+        motion: prior of the keyframes' poses.
+    """
+    keyframes = keyframes_at(keyframe_map, details, poses, noise)
+    for inflations, prior in ((FAR_INFLATIONS, None), (HELD_INFLATIONS, motion)):
+        found = optimum(keyframes, np.asarray(single_precision_poses(poses)), inflations, FARTHEST, prior)
+        if found is None or not np.isfinite(found[0]).all():
+            return poses
+        moved = matrices_of(found[0])
+        poses = np.linalg.inv(moved[0]) @ moved
+    return poses

@@ -1,0 +1,95 @@
+"""Whole maps of keyframes that one motion, repeated, leads through: a turntable's circle, or an orbit's.
+
+Two views a fifth of a circle apart share so little that wrong places which cover more explain them better;
+all views together tell one step of the circle well. Constant velocity is what the motion priors expect most,
+so its few coordinates are enumerated over the whole circle, coarse to fine. A step is judged as a whole map
+is, each image in the map of all the others.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.stats import norm, qmc
+
+from shapes.geometry import pose_sets
+from shapes.geometry.poses import single_precision_poses
+from slam.map_hypotheses.cross_registration import Jury
+from slam.registration import pose_grids
+from slam.registration.global_search import log_scores_of_maps
+
+JUDGING = 5
+"""Images that a step is judged by."""
+
+STARTS, STEPS = 160, 40
+"""Distinct ones whose refinement is begun and of which it is ended: the true step was up to the seventieth of
+the grid, and among the first five of the refined (circles of 5 in bare rooms, from 7010000)."""
+
+STEP_SHIFT_M, STEP_ANGLE_RAD = 0.12, 0.15
+
+BLUR, LEAST_BLUR = 0.06, 0.01
+
+REFINING = tuple(0.05 * 0.75**round_ for round_ in range(12))
+"""Widths of clouds round each, metres and radians."""
+
+LOG_CLOUD = 6
+
+BATCH = 256
+
+
+def regular_steps(jury: Jury, distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Steps last_from_next (S, 4, 4) of one repeated motion, those that explain the keyframes best first.
+
+    Args:
+        jury: the keyframes, at even times.
+        distances_m: (D,) to the pivots of circles that are tried.
+    """
+    candidates = pose_grids.orbit_steps(distances_m)
+    ranked = candidates[np.argsort(-_scores(jury, candidates, BLUR), kind="stable")]
+    return _refined(jury, _first_distinct(ranked, STARTS))
+
+
+def repeated(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Poses (N, 4, 4) that a step (4, 4) leads through, from the identity."""
+    return np.stack([np.linalg.matrix_power(step, index) for index in range(count)])
+
+
+def _scores(jury: Jury, steps: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
+    """Sums (C,) over the judging images of their approximate log densities in the map of all others."""
+    total, padded = np.zeros(len(steps)), pose_sets.padded(steps, BATCH)
+    powers = {lag: np.linalg.matrix_power(padded, lag) for lag in range(1 - len(jury), len(jury))}
+    for index in range(0, len(jury), -(-len(jury) // JUDGING)):
+        others = jury.all_but(index)
+        poses = single_precision_poses(np.stack([powers[other - index] for other in others], axis=1))
+        surfaces = jury.keyframe_map.stacked(np.asarray(others))
+        scores = log_scores_of_maps(surfaces, poses, jury.view(index), jury.noise, blur)
+        total += np.asarray(scores, np.float64)[: len(steps)]
+    return total
+
+
+def _first_distinct(steps: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    return steps[pose_sets.distinct(steps, count, STEP_SHIFT_M, STEP_ANGLE_RAD)]
+
+
+def _refined(jury: Jury, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The best steps near each (S, 4, 4), in clouds that grow narrower and fewer: distinct, best first."""
+    for width in REFINING:
+        clouds = steps[:, None] @ np.asarray(expm(width * _cloud()))
+        scores = _scores(jury, clouds.reshape(-1, 4, 4), max(width, LEAST_BLUR)).reshape(len(steps), -1)
+        best = clouds[np.arange(len(steps)), scores.argmax(axis=1)]
+        ranked = best[np.argsort(-scores.max(axis=1), kind="stable")]
+        steps = _first_distinct(ranked, max(STEPS, len(steps) // 2))
+    return steps
+
+
+@cache
+def _cloud() -> NDArray[np.float64]:
+    """Twists (2^n, 4, 4), the first zero, the others evenly spread like a standard Normal."""
+    twists = np.zeros((2**LOG_CLOUD, 4, 4))
+    even = qmc.Sobol(6, scramble=False).random_base2(LOG_CLOUD)
+    for twist, (x, y, z, a, b, c) in zip(twists[1:], norm.ppf(even[1:]), strict=True):
+        twist[:3] = [[0, -c, b, x], [c, 0, -a, y], [-b, a, 0, z]]
+    return twists

@@ -1,0 +1,118 @@
+"""Keyframes that contradict each other are placed anew, once all of them are known.
+
+With views far apart the filter may have to choose between places of which none of the earlier keyframes can
+tell; later ones could, but by then its particles agree on a wrong place, or on two clusters of views that are
+right in themselves and wrong to each other. Here every keyframe is compared with all the others. Where some
+contradict (what is seen should lie on the map wherever the map is met), those that contradict most are left
+out until the rest is of one mind, and are then sought anywhere in the map of the rest, the surest first.
+
+It is a mode-jumping Metropolis-Hastings step (Tjelmeland and Hegland 2001): a deterministic search proposes
+another mode, particles keep their displacements from the mean, so that volumes stay, and the ratio of the
+composite likelihood of all images decides (`Jury.log_composite`). An approximation: the way back is not
+proposed, for from the better mode nothing contradicts and no search begins.
+
+Of a handful, none may stand right though all agree: maps of them are proposed without regard to what the
+filter found, and all that are likely remain (`slam.rivals`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from shapes.geometry.pose_sets import grouped, mean_keyframes
+from shapes.geometry.poses import matrices_of, single_precision_poses
+from slam.config import SlamConfig
+from slam.filter.state import CameraParticles, FilterState
+from slam.filter.step import smc
+from slam.map_hypotheses.candidate_maps import likely_maps
+from slam.map_hypotheses.cross_registration import Jury, agreeing, placed_anew
+from slam.map_hypotheses.modes import carried, dealt
+from slam.pose_graph.overlaps import Detail
+from slam.pose_graph.trajectory_prior import KeyframeMotion
+
+MOSTLY = 0.5
+"""Share of the frames that are keyframes, from which on views are far apart whatever the filter says: it may
+have taken the next corner of a bare room for the last one."""
+
+MOST_KEYFRAMES = 48
+
+MOST_ROUNDS = 3
+"""From a first core that is small, the places of the others may be wrong again."""
+
+HANDFUL = 12
+"""Keyframes few enough to be placed without regard to what the filter found."""
+
+
+def is_handful(state: FilterState, frames: int) -> bool:
+    """Whether the keyframes are few and views of a recording of `frames` far apart."""
+    used = len(state.keyframe_map)
+    return 2 < used <= HANDFUL and used > MOSTLY * frames
+
+
+def reconsidered(
+    key: jax.Array,
+    state: FilterState,
+    config: SlamConfig,
+    details: Sequence[Detail],
+    noise: DepthNoise,
+    motion: KeyframeMotion | None,
+) -> FilterState:
+    """The state with the keyframes of every mode placed anew where they contradict each other.
+
+    Args:
+        key: consumed.
+        state: after the last frame.
+        config: settings.
+        details: of the keyframes.
+        noise: the sensor at that detail.
+        motion: prior of the keyframes' poses, where they are a handful.
+    """
+    used = len(state.keyframe_map)
+    if not 2 < used <= MOST_KEYFRAMES or (motion is None and not state.steps_were_wide):
+        return state
+    particles: CameraParticles = state.population.particles
+    poses = particles.keyframe_poses[:, :used]
+    log_weights = np.asarray(state.population.log_weights, np.float64)
+    weights = np.exp(log_weights)
+    groups = grouped(matrices_of(poses), weights)
+    shares = [np.where(groups == group, weights, 0.0) for group in range(groups.max() + 1)]
+    means = jnp.stack([mean_keyframes(poses, jnp.asarray(share / share.sum())) for share in shares])
+    jury = Jury(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
+    if motion is not None:
+        modes = likely_maps(jury, list(matrices_of(means)), motion, details, noise)
+        now, log_weights = dealt(key, modes.shares, log_weights)
+        after = single_precision_poses(modes.maps)[now]
+    else:
+        maps = [
+            _chosen(jax.random.fold_in(key, group), jury, matrices_of(mean), state.calibration.exponent)
+            for group, mean in enumerate(means)
+        ]
+        after = single_precision_poses(np.stack(maps))[groups]
+    keyframe_poses = particles.keyframe_poses.at[:, :used].set(carried(poses, means[groups], after))
+    moved = replace(particles, keyframe_poses=keyframe_poses)
+    population = smc.Population(moved, jnp.asarray(log_weights, jnp.float32))
+    return replace(state, population=population)
+
+
+def _chosen(key: jax.Array, jury: Jury, poses: NDArray[np.float64], exponent: float) -> NDArray[np.float64]:
+    """Poses (N, 4, 4) after steps until all agree or one is refused."""
+    core = agreeing(jury, poses)
+    present = None
+    for log_uniform in np.log(np.asarray(jax.random.uniform(key, (MOST_ROUNDS,)))):
+        if len(core) == len(jury):
+            break
+        proposed = placed_anew(jury, poses, core)
+        present = jury.log_composite(poses) if present is None else present
+        log_composite = jury.log_composite(proposed)
+        if log_uniform >= exponent * (log_composite - present):
+            break
+        poses, present = proposed, log_composite
+        core = agreeing(jury, poses)
+    return poses

@@ -1,0 +1,193 @@
+"""The optimum of keyframes' overlaps by Gauss-Newton, each overlap linearised anew in every round.
+
+The target is the overlap density (`slam.overlap`), tempered so that a pixel which several surfaces explain
+counts once.
+
+####
+Kernels over all keyframes of a map, on the host's arrays.
+
+How many there are differs from recording to recording: arrays are padded to a multiple, or every recording
+would compile them anew (measured: as long as a dozen frames take).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import matrices_of
+from slam.filter.map_update import CAPACITY_STEP
+from slam.likelihood.overlap_density import overlap_terms
+from slam.pose_graph import sparse_gaussian
+from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
+from slam.pose_graph.sparse_gaussian import PoseGraph
+from slam.pose_graph.trajectory_prior import KeyframeMotion
+
+INFLATIONS = (4.0, 3.0, 2.0, 1.5)
+"""Of sigma in the first rounds, which start at the filter's drift."""
+
+MOST_STEPS = 8
+"""After those."""
+
+DAMPING = 1e4
+"""A step of a centimetre along what no pixel sees weighs as much as one standard deviation."""
+
+CONVERGED = 0.05
+"""Gain of a step, in tempered nats, as a share of what noise itself costs at the optimum: half a nat for each
+coordinate. In a bare room further steps lead away, centimetres along the walls, for nothing (measured)."""
+
+HELD_INFLATIONS, HELD_DAMPING, HELD_CONVERGED = (1.0,), 100.0, 0.002
+"""The same where the motion prior holds what no pixel sees. It is not to outweigh what they see: few samples
+of inflated sigma say less of rotations than it does, so that all are asked from the first round on."""
+
+FARTHEST = 0.05
+"""Metres or radians. A keyframe that would move farther is not near its optimum: the filter mistook the
+place, or nothing holds it. It stays, and the others are refined without it."""
+
+LEAST_INLIERS = 60.0
+
+THINNED = 8
+"""Of the samples, every so many decide on the first rounds: they stand for all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Linearised:
+    """The graph of E overlaps, its pairs being (image, surface), and what tells how much to believe it.
+
+    Attributes:
+        graph: not tempered.
+        score_variance: (E, 12, 12) of the gradients.
+        inliers: (E,).
+    """
+
+    graph: PoseGraph
+    score_variance: NDArray[np.float64]
+    inliers: NDArray[np.float64]
+
+
+def optimum(
+    keyframes: Keyframes,
+    poses: NDArray[np.float32],
+    inflations: Sequence[float] = INFLATIONS,
+    farthest: float = FARTHEST,
+    motion: KeyframeMotion | None = None,
+) -> tuple[NDArray[np.float32], PoseGraph, NDArray[np.float64]] | None:
+    """Poses (N, 7) at the optimum near `poses`, the tempered graph there and each image's exponent (N,).
+
+    None where no keyframes overlap. `inflations` and `farthest` as `INFLATIONS` and `FARTHEST`; with `motion`
+    the overlaps are tempered in every step, and damped less: it holds what they do not see.
+    """
+    start, astray = poses, np.zeros(len(poses), bool)
+    linearised = _linearised(keyframes, poses, inflations[0], astray)
+    damping, converged = (DAMPING, CONVERGED) if motion is None else (HELD_DAMPING, HELD_CONVERGED)
+    for round_ in range(1, len(inflations) + MOST_STEPS):
+        if linearised is None:
+            return None
+        tempered = _tempered(linearised, motion, poses)
+        step = sparse_gaussian.damped_step(linearised.graph if motion is None else tempered, damping)
+        if round_ > len(inflations) and _gain(tempered, step) < converged * 0.5 * step[1:].size:
+            break
+        poses = displaced(poses, step)
+        astray |= np.abs(coordinates(start, poses)).max(axis=1) > farthest
+        poses = np.where(astray[:, None], start, poses)
+        inflation = inflations[round_] if round_ < len(inflations) else 1.0
+        linearised = _linearised(keyframes, poses, inflation, astray)
+    if linearised is None:
+        return None
+    return poses, _tempered(linearised, motion, poses), _exponents(linearised)
+
+
+def _tempered(
+    linearised: _Linearised, motion: KeyframeMotion | None, poses: NDArray[np.float32]
+) -> PoseGraph:
+    """The graph with its terms to the power of their exponents, and the motion prior at poses (N, 7)."""
+    graph = linearised.graph
+    exponents = _exponents(linearised)[graph.pairs[:, 0]]
+    return replace(
+        graph,
+        precision=graph.precision * exponents[:, None, None],
+        gradient=graph.gradient * exponents[:, None],
+        joint=None if motion is None else motion.bent(matrices_of(poses)),
+    )
+
+
+def _linearised(
+    keyframes: Keyframes, poses: NDArray[np.float32], inflation: float, astray: NDArray[np.bool_]
+) -> _Linearised | None:
+    """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
+    stride = 1 if inflation == 1.0 else THINNED
+    overlaps, parts = [], []
+    for surface, samples, index, images in keyframes.batches(stride):
+        relative = relative_to(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
+        terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation)
+        parts.append([np.asarray(leaf, np.float64)[: len(images)] for leaf in jax.tree.leaves(terms)])
+        overlaps.append(np.stack([images, np.full(len(images), index)], axis=1))
+    if not parts:
+        return None
+    pairs = np.concatenate(overlaps)
+    precision, gradient, score_variance, inliers = (np.concatenate(leaf) for leaf in zip(*parts, strict=True))
+    agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
+    if not agree.any():
+        return None
+    graph = PoseGraph(
+        keyframes=len(poses), pairs=pairs[agree], precision=precision[agree], gradient=gradient[agree]
+    )
+    return _Linearised(graph=graph, score_variance=score_variance[agree], inliers=inliers[agree])
+
+
+def _gain(graph: PoseGraph, step: NDArray[np.float64]) -> float:
+    """Nats by which a Newton step (N, 6) raises the density: half its squared decrement."""
+    displaced = step[graph.pairs].reshape(-1, 12)
+    joint = 0.0 if graph.joint is None else step.ravel() @ graph.joint.precision @ step.ravel()
+    return float(0.5 * (np.einsum("ei,eij,ej->", displaced, graph.precision, displaced) + joint))
+
+
+def _exponents(linearised: _Linearised) -> NDArray[np.float64]:
+    """Exponent (N,) of each image's densities: its pixels count once, and as many as are independent.
+
+    An image's inliers over those of its largest overlap tell by how many surfaces a pixel is explained; the
+    spread of the blocks' scores, how much of the curvature is repetition (`slam.calibration`).
+    """
+    graph, images = linearised.graph, linearised.graph.pairs[:, 0]
+    total, largest = np.zeros(graph.keyframes), np.ones(graph.keyframes)
+    np.add.at(total, images, linearised.inliers)
+    np.maximum.at(largest, images, linearised.inliers)
+    of_image = graph.precision[:, :6, :6]
+    floor = 1e-6 * np.trace(of_image, axis1=1, axis2=2)[:, None, None] * np.eye(6)
+    repetition = np.linalg.solve(of_image + floor, linearised.score_variance[:, :6, :6])
+    inflation = max(1.0, float(np.median(np.trace(repetition, axis1=1, axis2=2) / 6)))
+    return 1.0 / (np.maximum(1.0, total / largest) * inflation)
+
+
+def displaced(poses: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Poses (N, 7) displaced by (N, 6)."""
+    padded = _padded(poses, 0), _padded(displacements, 0)
+    return np.asarray(_displaced(*padded))[: len(poses)]
+
+
+def coordinates(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Coordinates (N, 6) of poses (N, 7) in the charts at others (N, 7)."""
+    return np.asarray(_coordinates(_padded(origins, 0), _padded(poses, 0)))[: len(poses)]
+
+
+def drawn(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
+    return np.asarray(_drawn(_padded(centres, 0), _padded(displacements, 1)))[:, : len(centres)]
+
+
+def _padded(values: NDArray[np.floating], axis: int) -> NDArray[np.float32]:
+    room = -values.shape[axis] % CAPACITY_STEP
+    first = np.take(values, np.zeros(room, int), axis)
+    return np.concatenate([values, first], axis).astype(np.float32)
+
+
+_displaced = jax.jit(jax.vmap(pose_gaussian.displaced))
+
+_coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
+
+_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displaced), (None, 0)))

@@ -1,0 +1,110 @@
+"""Keyframes at full detail, and which of them overlap: what joint refinement compares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from slam.keyframes.depth_view import DepthView, framing
+from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
+from slam.keyframes.plane_segmentation import with_whole_planes
+from slam.keyframes.planes import region_planes
+from slam.likelihood.overlap_density import PlaneImage, PointSample, sampled
+
+OVERLAPS = 6
+"""Earlier keyframes with which each one is compared, both ways round."""
+
+IMAGE_BUCKET = 4
+"""Images compared with one surface in one call, so that kernels are compiled once."""
+
+
+@dataclass(frozen=True)
+class Detail:
+    """A keyframe at full detail: its view, and `region_planes` of it.
+
+    JAX computes in the background: planes are asked for when the keyframe is made, and used at the end.
+    """
+
+    view: DepthView
+    planes: jax.Array
+    region_sizes: jax.Array
+
+    @cached_property
+    def surface(self) -> PlaneImage:
+        """With planes where regions have one."""
+        return PlaneImage.of(self.view, jnp.where((self.region_sizes > 0)[None], self.planes, 0.0))
+
+    @cached_property
+    def sample(self) -> PointSample:
+        """On the host, where stacking is cheap."""
+        return jax.tree.map(np.asarray, sampled(self.view, self.planes, self.region_sizes))
+
+    def with_whole_planes(self, noise: DepthNoise) -> Detail:
+        """The same with large planes as one each."""
+        planes = with_whole_planes(np.asarray(self.planes), np.asarray(self.region_sizes), self.view, noise)
+        return replace(self, planes=jnp.asarray(planes))
+
+
+def detail_of(view: DepthView, noise: DepthNoise) -> Detail:
+    """A keyframe seen on `FINE_CANVAS`."""
+    return Detail(view, *region_planes(view, noise))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keyframes:
+    """Keyframes at full detail, and which of them overlap.
+
+    Attributes:
+        surfaces: N.
+        samples: N, on the host.
+        images_of: for each surface, the keyframes (n,) whose images are compared with it.
+        noise: the sensor, at full detail.
+    """
+
+    surfaces: Sequence[PlaneImage]
+    samples: Sequence[PointSample]
+    images_of: Sequence[NDArray[np.int_]]
+    noise: DepthNoise
+
+    def batches(self, stride: int) -> Iterator[tuple[PlaneImage, PointSample, int, NDArray[np.int_]]]:
+        """Surface, every `stride`-th sample of the images, the surface's index, the images' (n,)."""
+        for surface, images in enumerate(self.images_of):
+            for first in range(0, len(images), IMAGE_BUCKET):
+                chosen = images[first : first + IMAGE_BUCKET]
+                padded = [self.samples[int(image)] for image in np.resize(chosen, IMAGE_BUCKET)]
+                samples = jax.tree.map(
+                    lambda *leaves: np.stack([leaf[:, ::stride] for leaf in leaves]), *padded
+                )
+                yield self.surfaces[surface], samples, surface, chosen
+
+
+def keyframes_at(
+    keyframe_map: KeyframeMap, details: Sequence[Detail], poses: NDArray[np.float64], noise: DepthNoise
+) -> Keyframes:
+    """The keyframes with those overlaps that they have at poses (N, 4, 4)."""
+    overlap = np.zeros((len(details), len(details)), bool)
+    for second in range(1, len(details)):
+        before = KeyframeMap(surfaces=keyframe_map.surfaces[:second], samples=keyframe_map.samples[:second])
+        frame = framing(details[second].view)
+        overlap[second, selected_keyframes(before, poses[:second], poses[second], frame, OVERLAPS)] = True
+    return Keyframes(
+        surfaces=[detail.surface for detail in details],
+        samples=[detail.sample for detail in details],
+        images_of=[np.nonzero(row)[0] for row in overlap | overlap.T],
+        noise=noise,
+    )
+
+
+@jax.jit
+def relative_to(origin: jax.Array, poses: jax.Array) -> jax.Array:
+    """origin_from_pose (n, 7) of one pose (7,) and others (n, 7)."""
+    inverse = jaxlie.SE3(origin).inverse()
+    return jax.vmap(lambda pose: (inverse @ jaxlie.SE3(pose)).wxyz_xyz)(poses)

@@ -1,0 +1,142 @@
+"""The keyframe pose graph: its Newton step, and draws and marginals of the Gaussian that it implies.
+
+Quadratic terms over pairs of keyframes, in displacements xi of both (Grisetti et al. 2010, "A tutorial on
+graph-based SLAM"), the first keyframe being fixed:
+
+    sum_e 1/2 [xi_i; xi_j]^T H_e [xi_i; xi_j] + g_e^T [xi_i; xi_j],
+
+and where there is one, a term over all keyframes at once: a prior of the way from each to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import SuperLU, splu
+
+from slam.registration.alignment import STIFFNESS
+
+MARGINAL_COLUMNS = 600
+"""Of the inverse, at once."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTerm:
+    """A quadratic term over all N keyframes.
+
+    Attributes:
+        precision: (6 N, 6 N), positive semidefinite.
+        gradient: (6 N,).
+    """
+
+    precision: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseGraph:
+    """E terms over pairs of N keyframes.
+
+    Attributes:
+        keyframes: N.
+        pairs: (E, 2) indices i and j.
+        precision: (E, 12, 12) H, positive semidefinite.
+        gradient: (E, 12) g.
+        joint: over all keyframes, or None.
+    """
+
+    keyframes: int
+    pairs: NDArray[np.int_]
+    precision: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+    joint: JointTerm | None = None
+
+    def __len__(self) -> int:
+        """Number of terms."""
+        return len(self.pairs)
+
+
+def damped_step(graph: PoseGraph, damping: float) -> NDArray[np.float64]:
+    """Displacements (N, 6) that minimise the terms and half of `damping` times their own squares.
+
+    The first keyframe stays. Damping, in 1/m^2 and 1/rad^2, keeps a step from leaving the neighbourhood that
+    the terms were taken in, along directions which they hardly see.
+    """
+    gradient = _summed(graph, graph.gradient)
+    if graph.joint is not None:
+        gradient += graph.joint.gradient
+    step = _normal_equations(graph, damping).solve(-gradient[6:])
+    return np.append(np.zeros(6), step).reshape(-1, 6)
+
+
+def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
+    """Displacements (count, N, 6), Gaussian with the graph's precision around zero.
+
+    Perturb and solve: the normal equations with a right hand side whose covariance is the precision
+    (Papandreou and Yuille 2010).
+    """
+    size = 6 * graph.keyframes
+    sizes = (12 * len(graph), size, 0 if graph.joint is None else size)
+    noise = np.asarray(jax.random.normal(key, (count, sum(sizes))), np.float64)
+    pairwise, diagonal, jointly = np.split(noise, np.cumsum(sizes)[:-1], axis=1)
+    of_terms = np.einsum("eij,kej->kei", _roots(graph.precision), pairwise.reshape(count, -1, 12))
+    right = np.stack([_summed(graph, terms) for terms in of_terms])
+    right += np.sqrt(STIFFNESS) * diagonal
+    if graph.joint is not None:
+        right += jointly @ _roots(graph.joint.precision).T
+    drawn = _normal_equations(graph, STIFFNESS).solve(np.ascontiguousarray(right[:, 6:].T)).T
+    return np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
+
+
+def marginals(graph: PoseGraph) -> NDArray[np.float64]:
+    """Covariances (N, 6, 6) of the displacements under the same Gaussian, zero for the first keyframe."""
+    solve = _normal_equations(graph, STIFFNESS).solve
+    size = 6 * (graph.keyframes - 1)
+    covariances = np.zeros((graph.keyframes, 6, 6))
+    for first in range(0, size, MARGINAL_COLUMNS):
+        columns = np.arange(first, min(first + MARGINAL_COLUMNS, size))
+        solved = solve(np.eye(size, len(columns), -first)).reshape(-1, 6, len(columns) // 6, 6)
+        keyframes = columns[::6] // 6
+        covariances[keyframes + 1] = solved[keyframes, :, np.arange(len(keyframes))]
+    return covariances
+
+
+def tied_to_first(graph: PoseGraph) -> NDArray[np.bool_]:
+    """Which keyframes (N,) the terms tie to the first, directly or through others; a joint one ties all."""
+    if graph.joint is not None:
+        return np.ones(graph.keyframes, bool)
+    ends = (graph.pairs[:, 0], graph.pairs[:, 1])
+    adjacency = scipy.sparse.coo_array((np.ones(len(graph)), ends), shape=(graph.keyframes, graph.keyframes))
+    _, component = connected_components(adjacency, directed=False)
+    return component == component[0]
+
+
+def _roots(precision: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Square roots A of matrices (..., n, n) A A^T."""
+    values, vectors = np.linalg.eigh(precision)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+
+
+def _summed(graph: PoseGraph, of_terms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum (6 N,) of vectors (E, 12) of the terms."""
+    total = np.zeros((graph.keyframes, 6))
+    np.add.at(total, graph.pairs, of_terms.reshape(-1, 2, 6))
+    return total.ravel()
+
+
+def _normal_equations(graph: PoseGraph, stiffness: float) -> SuperLU:
+    """The factorised precision of all keyframes but the first, `stiffness` added to its diagonal."""
+    index = (6 * graph.pairs[:, :, None] + np.arange(6)).reshape(-1, 12)
+    rows, columns = np.broadcast_arrays(index[:, :, None], index[:, None, :])
+    size = 6 * graph.keyframes
+    blocks = (graph.precision.ravel(), (rows.ravel(), columns.ravel()))
+    precision = scipy.sparse.coo_array(blocks, shape=(size, size)).tocsr()
+    if graph.joint is not None:
+        precision = precision + scipy.sparse.csr_array(graph.joint.precision)
+    precision = precision[6:, 6:]
+    return splu(scipy.sparse.csc_array(precision + stiffness * scipy.sparse.eye_array(size - 6)))

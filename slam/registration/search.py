@@ -1,0 +1,272 @@
+"""Where to look for the camera: near each group's prediction, and anywhere in the map where that fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from shapes.geometry import pose_sets
+from shapes.geometry.pose_sets import mean_keyframes
+from shapes.geometry.poses import matrices_of, single_precision_poses
+from slam.keyframes.depth_view import DepthView, framing
+from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
+from slam.registration import pose_grids
+from slam.registration.global_search import climbed, log_map_scores
+from slam.registration.local_search import LocalMap, Optimum, local_optimum, optimum_at
+
+CONVINCING_EXPLAINED = 0.75
+
+CONVINCING_COVERED = 0.2
+"""An optimum near the prediction is taken without a further search if this share of the returns meets the
+map and that share of those lies on it."""
+
+UNMISTAKABLE_EXPLAINED = 0.92
+"""The same after a wide step, when a wrong place explains up to 0.89 of a view round an object (measured)."""
+
+PLAUSIBLE_EXPLAINED = 0.6
+
+PLAUSIBLE_COVERED = 0.1
+"""The least with which the camera counts as found at all."""
+
+LEAST_EXPLAINED = PLAUSIBLE_EXPLAINED * PLAUSIBLE_COVERED
+"""Places that look away from the map are foreseen as well as the right one, a centimetre beside it, fits."""
+
+WIDE_KEYFRAMES = 8
+
+WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
+
+WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
+"""Relative to depth, as in `slam.map_scores`."""
+
+WIDE_CLIMBED = 256
+"""Candidates that climb: the grid is coarser than the modes, the right place may be the three hundredth on it
+(measured)."""
+
+CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD = 0.05, 0.05
+
+WIDE_RENDERED = 24
+
+WIDE_REFINED = 6
+
+FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
+
+REFINEMENTS = 3
+"""Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
+while it rises where the start was a guess."""
+
+SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
+
+NEGLIGIBLE_LOG_SHARE = 15.0
+
+
+@dataclass(frozen=True)
+class Located:
+    """An optimum and what it was compared with.
+
+    Attributes:
+        optimum: of the image density for the mean map.
+        indices: (M,) keyframes; the first is the closest view.
+        local_map: their surfaces and mean poses.
+        group: of particles, to which it belongs.
+    """
+
+    optimum: Optimum
+    indices: NDArray[np.int_]
+    local_map: LocalMap
+    group: int
+
+    @property
+    def explained(self) -> float:
+        """Share of the returns on the map's surface."""
+        return float(self.optimum.agreement.explained)
+
+    @property
+    def covered(self) -> float:
+        """Share of the returns that meet the map."""
+        return float(self.optimum.agreement.covered)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether alignment stayed within the numbers: a start that sees next to nothing may leave them."""
+        return bool(np.isfinite(np.asarray(self.optimum.pose)).all())
+
+    @property
+    def is_convincing(self) -> bool:
+        """No need to look elsewhere."""
+        return self.covered >= CONVINCING_COVERED and self.explained >= CONVINCING_EXPLAINED * self.covered
+
+    @property
+    def is_unmistakable(self) -> bool:
+        """No need to look elsewhere, even where the camera may be far from where it is expected."""
+        return self.is_convincing and self.explained >= UNMISTAKABLE_EXPLAINED * self.covered
+
+    @property
+    def is_plausible(self) -> bool:
+        """Fit to be believed at all."""
+        return self.covered >= PLAUSIBLE_COVERED and self.explained >= PLAUSIBLE_EXPLAINED * self.covered
+
+
+@dataclass(frozen=True)
+class GroupMap:
+    """A group of particles' view of the map.
+
+    Attributes:
+        keyframe_poses: (K, N, 7) of all particles.
+        weights: (K,) of the group's members, zero elsewhere.
+        representative: (N, 4, 4) keyframe poses of its heaviest member.
+        group: its number.
+    """
+
+    keyframe_poses: jax.Array
+    weights: jax.Array
+    representative: NDArray[np.float64]
+    group: int
+
+
+@dataclass(frozen=True)
+class Searcher:
+    """One frame, and what it is searched in.
+
+    Attributes:
+        keyframe_map: the surfaces.
+        view: the frame.
+        noise: the sensor.
+        compared: M, keyframes compared with at once.
+    """
+
+    keyframe_map: KeyframeMap
+    view: DepthView
+    noise: DepthNoise
+    compared: int
+
+    def near(self, group: GroupMap, starts: list[jax.Array], hold: float = 0.0) -> Located:
+        """The best optimum near the starts (7,), the likeliest first, and on the grid around that one.
+
+        `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`).
+        """
+        padded = jnp.stack([*starts, *[starts[0]] * (3 - len(starts))])
+        located = self._near(group, padded, hold)
+        for _ in range(REFINEMENTS):
+            if not located.is_finite:
+                break
+            is_near = _is_near(located.optimum.pose, padded[0])
+            if is_near and hold > 0:
+                break
+            padded = jnp.stack([located.optimum.pose] * 3)
+            again = self._near(group, padded, hold)
+            if not again.is_finite or (is_near and _log_density(again) <= _log_density(located)):
+                break
+            located = again
+        return located
+
+    def _near(self, group: GroupMap, starts: jax.Array, hold: float) -> Located:
+        indices, local_map = self._local_map(group, starts[0])
+        grid = jnp.asarray(pose_grids.local_grid())
+        optimum = local_optimum(local_map, self.view, self.noise, starts, grid, hold)
+        found = Located(optimum, indices, local_map, group.group)
+        return found if hold > 0 else max(found, self.at(group, starts[0]), key=_log_density)
+
+    def at(self, group: GroupMap, pose: jax.Array) -> Located:
+        """The optimum next to a pose, which alignment on associated points may leave."""
+        indices, local_map = self._local_map(group, pose)
+        return Located(optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group)
+
+    def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
+        """Distinct optima anywhere in the map, best first; none where no climb leads to what it shows."""
+        candidates = pose_grids.anywhere(matrices_of(last), group.representative, distances_m)
+        scores = self._map_scores(group, candidates, WIDE_BLUR)
+        ranked = candidates[np.argsort(-scores, kind="stable")]
+        starts = ranked[pose_sets.distinct(ranked, WIDE_CLIMBED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
+        places = self._climbed(group, starts)
+        if not len(places):
+            return []
+        scores = self._map_scores(group, places, CLIMBED_BLUR)
+        ranked = places[np.argsort(-scores, kind="stable")]
+        best = pose_sets.distinct(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
+        rendered = distinct_places([self.at(group, single_precision_poses(pose)) for pose in ranked[best]])
+        meeting = [located for located in rendered if located.explained >= LEAST_EXPLAINED]
+        found = [self.near(group, [located.optimum.pose]) for located in meeting[:WIDE_REFINED]]
+        return distinct_places(found)
+
+    @cached_property
+    def _framing(self) -> NDArray[np.float64]:
+        return framing(self.view)
+
+    def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
+        chosen = selected_keyframes(
+            self.keyframe_map, group.representative, matrices_of(pose), self._framing, self.compared
+        )
+        return self._stacked(group, chosen, self.compared)
+
+    def _stacked(
+        self, group: GroupMap, chosen: NDArray[np.int_], count: int
+    ) -> tuple[NDArray[np.int_], LocalMap]:
+        present = np.arange(count) < len(chosen)
+        indices = np.where(present, np.resize(chosen, count), chosen[0])
+        poses = mean_keyframes(group.keyframe_poses[:, indices], group.weights)
+        return indices, LocalMap(self.keyframe_map.stacked(indices), jnp.asarray(present), poses)
+
+    def _map_scores(
+        self, group: GroupMap, candidates: NDArray[np.float64], blur: float
+    ) -> NDArray[np.float64]:
+        """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
+        padded = single_precision_poses(pose_sets.padded(candidates, 256))
+        scores = [
+            np.asarray(log_map_scores(local_map, self.view, self.noise, padded, blur))
+            for local_map in self._neighbourhoods(group)
+        ]
+        return np.max(scores, axis=0)[: len(candidates)]
+
+    def _climbed(self, group: GroupMap, starts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Poses (S', 4, 4) uphill of the starts (S, 4, 4), in each neighbourhood; strays are dropped."""
+        padded = single_precision_poses(pose_sets.padded(starts, WIDE_CLIMBED))
+        climbs = [
+            np.asarray(climbed(local_map, self.view, self.noise, padded))[: len(starts)]
+            for local_map in self._neighbourhoods(group)
+        ]
+        places = np.concatenate(climbs)
+        return matrices_of(places[np.isfinite(places).all(axis=1)])
+
+    def _neighbourhoods(self, group: GroupMap) -> Iterator[LocalMap]:
+        """All keyframes, `WIDE_KEYFRAMES` at a time."""
+        for first in range(0, len(self.keyframe_map), WIDE_KEYFRAMES):
+            chosen = np.arange(first, min(first + WIDE_KEYFRAMES, len(self.keyframe_map)))
+            yield self._stacked(group, chosen, WIDE_KEYFRAMES)[1]
+
+
+def _is_near(pose: jax.Array, start: jax.Array) -> bool:
+    """Whether a rendering at `start` shows what a camera at `pose` would see."""
+    relative = np.linalg.inv(matrices_of(start)) @ matrices_of(pose)
+    shift = np.linalg.norm(relative[:3, 3])
+    return bool(shift < FAR_SHIFT_M and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(FAR_ANGLE_RAD))
+
+
+def _log_density(located: Located) -> float:
+    return float(located.optimum.log_density) if located.is_finite else -np.inf
+
+
+def distinct_places(found: list[Located]) -> list[Located]:
+    """Optima that differ from each other, the best first; those that left the numbers are dropped."""
+    finite = [located for located in found if located.is_finite]
+    ranked = sorted(finite, key=_log_density, reverse=True)
+    if not ranked:
+        return []
+    poses = np.stack([matrices_of(located.optimum.pose) for located in ranked])
+    return [ranked[i] for i in pose_sets.distinct(poses, len(ranked), SAME_SHIFT_M, SAME_ANGLE_RAD)]
+
+
+def worth_keeping(found: list[Located], exponent: float) -> list[Located]:
+    """Plausible optima whose tempered share is not negligible beside the best one's."""
+    plausible = [located for located in found if located.is_plausible]
+    if not plausible:
+        return []
+    best = max(float(located.optimum.log_density) for located in plausible)
+    limit = NEGLIGIBLE_LOG_SHARE / exponent
+    return [located for located in plausible if float(located.optimum.log_density) > best - limit]
