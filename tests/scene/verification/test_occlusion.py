@@ -12,7 +12,7 @@ from scene.observation.depth_view import DepthView
 from scene.observation.detection import SupportPlane
 from scene.verification.occlusion import DRAWS, PlacedObject, unseen_share
 from shapes.geometry.camera import Camera
-from tests.scene.test_detection import CAMERA_FROM_TABLE
+from tests.scene.observation.test_detection import CAMERA_FROM_TABLE
 
 HALF_SIZE_M = np.array([0.3, 0.2])
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0

@@ -12,7 +12,7 @@ from pipeline.benchmarks.cubes import cube_model, start_chains
 from scene.mcmc.face_relabelling import at_reference, placed
 from scene.model.scene_graph import SceneGraph
 from scene.objects.orientations import cube_rotations
-from tests.scene.test_contact import random_poses
+from tests.scene.model.test_contact import random_poses
 
 
 def stack() -> SceneGraph:

@@ -19,7 +19,7 @@ from scene.model.prior import (
 )
 from scene.model.scene_graph import SceneGraph, all_trees, floating_scene
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
-from tests.scene.test_contact import random_poses
+from tests.scene.model.test_contact import random_poses
 from tests.statistical import assert_mean, assert_uniform
 
 
