@@ -126,7 +126,7 @@ class Intrinsics(click.ParamType):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class RecordingSource:
     """The recording that a command works on, and what its options say about reading it.
 
     Attributes:
@@ -161,7 +161,7 @@ def recording_options(command: Command) -> Command:
     @functools.wraps(command)
     def with_source(*args: Any, rec: Path, **kwargs: Any) -> Any:
         said = {name: kwargs.pop(name) for name in READING}
-        return command(*args, source=Source(path=rec, said=said), **kwargs)
+        return command(*args, source=RecordingSource(path=rec, said=said), **kwargs)
 
     def metres(flag: str, name: str, help_: str) -> Any:
         return click.option(flag, name, type=float, metavar="METRES", help=help_)

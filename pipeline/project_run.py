@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from pipeline.atomic import atomic_path, write_json
-from pipeline.options import Common, Source
+from pipeline.options import Common, RecordingSource
 from pipeline.project import Project, ProjectRecording
 from pipeline.run_folder import file_hash, open_run_folder
 from pipeline.session import open_session
@@ -57,7 +57,7 @@ def _run_recording(
     project: Project, recording: ProjectRecording, run: Path, common: Common, *, force: bool
 ) -> Damage:
     settings = common.settings.over(recording.settings).over(project.settings)
-    source = Source(path=recording.path, said=recording.reading)
+    source = RecordingSource(path=recording.path, said=recording.reading)
     folder = recording_folder(run, recording)
     with open_session(replace(common, settings=settings), source, folder, force=force) as session:
         slam_stage(session)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
-from pipeline.options import Common, Source
+from pipeline.options import Common, RecordingSource
 from pipeline.publishing.publish import publish
 from pipeline.run_folder import RunFolder, V, file_hash, open_run_folder
 from recordings.reading import McapRecording, open_recording
@@ -33,7 +33,12 @@ class Session:
     """
 
     def __init__(
-        self, common: Common, source: Source, run: RunFolder, recording: McapRecording, recording_hash: str
+        self,
+        common: Common,
+        source: RecordingSource,
+        run: RunFolder,
+        recording: McapRecording,
+        recording_hash: str,
     ) -> None:
         """Work on an open recording in a run folder that is held."""
         self.common = common
@@ -88,7 +93,9 @@ class Session:
 
 
 @contextmanager
-def open_session(common: Common, source: Source, run_path: Path, *, force: bool = False) -> Iterator[Session]:
+def open_session(
+    common: Common, source: RecordingSource, run_path: Path, *, force: bool = False
+) -> Iterator[Session]:
     """Open the recording and the run folder; when the block ends well, all derived files are written.
 
     Raises:

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.errors import PipelineError
 from pipeline.meshes import Units, load_meshes
 from pipeline.run_folder import file_hash
-from pipeline.surfaces import Surface
+from pipeline.surfaces import SceneSurface
 from shapes.prior import ShapePrior
 from shapes.surface import level_surface
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import jax
 
 
-def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, Surface]:
+def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSurface]:
     """Every shape of a folder by name: learned shapes (npz) if it holds any, else meshes.
 
     A run folder stands for the shapes that were learned in it.
@@ -33,13 +33,13 @@ def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, Surface
     if not learned:
         meshes = load_meshes(folder, units)
         return {
-            name: Surface(vertices_m=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
+            name: SceneSurface(vertices_m=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
             for name, mesh in meshes.items()
         }
     return {path.stem: _learned_surface(path) for path in learned}
 
 
-def drawn_surfaces(folder: Path, name: str, key: jax.Array, count: int) -> list[Surface]:
+def drawn_surfaces(folder: Path, name: str, key: jax.Array, count: int) -> list[SceneSurface]:
     """Surfaces of as many random draws of a learned shape, in the frame of its surface.
 
     Every voxel is there or not by its own probability; what is enclosed is filled, and what was never
@@ -57,7 +57,8 @@ def drawn_surfaces(folder: Path, name: str, key: jax.Array, count: int) -> list[
         voxels = np.asarray(shape.sample(key, count)) & seen[None] | shape.enclosed[None]
         meshes = [level_surface(one.astype(np.float32), 0.5, shape.pitch_m) for one in voxels]
     return [
-        Surface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64)) for mesh in meshes
+        SceneSurface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64))
+        for mesh in meshes
     ]
 
 
@@ -79,7 +80,7 @@ def usable(path: Path) -> Iterator[None]:
         raise PipelineError(f"cannot use the shape {path}: {error}") from error
 
 
-def chosen(surfaces: Mapping[str, Surface], names: tuple[str, ...]) -> dict[str, Surface]:
+def chosen(surfaces: Mapping[str, SceneSurface], names: tuple[str, ...]) -> dict[str, SceneSurface]:
     """The surfaces of these names, all of them where none is named.
 
     Raises:
@@ -97,7 +98,7 @@ def _shapes_of(folder: Path) -> Path:
     return folder / "shapes" if (folder / "shapes").is_dir() else folder
 
 
-def _learned_surface(path: Path) -> Surface:
+def _learned_surface(path: Path) -> SceneSurface:
     with usable(path):
         mesh = ShapePrior.load(path).surface()
-    return Surface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64))
+    return SceneSurface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64))

@@ -14,7 +14,7 @@ from shapes.archive import load_arrays, save_arrays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Surface:
+class SceneSurface:
     """A closed surface in metres, in the object's own frame.
 
     Attributes:
@@ -39,7 +39,7 @@ class Surfaces:
         by_name: in the order of the search.
     """
 
-    by_name: Mapping[str, Surface]
+    by_name: Mapping[str, SceneSurface]
 
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal surfaces give equal bytes."""
@@ -70,4 +70,4 @@ class Surfaces:
         except (ValueError, KeyError) as error:
             raise PipelineError(f"{path} is damaged: {error}") from error
         pairs = zip(names, vertices, faces, strict=True)
-        return cls({name: Surface(vertices_m=points, faces=rows) for name, points, rows in pairs})
+        return cls({name: SceneSurface(vertices_m=points, faces=rows) for name, points, rows in pairs})

@@ -22,16 +22,16 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-SELDOM: dict[str, bool | int] = {"xla_backend_optimization_level": 1}
+FAST_COMPILE: dict[str, bool | int] = {"xla_backend_optimization_level": 1}
 """Compiler options of kernels that run for less time than they take to compile: half of that."""
 
 
 if jax.__version_info__ < (0, 11, 1):  # newer ones refuse it, for their compiler has no other way
-    SELDOM["xla_cpu_use_fusion_emitters"] = False
+    FAST_COMPILE["xla_cpu_use_fusion_emitters"] = False
 
 
 @contextmanager
-def compiled_beside(*kernels: Callable[[], object]) -> Iterator[None]:
+def compile_in_background(*kernels: Callable[[], object]) -> Iterator[None]:
     """Compile kernels, by calls that do so and in this order, on another core while the block runs."""
     with ThreadPoolExecutor(1) as beside:
         compiled = [beside.submit(kernel) for kernel in kernels]
@@ -40,7 +40,7 @@ def compiled_beside(*kernels: Callable[[], object]) -> Iterator[None]:
         kernel.result()
 
 
-LEAST = 64
+FEWEST_PER_CORE = 64
 """Hypotheses of a share."""
 
 Batch = TypeVar("Batch")
@@ -50,10 +50,10 @@ Item = TypeVar("Item")
 Done = TypeVar("Done")
 
 
-def shared_among_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDArray[np.float32]:
+def score_on_all_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDArray[np.float32]:
     """The scores (N,) of a batch, leaves (N, ...); shares have one size, for one kernel to serve them all."""
     count = len(jax.tree.leaves(batch)[0])
-    shares = max(min(_cores(), count // LEAST), 1)
+    shares = max(min(_cores(), count // FEWEST_PER_CORE), 1)
     if shares == 1:
         return np.asarray(score(batch))
     length = -(-count // shares)
@@ -63,10 +63,10 @@ def shared_among_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDA
         mine = np.minimum(np.arange(share * length, (share + 1) * length), count - 1)
         return np.asarray(score(jax.tree.map(lambda leaf: leaf[mine], batch)))
 
-    return np.concatenate(side_by_side(scored, range(shares)))[:count]
+    return np.concatenate(map_parallel(scored, range(shares)))[:count]
 
 
-def side_by_side(work: Callable[[Item], Done], items: Iterable[Item]) -> list[Done]:
+def map_parallel(work: Callable[[Item], Done], items: Iterable[Item]) -> list[Done]:
     """What becomes of items, in their order, each worked on by one core."""
     with ThreadPoolExecutor(_cores()) as cores:
         return list(cores.map(work, items))

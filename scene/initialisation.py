@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
-from scene.execution import compiled_beside
+from scene.execution import compile_in_background
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import SceneObject
 from scene.observation.frame_data import SceneData
 from scene.search.assignment import choose
 from scene.search.competing_scenes import PAIRED, RIVALS, best_of, decided, polished_rivals
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from scene.search.residual import unexplained_by_others
 from scene.search.scene_edits import best_scene, rivals
 from scene.search.search_result import Initialisation
@@ -47,12 +47,12 @@ def initialise(
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     poses = config.pool * (config.rounds + 1) + 1 + RIVALS
-    pools = Pools.of(data, objects, renderer, noise, config, poses, rng)
+    pools = PosePools.of(data, objects, renderer, noise, config, poses, rng)
     seek = partial(_sought, rng, [_orientations(one, data.table) for one in objects])
     *keys, last_key, again_key = jax.random.split(key, config.rounds + 3)
     scene = np.full(len(objects), pools.absent)
     masks = dict.fromkeys(range(len(objects)), data.foreground)
-    with compiled_beside(*_kernels(pools)):
+    with compile_in_background(*_kernels(pools)):
         for turn, round_key in enumerate(keys):
             pools, scene = seek(round_key, pools, scene, masks, turn)
             masks = unexplained_by_others(pools, scene)
@@ -68,7 +68,7 @@ def initialise(
     )
 
 
-def _kernels(pools: Pools) -> list[Callable[[], object]]:
+def _kernels(pools: PosePools) -> list[Callable[[], object]]:
     """What the search runs, to be compiled."""
     layers, scene = pools.layers, np.zeros(len(pools.objects), np.int32)
     return [
@@ -85,11 +85,11 @@ class Seek(Protocol):
     def __call__(
         self,
         key: jax.Array,
-        pools: Pools,
+        pools: PosePools,
         scene: NDArray[np.integer],
         masks: Mapping[int, NDArray[np.bool_]],
         turn: int,
-    ) -> tuple[Pools, NDArray[np.integer]]:
+    ) -> tuple[PosePools, NDArray[np.integer]]:
         """Pools with poses on the masks of those sought, and the best scene (N,) found from one.
 
         Args:
@@ -113,13 +113,13 @@ class Settled:
         gaps: whether something was taken out of it.
     """
 
-    pools: Pools
+    pools: PosePools
     scene: NDArray[np.integer]
     log_odds: NDArray[np.float64]
     gaps: bool
 
     @classmethod
-    def of(cls, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> Settled:
+    def of(cls, pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise) -> Settled:
         """What is left of a scene (N,)."""
         left, log_odds = without_lookalikes(pools, scene, noise)
         gaps = (scene < pools.absent) & (left == pools.absent)
@@ -132,8 +132,8 @@ class Settled:
 
 
 def told(
-    key: jax.Array, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
-) -> tuple[Pools, NDArray[np.integer]]:
+    key: jax.Array, pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise
+) -> tuple[PosePools, NDArray[np.integer]]:
     """Pools with fits that tell a scene (N,) from those that are about as good, and the best of them."""
     last = pools.absent - 1 - RIVALS
     pools = pools.with_poses(polished_rivals(pools, scene), last)

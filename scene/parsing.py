@@ -15,10 +15,10 @@ from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
 from scene.initialisation import initialise
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.mcmc.sampling import sampled
+from scene.mcmc.sampling import sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
-from scene.observation.depth_view import unprojected
+from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import frame_data, scene_data
 from scene.result import SceneResult
@@ -84,7 +84,7 @@ def parse_scene(
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
     poses = np.stack([np.linalg.inv(world_from_first @ pose) for pose in first_camera_from_camera])
     with jax.enable_x64(True):
-        samples, variance = sampled(
+        samples, variance = sample_posterior(
             chain_key,
             views,
             poses,
@@ -174,7 +174,7 @@ def _most_new(views: Sequence[SceneData], first_camera_from_camera: NDArray[np.f
     """The number of the view whose foreground has most points where the first has none near."""
 
     def points(view: SceneData, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        seen = unprojected(np.asarray(view.view.depth_m), view.view.camera)[view.foreground]
+        seen = unproject(np.asarray(view.view.depth_m), view.view.camera)[view.foreground]
         return seen @ pose[:3, :3].T + pose[:3, 3]
 
     first, *others = [points(*one) for one in zip(views, first_camera_from_camera, strict=True)]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.archive import load_fields, save_fields
-from shapes.geometry.pose_sets import grouped
+from shapes.geometry.pose_sets import cluster
 
 FORMAT_VERSION = 2
 
@@ -69,7 +69,7 @@ class SlamResult:
     def path_probabilities(self) -> NDArray[np.float64]:
         """Of the paths (G,) that are told apart, the likeliest first: one where all particles agree."""
         weights = np.exp(self.log_weights)
-        shares = np.bincount(grouped(self.trajectories, weights), weights).astype(np.float64)
+        shares = np.bincount(cluster(self.trajectories, weights), weights).astype(np.float64)
         return np.sort(shares)[::-1]
 
     def save(self, path: Path) -> None:

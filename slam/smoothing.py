@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from shapes.geometry.pose_sets import IDENTITY, grouped, mean_and_covariance
+from shapes.geometry.pose_sets import IDENTITY, cluster, mean_and_covariance
 from shapes.geometry.poses import matrices_of
 from slam.filter.state import CameraParticles, FilterState, FrameInfo
-from slam.pose_graph.refinement import Placed
+from slam.pose_graph.refinement import RefinedKeyframes
 from slam.result import SlamResult
 
 UNDERSTATED, DEGREES_OF_FREEDOM = 1.5, 13.0
@@ -36,7 +36,7 @@ class History:
         self.times_ns.append(time_ns)
         self.frames.append(info)
 
-    def result(self, state: FilterState, placed: Placed | None) -> SlamResult:
+    def result(self, state: FilterState, placed: RefinedKeyframes | None) -> SlamResult:
         """Every frame carried by the keyframe it is anchored to, or became, where the last particles have it.
 
         A particle's trajectory follows its own ancestors. The marginal of a frame mixes the particles'
@@ -90,7 +90,7 @@ class History:
 def _of_the_heaviest_mode(keyframe_poses: jax.Array, log_weights: NDArray[np.float64]) -> jax.Array | None:
     """Weights (K,) of its particles alone, for a mean over several maps lies in none; None where all are."""
     weights = np.exp(log_weights)
-    modes = grouped(matrices_of(keyframe_poses), weights)
+    modes = cluster(matrices_of(keyframe_poses), weights)
     if not modes.any():
         return None
     central = np.where(modes == np.argmax(np.bincount(modes, weights)), weights, 0.0)
@@ -106,7 +106,11 @@ def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
 
 @jax.jit
 def _with_placed(
-    anchors: jax.Array, relative: jax.Array, conditional: jax.Array, placed: Placed, anchor_of: jax.Array
+    anchors: jax.Array,
+    relative: jax.Array,
+    conditional: jax.Array,
+    placed: RefinedKeyframes,
+    anchor_of: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Anchors (K, T, 7) before particles drew them, and their spread added to the conditional (K, T, 6, 6).
 

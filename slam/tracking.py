@@ -10,15 +10,15 @@ import numpy as np
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam.config import SlamConfig
-from slam.filter.init import before_the_map, init
+from slam.filter.init import info_before_map, init
 from slam.filter.state import FilterState, FrameInfo
 from slam.filter.step import step
-from slam.keyframes.depth_view import FINE_CANVAS, DepthView, view_of_frame
-from slam.map_hypotheses.mode_jump import is_handful, reconsidered
+from slam.keyframes.depth_view import FINE_CANVAS, CanvasView, view_of_frame
+from slam.map_hypotheses.mode_jump import are_sparse_views, choose_map
 from slam.odometry import KissOdometry
-from slam.pose_graph.overlaps import Detail, detail_of
-from slam.pose_graph.refinement import refined
-from slam.pose_graph.trajectory_prior import KeyframeMotion
+from slam.pose_graph.overlaps import KeyframeDetail, keyframe_detail
+from slam.pose_graph.refinement import refine_keyframes
+from slam.pose_graph.trajectory_prior import TrajectoryPrior
 from slam.result import SlamResult
 from slam.smoothing import History
 
@@ -53,7 +53,7 @@ def track(
     state: FilterState | None = None
     history = History()
     waiting: list[int] = []
-    details: list[Detail] = []
+    details: list[KeyframeDetail] = []
     full_detail_noise = config.noise or DepthNoise()
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, (frame, view) in enumerate(_views_ahead(frames, intrinsics)):
@@ -64,7 +64,7 @@ def track(
         if state is None:
             state, info = init(view, frame.time_ns, config)
             for number, time_ns in enumerate(waiting):
-                unseen = before_the_map(jax.random.fold_in(key, number), state)
+                unseen = info_before_map(jax.random.fold_in(key, number), state)
                 history.append(time_ns, unseen)
                 if on_frame is not None:
                     on_frame(unseen)
@@ -73,7 +73,7 @@ def track(
             state, info = step(frame_key, state, view, frame.time_ns, config, motion)
         history.append(frame.time_ns, info)
         if info.keyframe is not None:
-            details.append(detail_of(view_of_frame(frame, intrinsics, FINE_CANVAS), full_detail_noise))
+            details.append(keyframe_detail(view_of_frame(frame, intrinsics, FINE_CANVAS), full_detail_noise))
         if on_frame is not None:
             on_frame(info)
     if state is None and not waiting:
@@ -85,27 +85,27 @@ def track(
         )
     refinement_key = jax.random.fold_in(key, len(history.frames))
     look_key = jax.random.fold_in(key, len(history.frames) + 1)
-    prior: KeyframeMotion | None = None
-    if is_handful(state, len(history.frames)):
-        prior = KeyframeMotion.of(state, config)
-        details = [detail.with_whole_planes(full_detail_noise) for detail in details]
-    state = reconsidered(look_key, state, config, details, full_detail_noise, prior)
-    state, placed = refined(refinement_key, state, details, full_detail_noise, prior)
+    prior: TrajectoryPrior | None = None
+    if are_sparse_views(state, len(history.frames)):
+        prior = TrajectoryPrior.of(state, config)
+        details = [detail.with_plane_segments(full_detail_noise) for detail in details]
+    state = choose_map(look_key, state, config, details, full_detail_noise, prior)
+    state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, prior)
     return history.result(state, placed)
 
 
-def _can_be_mapped(view: DepthView) -> bool:
+def _can_be_mapped(view: CanvasView) -> bool:
     """Whether a view shows enough to begin a map with: sensors start with images of (next to) nothing."""
     measured = np.asarray(view.measured)
     returns = (np.asarray(view.depth_m) != NO_RETURN) & measured
     return bool(returns.sum() > LEAST_RETURNS * measured.sum())
 
 
-def _views_ahead(frames: Iterable[Frame], intrinsics: CameraIntrinsics) -> Iterator[tuple[Frame, DepthView]]:
+def _views_ahead(frames: Iterable[Frame], intrinsics: CameraIntrinsics) -> Iterator[tuple[Frame, CanvasView]]:
     """Frames with their views; the next one is read and decoded while the present one is tracked."""
     remaining = iter(frames)
 
-    def fetch() -> tuple[Frame, DepthView] | None:
+    def fetch() -> tuple[Frame, CanvasView] | None:
         frame = next(remaining, None)
         return None if frame is None else (frame, view_of_frame(frame, intrinsics))
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scene.mcmc.edges import PairMove
+from scene.mcmc.edges import EdgeMove
 from scene.mcmc.involution import Move
 from scene.mcmc.kernel import Kernel, run_block, scene_kernel
 from scene.mcmc.pose_mixture import PoseMixture
@@ -67,7 +67,7 @@ def cube_kernel(
         symmetries=Symmetries.none(count),
         candidates=candidates,
         repeats=repeats,
-        structure=structure or PairMove(),
+        structure=structure or EdgeMove(),
     )
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scene.execution import shared_among_cores
+from scene.execution import score_on_all_cores
 from shapes.rendering.distance_field import squared_distance
 from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import PosedObjects
@@ -32,7 +32,7 @@ def distance_score(
         scale_m: distance from the surface at which a point no longer speaks for a hypothesis.
     """
     points_m = jnp.asarray(points_m, jnp.float32)
-    return shared_among_cores(lambda posed: _nearness(library, posed, points_m, scale_m), posed)
+    return score_on_all_cores(lambda posed: _nearness(library, posed, points_m, scale_m), posed)
 
 
 @jax.jit

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scene.model.posterior import Apart, Estimate
+from scene.model.posterior import Estimate, SeparateLikelihoods
 from scene.model.scene_graph import SceneGraph, tree_code
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class GraphTable(Apart):
+class GraphTable(SeparateLikelihoods):
     """log p(G) or log p(data | G) by enumeration; serves as `StructurePrior` and as `Likelihood`.
 
     Attributes:

@@ -17,7 +17,7 @@ from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
 from recordings.truth import TrueObject
 from recordings.types import Frame
-from scene.observation.depth_view import unprojected
+from scene.observation.depth_view import unproject
 from shapes.geometry.camera import Camera
 
 STACKED_SHARE = 1 / 3
@@ -28,7 +28,7 @@ MASK_M = 0.012
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class FilmedTable:
     """One table: its recording of one frame, and that frame."""
 
     recording: SyntheticRecording
@@ -45,16 +45,16 @@ class Table:
         return [one for one in self.recording.truth.objects if (one.visible_fraction or 0) >= VISIBLE]
 
 
-def make_table(meshes: Mapping[str, trimesh.Trimesh], objects: int, seed: int) -> Table:
+def make_table(meshes: Mapping[str, trimesh.Trimesh], objects: int, seed: int) -> FilmedTable:
     """The table of a seed, the same at each call; a third of the objects are stacked where three are."""
     stacked_share = STACKED_SHARE if objects >= 1 / STACKED_SHARE else 0.0
     scene = TableScene(objects=objects, stacked_share=stacked_share, room=RoomConfig(kind="none"))
     recording = film_table(meshes, scene, seed)
-    return Table(recording, next(iter(recording)))
+    return FilmedTable(recording, next(iter(recording)))
 
 
 def observed_points(
-    table: Table, meshes: Mapping[str, trimesh.Trimesh], *, masked: bool
+    table: FilmedTable, meshes: Mapping[str, trimesh.Trimesh], *, masked: bool
 ) -> list[NDArray[np.float64]]:
     """What a peer gets for each object: camera points (N, 3) over the true table plane.
 
@@ -64,7 +64,7 @@ def observed_points(
         masked: only those on the object itself, nearest to it of all objects.
     """
     camera = Camera.from_intrinsics(table.recording.intrinsics)
-    points = unprojected(table.frame.depth_m, camera)[table.frame.depth_m > 0]
+    points = unproject(table.frame.depth_m, camera)[table.frame.depth_m > 0]
     world = trimesh.transform_points(points, table.recording.trajectory.reference_from_camera[0])
     truth = table.recording.truth
     assert truth.support_plane is not None

@@ -18,7 +18,7 @@ import trimesh
 from pipeline.benchmarks.learned_objects import Sought
 from pipeline.benchmarks.pose_figures import Judged
 from pipeline.benchmarks.pose_presence import Reported
-from pipeline.benchmarks.pose_tables import Table, make_table, observed_points
+from pipeline.benchmarks.pose_tables import FilmedTable, make_table, observed_points
 from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.evaluation.scenes import ObjectError, object_errors, parents_right
 from pipeline.peers.registration import Model, Register, settings
@@ -149,13 +149,13 @@ class PoseBench:
             if name in judged or name not in names
         ]
 
-    def _errors(self, table: Table, scene: SceneResult) -> list[ObjectError]:
+    def _errors(self, table: FilmedTable, scene: SceneResult) -> list[ObjectError]:
         truth = table.recording.truth.objects
         frames = {name: one.shape_from_object for name, one in self._sought.items()}
         return object_errors(truth, self._meshes, table.camera_from_world, scene.found_poses, frames)
 
     def _parsed(
-        self, table: Table, config: ParseConfig, names: Sequence[str] | None = None
+        self, table: FilmedTable, config: ParseConfig, names: Sequence[str] | None = None
     ) -> tuple[SceneResult, Timing]:
         """The scene of the table's own objects or those named, and the time that it took."""
         names = _shapes(table) if names is None else names
@@ -176,7 +176,7 @@ class PoseBench:
         return scene, timing
 
     def _judged(
-        self, number: int, table: Table, method: str, scene: SceneResult, seconds: float
+        self, number: int, table: FilmedTable, method: str, scene: SceneResult, seconds: float
     ) -> list[Judged]:
         by_name = {error.name: error.add_s_m for error in self._errors(table, scene)}
         parents = parents_right(scene, table.recording.truth.objects)
@@ -185,7 +185,7 @@ class PoseBench:
             for one in table.judged
         ]
 
-    def _peer_errors(self, table: Table, peer: Peer, setting: str) -> list[float]:
+    def _peer_errors(self, table: FilmedTable, peer: Peer, setting: str) -> list[float]:
         """Errors of the objects that are judged, in their order."""
         points = observed_points(table, self._meshes, masked=peer.masked)
         register = settings()[peer.name][setting]
@@ -193,12 +193,14 @@ class PoseBench:
         judged = {one.name for one in table.judged}
         return [self._peer_error(table, one, register, seen) for one, seen in pairs if one.name in judged]
 
-    def _peer_error(self, table: Table, one: TrueObject, register: Register, points: np.ndarray) -> float:
+    def _peer_error(
+        self, table: FilmedTable, one: TrueObject, register: Register, points: np.ndarray
+    ) -> float:
         estimate = register(self._models[one.shape], points) if len(points) >= FEWEST_POINTS else None
         pose = table.camera_from_world @ one.world_from_object
         return add_s_m(model_points(self._meshes[one.shape]), pose, estimate)
 
-    def _best_setting(self, peer: Peer, tables: Sequence[Table]) -> str:
+    def _best_setting(self, peer: Peer, tables: Sequence[FilmedTable]) -> str:
         """The setting with the least mean error, 10 cm at most each, over the objects there was time for."""
         begun = time.perf_counter()
         registers = settings()[peer.name]
@@ -212,7 +214,7 @@ class PoseBench:
         return min(scores, key=lambda setting: float(np.mean(scores[setting] or [0.0])))
 
 
-def _shapes(table: Table) -> list[str]:
+def _shapes(table: FilmedTable) -> list[str]:
     return list(dict.fromkeys(one.shape for one in table.recording.truth.objects))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.benchmarks.hypotheses import NOISE, Problem
 from shapes import depth_noise
 from shapes.rendering.depth_rendering import render_layers
-from shapes.rendering.ray_casting import CONE_STEPS, STEPS, Rays, advanced, free_depth, image_rays, tile_rays
+from shapes.rendering.ray_casting import CONE_STEPS, STEPS, Rays, advance, free_depth, image_rays, tile_rays
 from shapes.rendering.tiles import TILE_PIXELS, tile_counts
 
 COUNT = 2**22
@@ -89,7 +89,7 @@ def _looks(task: Problem, rng: np.random.Generator) -> tuple[float, float, float
 def _one_look(table: jax.Array, rays: Rays, depth: jax.Array) -> jax.Array:
     """Depths (B, TILE_PIXELS) after one look; +inf for rays that are done."""
     number = jnp.arange(TILE_PIXELS, dtype=jnp.int32)[None]
-    reached = advanced(table, rays, number, depth, 1)
+    reached = advance(table, rays, number, depth, 1)
     return jnp.where(jnp.isfinite(depth) & (reached >= 0), reached, jnp.inf)
 
 
@@ -97,7 +97,7 @@ def _one_look(table: jax.Array, rays: Rays, depth: jax.Array) -> jax.Array:
 def _densely(table: jax.Array, rays: Rays, free: jax.Array) -> jax.Array:
     number = jnp.arange(TILE_PIXELS, dtype=jnp.int32)[None]
     start = jnp.broadcast_to(free, (len(free), TILE_PIXELS))
-    return advanced(table, rays, number, start, DENSE_STEPS)
+    return advance(table, rays, number, start, DENSE_STEPS)
 
 
 def _rate(work: Callable[[jax.Array], jax.Array], inputs: jax.Array) -> float:

@@ -26,7 +26,7 @@ from pipeline.benchmarks.lathe import mug
 from pipeline.benchmarks.roofline import measure_roofline
 from scene.likelihood.one_object import gain_over_rest, log_likelihood_ratio, log_likelihood_ratio_of_scenes
 from shapes.rendering.depth_rendering import render_layers
-from shapes.rendering.object_library import joined, library_of_mesh
+from shapes.rendering.object_library import join, library_of_mesh
 
 SIDES = (50, 100, 200)
 OBJECTS = (1, 2, 5, 10)
@@ -60,7 +60,7 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
     layers = {str(side): told(layer_rate(problems[side], rng)) for side in SIDES}
     roofline = {str(side): told(measure_roofline(problems[side], rng)) for side in SIDES}
     field = told(distance_field_rate(problems[SIDES[1]], rng))
-    crowds = {count: problem(joined([library] * count), SIDES[1], rng) for count in OBJECTS}
+    crowds = {count: problem(join([library] * count), SIDES[1], rng) for count in OBJECTS}
     one_moved = {str(count): told(likelihood_rate(crowd, rng)) for count, crowd in crowds.items()}
     all_moved = {str(count): told(scene_rate(crowd, count, rng)) for count, crowd in crowds.items()}
     by_voxels = {}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pipeline.damage import describe, report_damage
-from pipeline.options import Common, Source, common_options, recording_options
+from pipeline.options import Common, RecordingSource, common_options, recording_options
 
 if TYPE_CHECKING:
     from recordings.overview import DepthOverview, Overview, Pace
@@ -21,7 +21,7 @@ _PROBLEMS_SHOWN = 10
 @recording_options
 @common_options("recording")
 @click.pass_context
-def command(ctx: click.Context, source: Source, hashes: bool, common: Common) -> None:
+def command(ctx: click.Context, source: RecordingSource, hashes: bool, common: Common) -> None:
     """Topics, frames, rates, gaps, intrinsics and damage of a recording.
 
     REC is an MCAP file or a rosbag2 folder. Exit code 3 says that part of it is lost.

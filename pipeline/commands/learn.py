@@ -9,7 +9,7 @@ import click
 
 from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
-from pipeline.options import Common, Source, common_options, numbers, recording_options, run_options
+from pipeline.options import Common, RecordingSource, common_options, numbers, recording_options, run_options
 
 BOX_NUMBERS = 6
 
@@ -36,7 +36,7 @@ BOX_NUMBERS = 6
 def command(
     ctx: click.Context,
     common: Common,
-    source: Source,
+    source: RecordingSource,
     run_path: Path,
     force: bool,
     name: str,

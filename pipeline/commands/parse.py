@@ -9,7 +9,7 @@ import click
 
 from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
-from pipeline.options import Common, Source, common_options, recording_options, run_options
+from pipeline.options import Common, RecordingSource, common_options, recording_options, run_options
 
 
 class FrameNumbers(click.ParamType):
@@ -71,7 +71,7 @@ class FrameNumbers(click.ParamType):
 def command(
     ctx: click.Context,
     common: Common,
-    source: Source,
+    source: RecordingSource,
     run_path: Path,
     force: bool,
     shapes: Path,

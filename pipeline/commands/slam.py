@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pipeline.damage import report_damage
-from pipeline.options import Common, Source, common_options, recording_options, run_options
+from pipeline.options import Common, RecordingSource, common_options, recording_options, run_options
 
 
 @click.command(name="slam")
@@ -23,7 +23,7 @@ from pipeline.options import Common, Source, common_options, recording_options, 
 def command(
     ctx: click.Context,
     common: Common,
-    source: Source,
+    source: RecordingSource,
     run_path: Path,
     force: bool,
     motion: str | None,

@@ -12,7 +12,7 @@ BINS = 15
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibration:
+class VoxelCalibration:
     """Scores of probabilities against what was true; lower is better.
 
     Attributes:
@@ -28,13 +28,13 @@ class Calibration:
     count: int
 
 
-def calibration(phi: NDArray[np.floating], truth: NDArray[np.bool_]) -> Calibration:
+def calibration(phi: NDArray[np.floating], truth: NDArray[np.bool_]) -> VoxelCalibration:
     """Scores of probabilities (N,) against truth (N,); NaN where there is none."""
     if len(phi) == 0:
-        return Calibration(brier=np.nan, log_loss=np.nan, ece=np.nan, count=0)
+        return VoxelCalibration(brier=np.nan, log_loss=np.nan, ece=np.nan, count=0)
     phi = np.clip(np.asarray(phi, np.float64), CLIP, 1 - CLIP)
     error = sum(count * abs(said - found) for said, found, count in reliability(phi, truth)) / len(phi)
-    return Calibration(
+    return VoxelCalibration(
         brier=float(np.mean((phi - truth) ** 2)),
         log_loss=float(-np.mean(np.where(truth, np.log(phi), np.log1p(-phi)))),
         ece=float(error),

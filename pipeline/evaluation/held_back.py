@@ -12,7 +12,7 @@ from pipeline.export.meshes import as_trimesh
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import NO_RETURN, CameraIntrinsics, Frame
 from shapes.learning.config import LearnConfig
-from shapes.learning.distillation import used_views
+from shapes.learning.distillation import select_views
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
@@ -37,7 +37,7 @@ class HeldBack:
 def held_back_times(slam: SlamResult, config: LearnConfig) -> NDArray[np.int64]:
     """Stamps of the tracked frames that learning with these settings left out."""
     tracked = slam.times_ns[~slam.lost]
-    return np.delete(tracked, used_views(len(tracked), config))
+    return np.delete(tracked, select_views(len(tracked), config))
 
 
 def held_back_errors(

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from pipeline.surfaces import Surface
+from pipeline.surfaces import SceneSurface
 from pipeline.views.trajectory_view import ENLARGED, quaternions_xyzw
 from scene.result import TABLE, SceneResult
 
@@ -33,7 +33,7 @@ CHI_95 = 2.796
 def log_scene(
     recording: rr.RecordingStream,
     scene: SceneResult,
-    surfaces: Mapping[str, Surface],
+    surfaces: Mapping[str, SceneSurface],
     reference_from_camera: NDArray[np.float64],
 ) -> None:
     """Objects that were found, in the room, with the 95% regions of their positions; and the scene graph.
@@ -73,7 +73,7 @@ def log_scene(
     _log_graph(recording, scene)
 
 
-def found_places_m(scene: SceneResult, surfaces: Mapping[str, Surface]) -> NDArray[np.float64]:
+def found_places_m(scene: SceneResult, surfaces: Mapping[str, SceneSurface]) -> NDArray[np.float64]:
     """Middles (F, 3) of the objects that were found, in the camera of the first frame parsed."""
     found = np.flatnonzero(scene.found)
     poses = scene.camera_from_object[found]
@@ -136,7 +136,7 @@ def _node_places(scene: SceneResult, labels: Sequence[str]) -> NDArray[np.float6
     return np.array([places[node] for node in found])
 
 
-def _normals(surface: Surface) -> NDArray[np.float64]:
+def _normals(surface: SceneSurface) -> NDArray[np.float64]:
     """Unit normals (V, 3) at the vertices, faces weighing by their area."""
     corners = surface.vertices_m[surface.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

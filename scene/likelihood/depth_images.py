@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.likelihood import shape_draws
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.render_cache import OfferedScenes, ShownScene
+from scene.likelihood.render_cache import CandidateScenes, RenderedScene
 from scene.likelihood.shape_draws import candidate_keys
 from scene.model.posterior import MOST_MOVED, Estimate
 from scene.model.scene_graph import SceneGraph
@@ -32,15 +32,15 @@ from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import pose_of
 from shapes.rendering.depth_rendering import render_tiles
-from shapes.rendering.ray_casting import chosen_first
-from shapes.rendering.tiles import TILE_PIXELS, tiled
+from shapes.rendering.ray_casting import sort_chosen_first
+from shapes.rendering.tiles import TILE_PIXELS, to_tiles
 
 TILES_TOGETHER = 64
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class DepthImages:
+class DepthLikelihood:
     """prod over frames and pixels of the sensor's density, to the power `weights`.
 
     Neighbouring pixels share their error, of the sensor and of the shape, so that a pixel is worth less
@@ -91,7 +91,7 @@ class DepthImages:
         *,
         objects: int,
         draws: int = 1,
-    ) -> DepthImages:
+    ) -> DepthLikelihood:
         """The likelihood of the frames `views` from poses (F, 4, 4).
 
         A finer window has more pixels of the same image and not more information: `pixel_weight` counts
@@ -121,8 +121,8 @@ class DepthImages:
         layers_m = jnp.full((self.draws, self.objects, tiles, TILE_PIXELS), jnp.inf, jnp.float32)
         nowhere = jnp.zeros((self.draws, self.objects, tiles), bool)
         log_tiles = jnp.zeros((self.draws, tiles), jnp.float32)
-        shapes = shape_draws.drawn(key, (self.draws, self.objects), self._known)
-        shown = ShownScene(shapes, layers_m, nowhere, log_tiles)
+        shapes = shape_draws.draw_shapes(key, (self.draws, self.objects), self._known)
+        shown = RenderedScene(shapes, layers_m, nowhere, log_tiles)
         return Estimate(jnp.zeros((), scene.poses.dtype), shown)
 
     def offered(
@@ -132,7 +132,7 @@ class DepthImages:
         count, objects = len(keys), self.objects
         places = max(count - 1, min(MOST_MOVED, objects))
         turns = -(-objects // places)
-        before: ShownScene = current.draws
+        before: RenderedScene = current.draws
         moved = moved[:, :objects]
         shapes = jax.vmap(self._redrawn, in_axes=(0, None))(keys, before.shapes)
         shapes = jnp.where(moved[:, None], shapes, before.shapes[None])
@@ -140,7 +140,7 @@ class DepthImages:
         rendered = moved | (anew & (jnp.arange(count) == 0))[:, None]
         order = jnp.nonzero(rendered.ravel(), size=turns * places, fill_value=count * objects)[0]
 
-        def some(turn: jax.Array, shown: OfferedScenes) -> OfferedScenes:
+        def some(turn: jax.Array, shown: CandidateScenes) -> CandidateScenes:
             which = jax.lax.dynamic_slice_in_dim(order, turn * places, places)
             there, one = which < count * objects, jnp.minimum(which, count * objects - 1)
             aside = jnp.asarray(OUT_OF_SIGHT, jnp.float32)
@@ -157,7 +157,7 @@ class DepthImages:
             )
             return jax.lax.cond(anew, lambda: replace(fresh, present=fresh.put(body)), lambda: fresh)
 
-        blank = OfferedScenes(
+        blank = CandidateScenes(
             present=before,
             shapes=shapes,
             log_tiles=jnp.broadcast_to(before.log_tiles[None], (count, *before.log_tiles.shape)),
@@ -175,7 +175,7 @@ class DepthImages:
 
     def chosen(self, offered: Estimate, place: jax.Array) -> Estimate:
         """Its layers and tiles take the place of the first's."""
-        shown: OfferedScenes = offered.draws
+        shown: CandidateScenes = offered.draws
         body = jnp.where(shown.scene == place, shown.body, self.objects)
         present = replace(shown.put(body), shapes=shown.shapes[place], log_tiles=shown.log_tiles[place])
         return Estimate(offered.log_likelihood[place], present)
@@ -188,10 +188,10 @@ class DepthImages:
     def _redrawn(self, keys: jax.Array, shapes: jax.Array) -> jax.Array:
         if self._known == 1:
             return shapes
-        return shape_draws.redrawn(keys, shapes, self._known, self.fresh_share)
+        return shape_draws.redraw_shapes(keys, shapes, self._known, self.fresh_share)
 
     def weighed(
-        self, shown: OfferedScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
+        self, shown: CandidateScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
     ) -> jax.Array:
         """Log densities (K, R, X) of all tiles, exponent 1, brought up to date where something has moved.
 
@@ -206,7 +206,7 @@ class DepthImages:
         left = jnp.any(moved[:, None, :, None] & shown.present.covered[None], axis=2)
         entered = jnp.any(mine[:, None, :, None] & shown.covered[None], axis=2)
         first = (jnp.arange(count) == 0)[:, None, None]
-        order, number = chosen_first(((left | entered) | (first & anew)).ravel())
+        order, number = sort_chosen_first(((left | entered) | (first & anew)).ravel())
         uses = jnp.concatenate([stands, mine], axis=1)
 
         def some(turn: jax.Array, log_tiles: jax.Array) -> jax.Array:
@@ -245,11 +245,11 @@ class DepthImages:
 
 @jax.jit
 def _cut(images: jax.Array) -> jax.Array:
-    return tiled(images, 0.0)
+    return to_tiles(images, 0.0)
 
 
 @partial(jax.jit, static_argnames="count")
-def log_estimates(key: jax.Array, likelihood: DepthImages, scenes: SceneGraph, count: int) -> jax.Array:
+def log_estimates(key: jax.Array, likelihood: DepthLikelihood, scenes: SceneGraph, count: int) -> jax.Array:
     """Estimates (count, B) of the log likelihood of each of B scenes, all shapes drawn anew for each."""
 
     def one(key: jax.Array, scene: SceneGraph) -> jax.Array:
@@ -270,7 +270,7 @@ def _log_mean_exp(log_values: jax.Array) -> jax.Array:
 
 
 @custom_vmap
-def _layers(images: DepthImages, shapes: jax.Array, poses: jax.Array) -> jax.Array:
+def _layers(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> jax.Array:
     """Layers (..., R, N, X, TILE_PIXELS) of shapes (..., R, N) at poses (..., N, F, 7) camera_from_box."""
     frames = poses.shape[-2]
     posed_shape = (*shapes.shape, frames)
@@ -286,7 +286,7 @@ def _layers(images: DepthImages, shapes: jax.Array, poses: jax.Array) -> jax.Arr
 
 @_layers.def_vmap
 def _(
-    axis_size: int, in_batched: tuple, images: DepthImages, shapes: jax.Array, poses: jax.Array
+    axis_size: int, in_batched: tuple, images: DepthLikelihood, shapes: jax.Array, poses: jax.Array
 ) -> tuple[jax.Array, bool]:
     """Chains side by side are more objects to the engine, whose loops then stay full."""
     return _layers(images, *_broadcast(axis_size, in_batched, (shapes, poses))), True

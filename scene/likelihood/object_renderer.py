@@ -11,13 +11,13 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.execution import side_by_side
+from scene.execution import map_parallel
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.pixel_window import WINDOW_HEIGHT, WINDOW_WIDTH, PixelWindow
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
-from shapes.rendering.object_library import ObjectLibrary, joined
+from shapes.rendering.object_library import ObjectLibrary, join
 from shapes.rendering.ray_casting import PosedObjects
 
 LAYERS = 128
@@ -41,7 +41,7 @@ class ObjectRenderer:
     def of(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
         """The renderer of these objects, in order."""
         centres = np.stack([one.centre_m for one in objects])
-        return cls(joined([one.library for one in objects]), jax.device_put(centres.astype(np.float32)))
+        return cls(join([one.library for one in objects]), jax.device_put(centres.astype(np.float32)))
 
     @classmethod
     def of_draws(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
@@ -49,7 +49,7 @@ class ObjectRenderer:
         draws = zip(*[one.draws or (one.library,) for one in objects], strict=True)
         libraries = [library for draw in draws for library in draw]
         centres = np.tile([one.centre_m for one in objects], (len(libraries) // len(objects), 1))
-        return cls(joined(libraries), jax.device_put(centres.astype(np.float32)))
+        return cls(join(libraries), jax.device_put(centres.astype(np.float32)))
 
     def compile(self, window: PixelWindow) -> None:
         """What `layers` runs."""
@@ -71,7 +71,7 @@ class ObjectRenderer:
         def rendered(part: tuple[NDArray[np.int32], NDArray[np.float32]]) -> NDArray[np.float32]:
             return np.asarray(_layers(self, *part, window.camera))
 
-        depth = side_by_side(rendered, zip(np.split(which, parts), np.split(every, parts), strict=True))
+        depth = map_parallel(rendered, zip(np.split(which, parts), np.split(every, parts), strict=True))
         return np.concatenate(depth)[: len(indices)]
 
     def posed(self, indices: jax.Array, poses: jax.Array, camera_index: jax.Array) -> PosedObjects:

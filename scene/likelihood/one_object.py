@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
-from scene.execution import shared_among_cores
+from scene.execution import score_on_all_cores
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import PosedObjects
 from shapes.rendering.tile_queue import for_each_block
-from shapes.rendering.tiles import TILE_PIXELS, tile_counts, tiled
+from shapes.rendering.tiles import TILE_PIXELS, tile_counts, to_tiles
 
 SCENE_TILES = 2**15
 """Tiles of the scenes rendered together: 2 MiB of depth."""
@@ -77,9 +77,9 @@ def depth_evidence(
     density = _log_density(noise, observed_m, rest_m)
     return DepthEvidence(
         cameras=cameras,
-        observed_m=tiled(observed_m, NO_RETURN),
-        rest_m=tiled(rest_m, 0.0),
-        log_density_of_rest=tiled(density, 0.0),
+        observed_m=to_tiles(observed_m, NO_RETURN),
+        rest_m=to_tiles(rest_m, 0.0),
+        log_density_of_rest=to_tiles(density, 0.0),
         height=observed_m.shape[1],
         width=observed_m.shape[2],
     )
@@ -93,7 +93,7 @@ def log_likelihood_ratio(
     The product over the image's pixels of the density of MATH.md section 0; base measure: Lebesgue in
     metres plus the atom of no return. For several frames or cameras, sum over a hypothesis's images.
     """
-    return shared_among_cores(partial(gain_over_rest, library, noise, evidence), posed)
+    return score_on_all_cores(partial(gain_over_rest, library, noise, evidence), posed)
 
 
 @jax.jit

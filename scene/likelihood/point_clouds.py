@@ -17,17 +17,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scene.likelihood.depth_images import DepthImages
-from scene.likelihood.render_cache import OfferedScenes
-from scene.observation.depth_view import unprojected
+from scene.likelihood.depth_images import DepthLikelihood
+from scene.likelihood.render_cache import CandidateScenes
+from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from shapes.geometry.camera import Camera
-from shapes.rendering.tiles import untiled
+from shapes.rendering.tiles import from_tiles
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class CloudImages(DepthImages):
+class CloudLikelihood(DepthLikelihood):
     """prod over frames and observed points of the cloud's density, to the power `weights`.
 
     A scene is rendered as for depth images; every pixel that shows something gives a rendered point. The
@@ -47,13 +47,13 @@ class CloudImages(DepthImages):
     @classmethod
     def over(
         cls,
-        images: DepthImages,
+        images: DepthLikelihood,
         views: Sequence[SceneData],
         *,
         outlier_probability: float,
         radius_m: float,
         pixel_weight: float,
-    ) -> CloudImages:
+    ) -> CloudLikelihood:
         """The same frames compared as clouds.
 
         Args:
@@ -66,7 +66,7 @@ class CloudImages(DepthImages):
         Raises:
             ValueError: a point is as near to the camera as the radius.
         """
-        clouds = [unprojected(view.window.depth_m, view.window.camera).reshape(-1, 3) for view in views]
+        clouds = [unproject(view.window.depth_m, view.window.camera).reshape(-1, 3) for view in views]
         weights = jnp.full(len(views), pixel_weight, images.weights.dtype)
         return cls(
             **vars(replace(images, weights=weights)),
@@ -80,7 +80,7 @@ class CloudImages(DepthImages):
         )
 
     def weighed(
-        self, shown: OfferedScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
+        self, shown: CandidateScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
     ) -> jax.Array:
         """Log densities (K, R, X), exponent 1: each frame's in its first tile, 0 in the others.
 
@@ -100,7 +100,7 @@ class CloudImages(DepthImages):
             uses = jnp.concatenate([stands[scene], mine[scene]])
             depth_m = jnp.min(jnp.where(uses[:, None, None], layers_m, jnp.inf), axis=0)
             rendered_m = jnp.where(self.rest_m > 0, jnp.minimum(depth_m, self.rest_m), jnp.inf)
-            log_frames = self._log_frames(untiled(rendered_m, self.height, self.width))
+            log_frames = self._log_frames(from_tiles(rendered_m, self.height, self.width))
             first = jnp.zeros((len(log_frames), tiles // len(log_frames)), jnp.float32)
             log_tiles = first.at[:, 0].set(log_frames.astype(jnp.float32)).ravel()
             return jnp.where(changed[scene], log_tiles, shown.log_tiles[scene, draw])

@@ -9,7 +9,7 @@ import jax
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ShownScene:
+class RenderedScene:
     """What a scene shows in the X tiles of all frames, for each of R draws of the objects' shapes.
 
     Attributes:
@@ -27,7 +27,7 @@ class ShownScene:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class OfferedScenes:
+class CandidateScenes:
     """What K scenes show of which most is the same.
 
     Attributes:
@@ -39,7 +39,7 @@ class OfferedScenes:
         scene, body: (L,) which scene each belongs to, and which object it is; K and N where there is none.
     """
 
-    present: ShownScene
+    present: RenderedScene
     shapes: jax.Array
     log_tiles: jax.Array
     fresh_m: jax.Array
@@ -47,7 +47,7 @@ class OfferedScenes:
     scene: jax.Array
     body: jax.Array
 
-    def put(self, body: jax.Array) -> ShownScene:
+    def put(self, body: jax.Array) -> RenderedScene:
         """The present scene with fresh layers in place of those of the objects `body` (L,)."""
         present = self.present
         return replace(

@@ -13,17 +13,17 @@ import jax
 import jax.numpy as jnp
 
 
-def drawn(key: jax.Array, shape: tuple[int, ...], known: int) -> jax.Array:
+def draw_shapes(key: jax.Array, shape: tuple[int, ...], known: int) -> jax.Array:
     """Choices among `known` shapes, int32."""
     return jax.random.randint(key, shape, 0, known, jnp.int32)
 
 
-def redrawn(keys: jax.Array, choices: jax.Array, known: int, share: jax.Array) -> jax.Array:
+def redraw_shapes(keys: jax.Array, choices: jax.Array, known: int, share: jax.Array) -> jax.Array:
     """The choices with each drawn anew with probability `share`, by one key of (2,) and then by the other."""
     for key in keys:
         choice_key, coin_key = jax.random.split(key)
         anew = jax.random.uniform(coin_key, choices.shape) < share
-        choices = jnp.where(anew, drawn(choice_key, choices.shape, known), choices)
+        choices = jnp.where(anew, draw_shapes(choice_key, choices.shape, known), choices)
     return choices
 
 

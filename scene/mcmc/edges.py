@@ -15,7 +15,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from scene.mcmc.random_variates import Dice, drawn_place
+from scene.mcmc.random_variates import Variates, draw_index
 from scene.model.posterior import SceneModel
 from scene.model.prior import contact_densities, log_floating
 from scene.model.scene_graph import ROOT, SceneGraph, subtree
@@ -40,7 +40,7 @@ class EdgeTables:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class PairMove:
+class EdgeMove:
     """New edges for two objects, every pair as likely.
 
     Both are drawn together from p(theta' | G') x (8 for each contact) over all pairs of edges without a
@@ -68,14 +68,14 @@ class PairMove:
         tables = jnp.concatenate([heads[..., None], on_parents], axis=2)
         return EdgeTables(tables[:, 0], tables[:, 1], alone)
 
-    def sample(self, dice: Dice, context: EdgeTables) -> jax.Array:
+    def sample(self, dice: Variates, context: EdgeTables) -> jax.Array:
         """Whether one of the two rests on the other; then the places (2,) of both in their tables."""
         apart, upon = jnp.sum(context.elsewhere, axis=1), jnp.sum(context.upon, axis=1)
         ways = jnp.stack([apart[0] * apart[1], upon[0] * apart[1], apart[0] * upon[1]])
-        way = drawn_place(ways, dice.uniform[0])
+        way = draw_index(ways, dice.uniform[0])
         on_other = way == jnp.arange(1, 3)
         rows = jnp.where(on_other[:, None], context.upon, context.elsewhere)
-        places = jax.vmap(drawn_place)(rows, dice.uniform[1:3])
+        places = jax.vmap(draw_index)(rows, dice.uniform[1:3])
         return jnp.where(context.alone, places[0], places)
 
     def log_density(self, context: EdgeTables, auxiliary: jax.Array) -> jax.Array:
@@ -92,8 +92,8 @@ class PairMove:
         auxiliary: jax.Array,
     ) -> tuple[SceneGraph, jax.Array, jax.Array]:
         """Graft both, and remember the old places; |det| is 8 for each contact gained."""
-        old = jax.vmap(partial(place_of, scene))(chosen).astype(auxiliary.dtype)
-        there = grafted(grafted(scene, chosen[0], auxiliary[0]), chosen[1], auxiliary[1])
+        old = jax.vmap(partial(edge_index, scene))(chosen).astype(auxiliary.dtype)
+        there = with_edge(with_edge(scene, chosen[0], auxiliary[0]), chosen[1], auxiliary[1])
         gained = contacts_gained(old, auxiliary).astype(scene.poses.dtype)
         two = gained[0] + jnp.where(chosen[0] == chosen[1], 0.0, gained[1])
         return there, old, LOG_CONTACT_JACOBIAN * two
@@ -122,13 +122,13 @@ def edge_weights(
     return jnp.exp(floating), on_parents.reshape(*parents.shape[:-1], -1)
 
 
-def place_of(scene: SceneGraph, chosen: jax.Array) -> jax.Array:
+def edge_index(scene: SceneGraph, chosen: jax.Array) -> jax.Array:
     """The place in the table of an object's edge."""
     pair = scene.parent_faces[chosen] * 6 + scene.child_faces[chosen]
     return jnp.where(scene.parents[chosen] == ROOT, 0, 1 + scene.parents[chosen] * _FACE_PAIRS + pair)
 
 
-def grafted(scene: SceneGraph, chosen: jax.Array, place: jax.Array) -> SceneGraph:
+def with_edge(scene: SceneGraph, chosen: jax.Array, place: jax.Array) -> SceneGraph:
     """The scene with the object's edge at another place of the table."""
     floats = place == 0
     pair = jnp.where(floats, 0, place - 1)

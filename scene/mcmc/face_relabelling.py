@@ -65,6 +65,6 @@ def _renamed(scene: SceneGraph, chosen: jax.Array, pose: jax.Array, names: jax.A
 
 def _turn(reference: jax.Array, pose: jax.Array) -> jax.Array:
     """Which of the cube's rotations is nearest to the turn from the reference (7,)."""
-    relative = quaternions.times(quaternions.inverse(reference[:4]), pose[:4])
+    relative = quaternions.multiply(quaternions.inverse(reference[:4]), pose[:4])
     alike = jnp.abs(jnp.sum(_TURNS_WXYZ * relative[None], axis=1))
     return jnp.max(jnp.where(alike == jnp.max(alike), np.arange(len(_TURNS_WXYZ)), 0))

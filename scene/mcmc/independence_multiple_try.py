@@ -13,10 +13,10 @@ import jax.numpy as jnp
 
 from scene.mcmc import pose_mixture
 from scene.mcmc.face_relabelling import at_reference, placed
-from scene.mcmc.involution import Offer
+from scene.mcmc.involution import CandidateSet
 from scene.mcmc.pose_mixture import PoseMixture
-from scene.mcmc.random_variates import Dice, drawn_object
-from scene.mcmc.walks import at_pose, normalised
+from scene.mcmc.random_variates import Variates, draw_object
+from scene.mcmc.walks import at_pose, normalise
 from scene.model.posterior import ChainState, SceneModel
 from scene.model.prior import POSE_UNIFORMS, log_pose_given_faces, sample_pose
 from scene.model.scene_graph import SceneGraph
@@ -24,7 +24,7 @@ from scene.model.scene_graph import SceneGraph
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class FarCandidates:
+class IndependenceMultipleTry:
     """One of K poses, the present one x among them; the graph stays as it is.
 
     The other poses y are drawn from an offer's density q, and the choice is in proportion to pi / q (iterated
@@ -45,20 +45,20 @@ class FarCandidates:
     @property
     def uniforms(self) -> int:
         """Numbers that a draw takes: the object's, and those of the offers."""
-        return 1 + (self.count - 1) * PoseOffer.uniforms
+        return 1 + (self.count - 1) * MixtureProposal.uniforms
 
     @property
     def normals(self) -> int:
         """Numbers that a draw takes."""
-        return (self.count - 1) * PoseOffer.normals
+        return (self.count - 1) * MixtureProposal.normals
 
-    def propose(self, dice: Dice, model: SceneModel, state: ChainState) -> Offer:
+    def propose(self, dice: Variates, model: SceneModel, state: ChainState) -> CandidateSet:
         """The scenes, of which one is to be chosen."""
-        scene, offer = state.scene, PoseOffer(self.mixture, self.prior_share)
-        chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
+        scene, offer = state.scene, MixtureProposal(self.mixture, self.prior_share)
+        chosen = draw_object(scene.present & model.bodies.movable, dice.uniform[0])
         turned = at_reference(scene, chosen, self.mixture.centres[chosen, 0])
         context = offer.context(model, turned, chosen)
-        each = Dice(
+        each = Variates(
             dice.uniform[1 : self.uniforms].reshape(self.count - 1, -1),
             dice.normal[: self.normals].reshape(self.count - 1, -1),
         )
@@ -66,12 +66,12 @@ class FarCandidates:
         poses = jnp.concatenate([scene.poses[chosen][None], drawn])
         scenes = jax.vmap(partial(placed, turned, chosen))(poses)
         log_offered = jax.vmap(partial(offer.log_density, context))(poses)
-        return Offer(scenes, log_offered, jnp.zeros_like(state.log_prior))
+        return CandidateSet(scenes, log_offered, jnp.zeros_like(state.log_prior))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class OfferContext:
+class ProposalContext:
     """One object's components, and everything else."""
 
     mixture: PoseMixture
@@ -82,7 +82,7 @@ class OfferContext:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class PoseOffer:
+class MixtureProposal:
     """An absolute pose from the object's mixture or, with `prior_share`, from its prior under the graph.
 
     The proposal is one density of absolute poses, summed over all components, the prior's included
@@ -98,18 +98,18 @@ class PoseOffer:
     mixture: PoseMixture
     prior_share: jax.Array
 
-    def context(self, model: SceneModel, scene: SceneGraph, chosen: jax.Array) -> OfferContext:
+    def context(self, model: SceneModel, scene: SceneGraph, chosen: jax.Array) -> ProposalContext:
         """The chosen object's components, and the others' poses; its own pose is never looked at."""
-        return OfferContext(self.mixture.of(chosen), model, scene, chosen)
+        return ProposalContext(self.mixture.of(chosen), model, scene, chosen)
 
-    def sample(self, dice: Dice, context: OfferContext) -> jax.Array:
+    def sample(self, dice: Variates, context: ProposalContext) -> jax.Array:
         """A pose (7,)."""
         model, scene, chosen = context.model, context.scene, context.chosen
         from_prior = sample_pose(dice.uniform[2:], model.prior, model.bodies, scene, chosen)
         from_mixture = pose_mixture.sample(dice.uniform[1], dice.normal, context.mixture)
-        return normalised(jnp.where(dice.uniform[0] < self.prior_share, from_prior, from_mixture))
+        return normalise(jnp.where(dice.uniform[0] < self.prior_share, from_prior, from_mixture))
 
-    def log_density(self, context: OfferContext, pose: jax.Array) -> jax.Array:
+    def log_density(self, context: ProposalContext, pose: jax.Array) -> jax.Array:
         """Log density of a pose (7,) in the measure of poses."""
         model, chosen = context.model, context.chosen
         there = at_pose(context.scene, chosen, pose)

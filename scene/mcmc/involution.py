@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import jax
 import jax.numpy as jnp
 
-from scene.mcmc.random_variates import Dice, drawn_object, drawn_other, drawn_place
+from scene.mcmc.random_variates import Variates, draw_index, draw_object, draw_other_object
 from scene.model.posterior import ChainState, Estimate, SceneModel
 from scene.model.scene_graph import SceneGraph
 
@@ -37,7 +37,7 @@ class Move(Protocol):
         """What the auxiliary density depends on, the same at both ends of the move."""
         ...
 
-    def sample(self, dice: Dice, context: Any) -> Any:
+    def sample(self, dice: Variates, context: Any) -> Any:
         """A draw of the auxiliary variables."""
         ...
 
@@ -54,7 +54,7 @@ class Move(Protocol):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Offer:
+class CandidateSet:
     """Scenes side by side, the present one first, before their posterior densities are known.
 
     Attributes:
@@ -80,8 +80,8 @@ class MoveInfo:
 
 
 def propose(
-    dice: Dice, model: SceneModel, move: Move, state: ChainState, count: int, *, verify: bool = False
-) -> Offer:
+    dice: Variates, model: SceneModel, move: Move, state: ChainState, count: int, *, verify: bool = False
+) -> CandidateSet:
     """Choose the objects, draw the auxiliary variables and apply the involution.
 
     Args:
@@ -94,11 +94,11 @@ def propose(
     """
     scene = state.scene
     eligible = scene.present & model.bodies.movable
-    chosen = drawn_object(eligible, dice.uniform[0])
+    chosen = draw_object(eligible, dice.uniform[0])
     if move.objects == 2:
-        chosen = jnp.stack([chosen, drawn_other(eligible, chosen, dice.uniform[1])])
-    context = computed_once(move.context(model, scene, chosen))
-    auxiliary = computed_once(move.sample(dice.without(move.objects), context))
+        chosen = jnp.stack([chosen, draw_other_object(eligible, chosen, dice.uniform[1])])
+    context = compute_once(move.context(model, scene, chosen))
+    auxiliary = compute_once(move.sample(dice.without(move.objects), context))
     there, reverse, log_jacobian = move.involution(model, scene, chosen, auxiliary)
     log_ratio = move.log_density(context, reverse) - move.log_density(context, auxiliary)
     log_forward = log_ratio + log_jacobian
@@ -110,23 +110,23 @@ def propose(
         log_back = log_ratio_back + log_jacobian_back + model.log_prior(back) - state.log_prior
         asymmetry = jnp.where(jnp.isfinite(log_forward), jnp.abs(log_forward + log_back), 0)
         error = jnp.maximum(_difference(scene, back), asymmetry)
-    scenes = jax.tree.map(lambda new, old: repeated(old, count).at[1].set(new), there, scene)
+    scenes = jax.tree.map(lambda new, old: repeat(old, count).at[1].set(new), there, scene)
     log_offered = jnp.full(count, jnp.inf, log_forward.dtype).at[:2].set(jnp.stack([0.0, -log_forward]))
-    return computed_once(Offer(scenes, log_offered, error))
+    return compute_once(CandidateSet(scenes, log_offered, error))
 
 
-def computed_once(values: Tree) -> Tree:
+def compute_once(values: Tree) -> Tree:
     """The same values; XLA would compute them anew for every one that reads them."""
     return jax.lax.optimization_barrier(values)
 
 
-def repeated(leaf: jax.Array, count: int) -> jax.Array:
+def repeat(leaf: jax.Array, count: int) -> jax.Array:
     """An array as often as there are places in an offer."""
     return jnp.broadcast_to(leaf[None], (count, *leaf.shape))
 
 
 def decide(
-    uniform: jax.Array, model: SceneModel, log_prior: jax.Array, offer: Offer, estimates: Estimate
+    uniform: jax.Array, model: SceneModel, log_prior: jax.Array, offer: CandidateSet, estimates: Estimate
 ) -> tuple[ChainState, MoveInfo]:
     """The scene that comes next, by Metropolised choice (Liu 1996): better than one in proportion to weights.
 
@@ -145,9 +145,9 @@ def decide(
     log_weights = log_priors + estimates.log_likelihood - offer.log_offered
     weights = jnp.exp(log_weights - jnp.max(log_weights))
     to_others = weights.at[0].set(0.0)
-    other = drawn_place(to_others, uniform[0])
+    other = draw_index(to_others, uniform[0])
     rest = jnp.sum(jnp.where(jnp.arange(len(weights)) == other, 0.0, weights))
-    place = computed_once(jnp.where(uniform[1] * rest < jnp.sum(to_others), other, 0).astype(jnp.int32))
+    place = compute_once(jnp.where(uniform[1] * rest < jnp.sum(to_others), other, 0).astype(jnp.int32))
     scene = jax.tree.map(lambda leaf: leaf[place], offer.scenes)
     state = ChainState(scene, log_priors[place], model.likelihood.chosen(estimates, place))
     return state, MoveInfo(place > 0, offer.involution_error)

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 
 from scene.likelihood.shape_draws import candidate_keys
-from scene.mcmc.independence_multiple_try import FarCandidates
-from scene.mcmc.involution import Move, MoveInfo, Offer, decide, propose, repeated
-from scene.mcmc.local_multiple_try import NearCandidates
+from scene.mcmc.independence_multiple_try import IndependenceMultipleTry
+from scene.mcmc.involution import CandidateSet, Move, MoveInfo, decide, propose, repeat
+from scene.mcmc.local_multiple_try import LocalMultipleTry
 from scene.mcmc.pose_mixture import PoseMixture
-from scene.mcmc.random_variates import Dice
+from scene.mcmc.random_variates import Variates
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
 from scene.mcmc.walks import FlipMove, WalkMove
 from scene.model.posterior import ChainState, Estimate, NoData, SceneModel
@@ -39,7 +39,7 @@ class Kernel:
     """
 
     structure: Move | None
-    candidates: tuple[FarCandidates | NearCandidates, ...]
+    candidates: tuple[IndependenceMultipleTry | LocalMultipleTry, ...]
     others: tuple[Move, ...]
     repeats: int = field(metadata={"static": True})
 
@@ -53,7 +53,7 @@ class Kernel:
         """Where each object might be."""
         return self.candidates[0].mixture
 
-    def taught(self, mixture: PoseMixture) -> Kernel:
+    def with_mixture(self, mixture: PoseMixture) -> Kernel:
         """The kernel with another mixture."""
         return replace(self, candidates=tuple(replace(one, mixture=mixture) for one in self.candidates))
 
@@ -65,13 +65,13 @@ class Kernel:
         kinds = jnp.where(place < self.repeats, candidates, others)
         return jnp.where((place == 0) & anew, _ANEW, kinds)
 
-    def thrown(self, key: jax.Array, dtype: jnp.dtype) -> Dice:
+    def draw(self, key: jax.Array, dtype: jnp.dtype) -> Variates:
         """Dice (repeats + 1,) of a sweep's steps: those of two moves, of their objects and decisions."""
         poses = (*self.candidates, *self.others)
         uniforms = 3 + max(move.uniforms for move in poses)
         if self.structure:
             uniforms += 2 + self.structure.objects + self.structure.uniforms
-        return Dice.thrown(key, (self.repeats + 1,), uniforms, max(move.normals for move in poses), dtype)
+        return Variates.draw(key, (self.repeats + 1,), uniforms, max(move.normals for move in poses), dtype)
 
 
 @jax.tree_util.register_dataclass
@@ -120,8 +120,8 @@ def scene_kernel(
     """
     dtype = translation_m.dtype
     walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
-    far = FarCandidates(mixture, jnp.asarray(prior_share, dtype), candidates)
-    near = NearCandidates(mixture, axes, lines, symmetries, candidates, grafts=structure is not None)
+    far = IndependenceMultipleTry(mixture, jnp.asarray(prior_share, dtype), candidates)
+    near = LocalMultipleTry(mixture, axes, lines, symmetries, candidates, grafts=structure is not None)
     return Kernel(structure, (far, near), (walk, FlipMove()), repeats)
 
 
@@ -148,7 +148,7 @@ def sweep(
     """
 
     def step(
-        state: ChainState, given: tuple[jax.Array, Dice, jax.Array]
+        state: ChainState, given: tuple[jax.Array, Variates, jax.Array]
     ) -> tuple[ChainState, tuple[MoveInfo | None, MoveInfo]]:
         number, dice, kind = given
         graph_key, pose_key = jax.random.split(jax.random.fold_in(step_key, number))
@@ -160,14 +160,14 @@ def sweep(
         return state, (info, pose_info)
 
     dice_key, step_key = jax.random.split(key)
-    dice = kernel.thrown(dice_key, state.log_prior.dtype)
+    dice = kernel.draw(dice_key, state.log_prior.dtype)
     given = jnp.arange(kernel.repeats + 1), dice, kernel.kinds(number, anew)
     state, infos = jax.lax.scan(step, state, given)
     return state, SweepInfo(*infos)
 
 
 def _grafted(
-    key: jax.Array, dice: Dice, state: ChainState, model: SceneModel, move: Move, verify: bool
+    key: jax.Array, dice: Variates, state: ChainState, model: SceneModel, move: Move, verify: bool
 ) -> tuple[ChainState, MoveInfo]:
     """Another edge, poses as they are: data that see nothing else keep their estimate."""
     offer = propose(dice.without(2), model, move, state, 2, verify=verify)
@@ -189,7 +189,7 @@ def _grafted(
 
 def _posed(
     key: jax.Array,
-    dice: Dice,
+    dice: Variates,
     state: ChainState,
     model: SceneModel,
     kernel: Kernel,
@@ -199,15 +199,17 @@ def _posed(
     """Another pose, by one of the moves; all meet the target in one place, which is costly to compile."""
     count = kernel.candidates[0].count
 
-    def same(dice: Dice, state: ChainState) -> Offer:  # noqa: ARG001
-        scenes = jax.tree.map(lambda leaf: repeated(leaf, count), state.scene)
+    def same(dice: Variates, state: ChainState) -> CandidateSet:  # noqa: ARG001
+        scenes = jax.tree.map(lambda leaf: repeat(leaf, count), state.scene)
         first = jnp.where(jnp.arange(count) == 0, jnp.zeros_like(state.log_prior), jnp.inf)
-        return Offer(scenes, first, jnp.zeros_like(state.log_prior))
+        return CandidateSet(scenes, first, jnp.zeros_like(state.log_prior))
 
-    def among(candidates: FarCandidates | NearCandidates) -> Callable[[Dice, ChainState], Offer]:
+    def among(
+        candidates: IndependenceMultipleTry | LocalMultipleTry,
+    ) -> Callable[[Variates, ChainState], CandidateSet]:
         return lambda dice, state: candidates.propose(dice, model, state)
 
-    def by(move: Move) -> Callable[[Dice, ChainState], Offer]:
+    def by(move: Move) -> Callable[[Variates, ChainState], CandidateSet]:
         return lambda dice, state: propose(dice, model, move, state, count, verify=verify)
 
     offers = [same, *(among(one) for one in kernel.candidates), *(by(move) for move in kernel.others)]

@@ -12,13 +12,13 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from scene.mcmc.edges import edge_weights, grafted, place_of
+from scene.mcmc.edges import edge_index, edge_weights, with_edge
 from scene.mcmc.face_relabelling import at_reference, placed
-from scene.mcmc.involution import Offer
+from scene.mcmc.involution import CandidateSet
 from scene.mcmc.pose_mixture import PoseMixture
-from scene.mcmc.random_variates import Dice, drawn_object, drawn_place
-from scene.mcmc.symmetry_arrays import SpinLines, Symmetries, part_of_turn
-from scene.mcmc.walks import normalised
+from scene.mcmc.random_variates import Variates, draw_index, draw_object
+from scene.mcmc.symmetry_arrays import SpinLines, Symmetries, symmetry_angle
+from scene.mcmc.walks import normalise
 from scene.model.posterior import ChainState, SceneModel
 from scene.model.scene_graph import SceneGraph, subtree
 from shapes.geometry import quaternions
@@ -36,7 +36,7 @@ SPIN_SHARE, TURN_SHARE = 0.25, 0.25
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class NearCandidates:
+class LocalMultipleTry:
     """One of K poses round a point near the present one x, each with an edge of its own.
 
     A point z is drawn round x and K - 1 poses y round z, all by one symmetric step k, and the choice is in
@@ -84,22 +84,22 @@ class NearCandidates:
         """Numbers that a draw takes."""
         return 7 * self.count
 
-    def propose(self, dice: Dice, model: SceneModel, state: ChainState) -> Offer:
+    def propose(self, dice: Variates, model: SceneModel, state: ChainState) -> CandidateSet:
         """The scenes, of which one is to be chosen."""
         scene = state.scene
-        chosen = drawn_object(scene.present & model.bodies.movable, dice.uniform[0])
+        chosen = draw_object(scene.present & model.bodies.movable, dice.uniform[0])
         turned = at_reference(scene, chosen, self.mixture.centres[chosen, 0])
         line, steps = self._steps(dice.without(1), chosen)
-        centre = stepped(line, scene.poses[chosen], steps[0])
-        poses = jax.vmap(partial(stepped, line, centre))(steps[1:])
+        centre = take_steps(line, scene.poses[chosen], steps[0])
+        poses = jax.vmap(partial(take_steps, line, centre))(steps[1:])
         poses = jnp.concatenate([scene.poses[chosen][None], poses])
         scenes = jax.vmap(partial(placed, turned, chosen))(poses)
         log_edges = jnp.zeros(self.count, poses.dtype)
         if self.grafts:
             scenes, log_edges = _with_edges(dice.uniform[3 : self.uniforms], model, scenes, chosen)
-        return Offer(scenes, log_edges, jnp.zeros_like(state.log_prior))
+        return CandidateSet(scenes, log_edges, jnp.zeros_like(state.log_prior))
 
-    def _steps(self, dice: Dice, chosen: jax.Array) -> tuple[SpinLines, jax.Array]:
+    def _steps(self, dice: Variates, chosen: jax.Array) -> tuple[SpinLines, jax.Array]:
         """The steps (K, 7), the first to the point between, and the line of all their turns."""
         line = SpinLines(self.lines.directions[chosen], self.lines.points_m[chosen])
         size, kind = dice.uniform[:2]
@@ -110,12 +110,12 @@ class NearCandidates:
         across = spins | (self.axes[chosen] >= 0)
         along = jnp.sum(steps[:, 3:] * line.directions[None], axis=1, keepdims=True) * line.directions[None]
         tilts = steps[:, 3:] - jnp.where(across, along, 0.0)
-        tilts = jax.vmap(partial(quaternions.rotated, self.mixture.centres[chosen, 0, :4]))(tilts)
+        tilts = jax.vmap(partial(quaternions.rotate, self.mixture.centres[chosen, 0, :4]))(tilts)
         widest = LEAST_SPIN_RAD * (MOST_SPIN_RAD / LEAST_SPIN_RAD) ** (kind / SPIN_SHARE)
         direction, point, order = self.symmetries.drawn(chosen, (kind - SPIN_SHARE) / TURN_SHARE)
         turns = ~spins & (kind < SPIN_SHARE + TURN_SHARE) & (order > 0)
         spun = jnp.where(spins, widest, 0.0) * normal[:, 6]
-        angles = jnp.where(turns, part_of_turn(order, normal[:, 6]), spun)
+        angles = jnp.where(turns, symmetry_angle(order, normal[:, 6]), spun)
         line = SpinLines(jnp.where(turns, direction, line.directions), jnp.where(turns, point, line.points_m))
         return line, jnp.concatenate([steps[:, :3], tilts, angles[:, None]], axis=1)
 
@@ -131,23 +131,23 @@ def _with_edges(
     parents = scenes.present[0] & ~below
     floating, contacts = jax.vmap(lambda poses: edge_weights(model, poses, chosen, parents))(scenes.poses)
     weights = jnp.concatenate([floating[:, None], contacts], axis=1)
-    present = place_of(jax.tree.map(lambda leaf: leaf[0], scenes), chosen)
-    drawn = jax.vmap(drawn_place)(weights[1:], uniform)
+    present = edge_index(jax.tree.map(lambda leaf: leaf[0], scenes), chosen)
+    drawn = jax.vmap(draw_index)(weights[1:], uniform)
     places = jnp.concatenate([present[None].astype(drawn.dtype), drawn])
     each, total = jnp.take_along_axis(weights, places[:, None], axis=1)[:, 0], jnp.sum(weights, axis=1)
     log_jacobian = jnp.where(places > 0, LOG_CONTACT_JACOBIAN, 0.0)
     log_edges = jnp.where(total > 0, jnp.log(each) - jnp.log(total) - log_jacobian, jnp.inf)
-    scenes = jax.vmap(lambda scene, place: grafted(scene, chosen, place))(scenes, places)
+    scenes = jax.vmap(lambda scene, place: with_edge(scene, chosen, place))(scenes, places)
     return scenes, log_edges
 
 
-def stepped(line: SpinLines, pose: jax.Array, step: jax.Array) -> jax.Array:
+def take_steps(line: SpinLines, pose: jax.Array, step: jax.Array) -> jax.Array:
     """The pose (7,) after a step (7,): an offset and a rotation vector, and the angle of a spin.
 
     Offset and rotation are along the world's axes: what the images tell of an object's tilt does not turn
     with a spin of a round object. The point of its line moves by the offset alone.
     """
-    turned = quaternions.times(quaternions.exp(step[3:6]), pose[:4])
-    turned = quaternions.times(turned, quaternions.exp(step[6] * line.directions))
-    point = pose[4:] + quaternions.rotated(pose[:4], line.points_m) + step[:3]
-    return normalised(jnp.concatenate([turned, point - quaternions.rotated(turned, line.points_m)]))
+    turned = quaternions.multiply(quaternions.exp(step[3:6]), pose[:4])
+    turned = quaternions.multiply(turned, quaternions.exp(step[6] * line.directions))
+    point = pose[4:] + quaternions.rotate(pose[:4], line.points_m) + step[:3]
+    return normalise(jnp.concatenate([turned, point - quaternions.rotate(turned, line.points_m)]))

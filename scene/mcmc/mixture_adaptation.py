@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 
-from scene.execution import SELDOM
+from scene.execution import FAST_COMPILE
 from scene.mcmc.mixture_init import own_components, spin
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.search.importance_sampling import MODES
@@ -34,8 +34,8 @@ KEPT_SHARE = 0.1
 MEAN_STEPS = 3
 
 
-@partial(jax.jit, compiler_options=SELDOM)
-def adapted(mixture: PoseMixture, axes: jax.Array, poses: jax.Array) -> PoseMixture:
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def adapt_mixture(mixture: PoseMixture, axes: jax.Array, poses: jax.Array) -> PoseMixture:
     """The mixtures with components of their own fitted to states (S, C, 7), each in its mode.
 
     A chain that changes to another mode comes back only where proposals know both.

@@ -11,12 +11,12 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.execution import SELDOM
+from scene.execution import FAST_COMPILE
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.objects.scene_object import SceneObject
 from scene.search.importance_sampling import MODES, Refinement
 from scene.search.search_result import Initialisation
-from shapes.geometry.poses import composed
+from shapes.geometry.poses import compose
 
 OTHERS, OTHERS_SHARE = 7, 0.15
 
@@ -133,7 +133,7 @@ def pose_proposals(
     return _in_world(world_from_camera, *map(filled, every), axes)
 
 
-@partial(jax.jit, compiler_options=SELDOM)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _in_world(
     world_from_camera: jax.Array,
     log_weights: jax.Array,
@@ -145,7 +145,7 @@ def _in_world(
 ) -> PoseMixture:
     """The mixture from modes (C, M), (C, M, 7), (C, M, 6, 6), offsets in the camera, and others (C, K, 7)."""
     turn = jnp.eye(6).at[:3, :3].set(jaxlie.SO3(world_from_camera[:4]).as_matrix())
-    moved = jax.vmap(jax.vmap(lambda pose: composed(world_from_camera, pose)))
+    moved = jax.vmap(jax.vmap(lambda pose: compose(world_from_camera, pose)))
     means, others = moved(means), moved(others)
     log_own, centres, covariances = jax.vmap(own_components)(
         log_weights, means, turn @ covariances @ turn.T, axes

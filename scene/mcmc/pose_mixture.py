@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from scene.mcmc.random_variates import drawn_place
+from scene.mcmc.random_variates import draw_index
 from shapes.geometry import quaternions
 from shapes.geometry.rotation_densities import log_gaussian_pose
 
@@ -46,18 +46,18 @@ class PoseMixture:
 
 def sample(uniform: jax.Array, normal: jax.Array, mixture: PoseMixture) -> jax.Array:
     """Pose (7,) from one object's mixture, of one uniform number and normal ones (6,)."""
-    component = drawn_place(jnp.exp(mixture.log_weights), uniform)
+    component = draw_index(jnp.exp(mixture.log_weights), uniform)
     tangent = jnp.sum(mixture.choleskys[component] * normal[None], axis=1)
     centre = mixture.centres[component]
-    turned = quaternions.times(centre[:4], quaternions.exp(tangent[3:]))
-    return jnp.concatenate([quaternions.normalised(turned), centre[4:] + tangent[:3]])
+    turned = quaternions.multiply(centre[:4], quaternions.exp(tangent[3:]))
+    return jnp.concatenate([quaternions.normalise(turned), centre[4:] + tangent[:3]])
 
 
 def log_density(mixture: PoseMixture, pose: jax.Array) -> jax.Array:
     """Log density of one object's mixture at a pose (7,), summed over all components."""
 
     def component(centre: jax.Array, whitening: jax.Array) -> jax.Array:
-        relative = quaternions.times(quaternions.inverse(centre[:4]), pose[:4])
+        relative = quaternions.multiply(quaternions.inverse(centre[:4]), pose[:4])
         return log_gaussian_pose(whitening, pose[4:] - centre[4:], relative)
 
     log_components = jax.vmap(component)(mixture.centres, mixture.whitenings)

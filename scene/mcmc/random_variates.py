@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Dice:
+class Variates:
     """Independent numbers, each to be used once.
 
     Attributes:
@@ -22,9 +22,9 @@ class Dice:
     normal: jax.Array
 
     @classmethod
-    def thrown(
+    def draw(
         cls, key: jax.Array, lead: tuple[int, ...], uniforms: int, normals: int, dtype: jnp.dtype
-    ) -> Dice:
+    ) -> Variates:
         """Dice of leading axes `lead`."""
         uniform_key, normal_key = jax.random.split(key)
         return cls(
@@ -32,25 +32,25 @@ class Dice:
             jax.random.normal(normal_key, (*lead, normals), dtype),
         )
 
-    def without(self, uniforms: int, normals: int = 0) -> Dice:
+    def without(self, uniforms: int, normals: int = 0) -> Variates:
         """Those (U,) and (Z,) that are left after the first ones."""
-        return Dice(self.uniform[uniforms:], self.normal[normals:])
+        return Variates(self.uniform[uniforms:], self.normal[normals:])
 
 
-def drawn_place(weights: jax.Array, uniform: jax.Array) -> jax.Array:
+def draw_index(weights: jax.Array, uniform: jax.Array) -> jax.Array:
     """Place in a short table (n,) of weights; the last place with a weight ends the table."""
     cumulative = jnp.cumsum(weights)
     place = jnp.sum(cumulative <= uniform * cumulative[-1])
     return jnp.minimum(place, jnp.max(jnp.where(weights > 0, jnp.arange(len(weights)), 0)))
 
 
-def drawn_object(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
+def draw_object(eligible: jax.Array, uniform: jax.Array) -> jax.Array:
     """One of the eligible objects (C,), each as likely."""
     rank = jnp.floor(uniform * jnp.sum(eligible))
     return jnp.argmax(jnp.cumsum(eligible) > rank)
 
 
-def drawn_other(eligible: jax.Array, chosen: jax.Array, uniform: jax.Array) -> jax.Array:
+def draw_other_object(eligible: jax.Array, chosen: jax.Array, uniform: jax.Array) -> jax.Array:
     """Another of the eligible objects (C,) than the chosen one, each as likely; it again if it is alone."""
     rest = eligible & (jnp.arange(len(eligible)) != chosen)
-    return jnp.where(jnp.any(rest), drawn_object(rest, uniform), chosen)
+    return jnp.where(jnp.any(rest), draw_object(rest, uniform), chosen)

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
-from scene.execution import SELDOM, compiled_beside
-from scene.likelihood.depth_images import DepthImages, log_estimates
+from scene.execution import FAST_COMPILE, compile_in_background
+from scene.likelihood.depth_images import DepthLikelihood, log_estimates
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.point_clouds import CloudImages
-from scene.mcmc.edges import PairMove
+from scene.likelihood.point_clouds import CloudLikelihood
+from scene.mcmc.edges import EdgeMove
 from scene.mcmc.kernel import Kernel, run_block, scene_kernel
-from scene.mcmc.mixture_adaptation import adapted, modes_of
+from scene.mcmc.mixture_adaptation import adapt_mixture, modes_of
 from scene.mcmc.mixture_init import pose_proposals, round_axis
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.mcmc.samples import Samples
@@ -34,7 +34,7 @@ from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 from scene.search.importance_sampling import Refinement
 from scene.search.search_result import Initialisation
-from shapes.geometry.poses import composed, pose_of
+from shapes.geometry.poses import compose, pose_of
 
 TABLE_HALF_THICKNESS_M = 0.01
 
@@ -62,7 +62,7 @@ TOGETHER = 2
 """Chains in a kernel; kernels run side by side, each on a core."""
 
 
-def sampled(
+def sample_posterior(
     key: jax.Array,
     views: Sequence[SceneData],
     camera_from_world: NDArray[np.float64],
@@ -93,7 +93,7 @@ def sampled(
     likelihood = _likelihood(views, camera_from_world, objects, noise, config)
     starts = refined.means[start.found, :, 4:].reshape(-1, 3)
     starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
-    model = _model(table, objects, likelihood, space_of(table, starts), config)
+    model = _model(table, objects, likelihood, prior_space(table, starts), config)
     world = pose_of(jnp.asarray(world_from_camera))
     bodies = len(model.bodies.movable)
     axes = jax.device_put(np.array([round_axis(one) for one in objects] + [-1] * (bodies - len(objects))))
@@ -105,7 +105,7 @@ def sampled(
         axes=axes,
         lines=SpinLines.of(objects, bodies - len(objects)),
         symmetries=Symmetries.of(objects, bodies - len(objects)),
-        structure=PairMove() if config.graph == "infer" else None,
+        structure=EdgeMove() if config.graph == "infer" else None,
         repeats=max(len(objects) - 1, 1),
     )
     return _sample(key, model, kernel, axes, start, world, config, progress)
@@ -117,8 +117,8 @@ def _likelihood(
     objects: Sequence[SceneObject],
     noise: DepthNoise,
     config: ParseConfig,
-) -> DepthImages:
-    images = DepthImages.of(
+) -> DepthLikelihood:
+    images = DepthLikelihood.of(
         views,
         camera_from_world,
         ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
@@ -129,7 +129,7 @@ def _likelihood(
     )
     if config.likelihood == "depth":
         return images
-    return CloudImages.over(
+    return CloudLikelihood.over(
         images,
         views,
         outlier_probability=config.cloud_outlier_probability,
@@ -138,7 +138,7 @@ def _likelihood(
     )
 
 
-def space_of(
+def prior_space(
     table: SupportPlane | None, starts_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corners of the cuboid that holds floating objects: over the table, or before the camera without one.
@@ -160,7 +160,7 @@ def space_of(
 def _model(
     table: SupportPlane | None,
     objects: Sequence[SceneObject],
-    likelihood: DepthImages,
+    likelihood: DepthLikelihood,
     space: tuple[NDArray[np.float64], NDArray[np.float64]],
     config: ParseConfig,
 ) -> SceneModel:
@@ -218,7 +218,7 @@ def _sample(
     count = -(-config.sweeps // blocks)
     kept: list[Samples] = []
     variance = 0.0
-    with compiled_beside(partial(_compile_taught, kernel, axes, count * config.chains)):
+    with compile_in_background(partial(_compile_taught, kernel, axes, count * config.chains)):
         for block in range(blocks):
             block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
             groups, samples = _advanced(block_keys, groups, model, kernel, count)
@@ -228,7 +228,7 @@ def _sample(
                 kept.append(samples)
             if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
                 likelihood = model.likelihood
-                assert isinstance(likelihood, DepthImages)
+                assert isinstance(likelihood, DepthLikelihood)
                 spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
                 variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
                 share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
@@ -257,16 +257,16 @@ def _compile_taught(kernel: Kernel, axes: jax.Array, states: int) -> None:
     """What `_taught` runs on so many states, beside `run_block`, which takes longer to compile."""
     mixture = kernel.mixture
     with jax.enable_x64(True):  # of this thread
-        adapted.lower(mixture, axes, np.zeros((states, len(axes), 7))).compile()
+        adapt_mixture.lower(mixture, axes, np.zeros((states, len(axes), 7))).compile()
 
 
 def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
     """The kernel with proposals fitted to the states that its chains went through."""
     states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
-    return kernel.taught(adapted(kernel.mixture, axes, states.poses))
+    return kernel.with_mixture(adapt_mixture(kernel.mixture, axes, states.poses))
 
 
-@partial(jax.jit, static_argnames="spare", compiler_options=SELDOM)
+@partial(jax.jit, static_argnames="spare", compiler_options=FAST_COMPILE)
 def _start(
     keys: jax.Array,
     model: SceneModel,
@@ -289,7 +289,7 @@ def _start(
         world: (7,) world_from_camera.
         spare: 1 where there is a table.
     """
-    poses = jax.vmap(lambda pose: composed(world, pose))(poses)
+    poses = jax.vmap(lambda pose: compose(world, pose))(poses)
     table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]]), (spare, 1))
     log_weights = jnp.log(jax.vmap(modes_of)(mixture.log_weights, axes))[: len(poses)]
 

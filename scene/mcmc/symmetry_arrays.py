@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scene.mcmc.random_variates import drawn_object
+from scene.mcmc.random_variates import draw_object
 from scene.objects.scene_object import SceneObject
 
 
@@ -74,11 +74,11 @@ class Symmetries:
     def drawn(self, body: jax.Array, uniform: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Direction (3,), point (3,) and order of one of a body's lines, each as likely; order 0 without."""
         orders = self.orders[body]
-        line = drawn_object(orders > 0, uniform)
+        line = draw_object(orders > 0, uniform)
         return self.directions[body, line], self.points_m[body, line], orders[line]
 
 
-def part_of_turn(order: jax.Array, normal: jax.Array) -> jax.Array:
+def symmetry_angle(order: jax.Array, normal: jax.Array) -> jax.Array:
     """Angles of normal numbers (...): none half the time, else half a turn or, of order 4, any quarters."""
     size = jnp.abs(normal)
     quarter = (order == 4) & (size < HALF)

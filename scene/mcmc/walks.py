@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scene.mcmc.random_variates import Dice
+from scene.mcmc.random_variates import Variates
 from scene.model.contact import FACE_AXES, Contact
 from scene.model.posterior import MOST_MOVED, SceneModel
 from scene.model.prior import contact_of, pose_in_contact
@@ -67,7 +67,7 @@ class WalkMove:
         scales = self.translation_m[chosen], self.rotation_rad[chosen], self.spread
         return (*scales, scene.parents[chosen] == ROOT)
 
-    def sample(self, dice: Dice, context: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+    def sample(self, dice: Variates, context: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         """A step (7,) in the active coordinates, and the coin."""
         translation_m, rotation_rad, spread, floats = context
         dtype = translation_m.dtype
@@ -97,16 +97,16 @@ class WalkMove:
         """Take the step; the way back is its opposite."""
         step, carry = auxiliary
         pose, turn = scene.poses[chosen], quaternions.exp(step[3:6])
-        drifted = jnp.concatenate([quaternions.times(pose[:4], turn), pose[4:] + step[:3]])
+        drifted = jnp.concatenate([quaternions.multiply(pose[:4], turn), pose[4:] + step[:3]])
         contact = contact_of(model.bodies, scene, chosen)
         walked = Contact(
             contact.offset_m + step[:3],
-            quaternions.rotated(turn, contact.eta),
+            quaternions.rotate(turn, contact.eta),
             contact.phi + step[6],
         )
         supported = pose_in_contact(model.bodies, scene, chosen, walked)
         pose_there = jnp.where(scene.parents[chosen] == ROOT, drifted, supported)
-        there = moved(scene, chosen, pose_there, carry)
+        there = displace(scene, chosen, pose_there, carry)
         return there, (-step, carry), jnp.zeros((), pose_there.dtype)
 
 
@@ -126,7 +126,7 @@ class FlipMove:
         """Nothing."""
         return ()
 
-    def sample(self, dice: Dice, context: tuple[()]) -> tuple[jax.Array, jax.Array]:  # noqa: ARG002
+    def sample(self, dice: Variates, context: tuple[()]) -> tuple[jax.Array, jax.Array]:  # noqa: ARG002
         """An axis of the box, and the coin."""
         return (3 * dice.uniform[0]).astype(jnp.int32), dice.uniform[1] < 0.5
 
@@ -146,14 +146,14 @@ class FlipMove:
         dtype = scene.poses.dtype
         half_turn = jnp.concatenate([jnp.zeros(1, dtype), (jnp.arange(3) == axis).astype(dtype)])
         pose = scene.poses[chosen]
-        turned = jnp.concatenate([quaternions.times(pose[:4], half_turn), pose[4:]])
+        turned = jnp.concatenate([quaternions.multiply(pose[:4], half_turn), pose[4:]])
         opposite = (jnp.asarray(FACE_AXES) != axis).astype(scene.child_faces.dtype)
         renamed = scene.parent_faces ^ opposite[scene.parent_faces]
-        left_behind = (scene.parents == chosen) & ~carried_along(scene, chosen, carry)
+        left_behind = (scene.parents == chosen) & ~with_descendants(scene, chosen, carry)
         child_face = scene.child_faces[chosen]
         child_face = jnp.where(scene.parents[chosen] == ROOT, child_face, child_face ^ opposite[child_face])
         there = replace(
-            moved(scene, chosen, turned, carry),
+            displace(scene, chosen, turned, carry),
             child_faces=scene.child_faces.at[chosen].set(child_face),
             parent_faces=jnp.where(left_behind, renamed, scene.parent_faces),
         )
@@ -165,26 +165,26 @@ def at_pose(scene: SceneGraph, chosen: jax.Array, pose: jax.Array) -> SceneGraph
     return replace(scene, poses=scene.poses.at[chosen].set(pose))
 
 
-def moved(scene: SceneGraph, chosen: jax.Array, pose: jax.Array, carry: jax.Array) -> SceneGraph:
+def displace(scene: SceneGraph, chosen: jax.Array, pose: jax.Array, carry: jax.Array) -> SceneGraph:
     """The scene with an object at a new pose (7,), its descendants carried along or left in place."""
-    pose, before = normalised(pose), scene.poses[chosen]
-    turn = quaternions.times(pose[:4], quaternions.inverse(before[:4]))
+    pose, before = normalise(pose), scene.poses[chosen]
+    turn = quaternions.multiply(pose[:4], quaternions.inverse(before[:4]))
 
     def follow(old: jax.Array) -> jax.Array:
-        position = pose[4:] + quaternions.rotated(turn, old[4:] - before[4:])
-        return normalised(jnp.concatenate([quaternions.times(turn, old[:4]), position]))
+        position = pose[4:] + quaternions.rotate(turn, old[4:] - before[4:])
+        return normalise(jnp.concatenate([quaternions.multiply(turn, old[:4]), position]))
 
     carried = jax.vmap(follow)(scene.poses)
-    along = carried_along(scene, chosen, carry)
+    along = with_descendants(scene, chosen, carry)
     return replace(scene, poses=jnp.where(along[:, None], carried, scene.poses).at[chosen].set(pose))
 
 
-def carried_along(scene: SceneGraph, chosen: jax.Array, carry: jax.Array) -> jax.Array:
+def with_descendants(scene: SceneGraph, chosen: jax.Array, carry: jax.Array) -> jax.Array:
     """The object and its descendants (C,) if they are to be carried and not more than MOST_MOVED."""
     along = subtree(scene.parents, chosen)
     return along & carry & (jnp.sum(along) <= MOST_MOVED)
 
 
-def normalised(pose: jax.Array) -> jax.Array:
+def normalise(pose: jax.Array) -> jax.Array:
     """A pose (7,) whose quaternion has length 1."""
-    return jnp.concatenate([quaternions.normalised(pose[:4]), pose[4:]])
+    return jnp.concatenate([quaternions.normalise(pose[:4]), pose[4:]])

@@ -66,7 +66,7 @@ class Likelihood(Protocol):
         ...
 
 
-class Apart:
+class SeparateLikelihoods:
     """Estimates side by side that have nothing in common."""
 
     def chosen(self, offered: Estimate, place: jax.Array) -> Estimate:
@@ -76,7 +76,7 @@ class Apart:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class NoData(Apart):
+class NoData(SeparateLikelihoods):
     """The constant likelihood, under which every chain must return the prior."""
 
     depends_on_graph: ClassVar[bool] = False

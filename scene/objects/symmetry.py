@@ -190,7 +190,9 @@ APART = 2 * np.pi / 36
 """Radians between them, and between them and none."""
 
 
-def spun(poses: NDArray[np.float64], lines: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def symmetric_restarts(
+    poses: NDArray[np.float64], lines: NDArray[np.float64], count: int
+) -> NDArray[np.float64]:
     """Poses (N, count, 7) once round the lines (N, 2, 3) of their box frames, from poses (N, 7) on."""
     angles = 2 * np.pi * np.arange(count) / count
     spins = [Rotation.from_rotvec(angles[:, None] * line[0]) for line in lines]
@@ -210,7 +212,7 @@ def spun(poses: NDArray[np.float64], lines: NDArray[np.float64], count: int) -> 
     )
 
 
-def better(log_densities: NDArray[np.floating]) -> list[int]:
+def better_restarts(log_densities: NDArray[np.floating]) -> list[int]:
     """Places of the highest peaks of S equal steps round a circle that are higher than the first step's."""
     count = len(log_densities)
     least = APART * count / (2 * np.pi)

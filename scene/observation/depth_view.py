@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, CameraIntrinsics
-from scene.execution import SELDOM
+from scene.execution import FAST_COMPILE
 from shapes.geometry.camera import Camera
 
 NORMAL_WINDOW = 2
@@ -25,7 +25,7 @@ FEWEST_PIXELS = 8
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class DepthView:
+class PooledView:
     """A pooled depth image.
 
     Attributes:
@@ -54,7 +54,7 @@ class DepthView:
         return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
 
 
-def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, width: int) -> DepthView:
+def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, width: int) -> PooledView:
     """The view with about `width` columns: medians of square blocks, and their normals."""
     factor = max(1, round(intrinsics.width / width))
     pooled = _median_pool(depth_m, factor)
@@ -63,10 +63,10 @@ def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, widt
     camera = Camera.from_intrinsics(small)
     normals = _normals(pooled, camera)
     assert normals.shape == (rows, columns, 3)
-    return DepthView(camera, jax.device_put(pooled), normals, jax.device_put(pooled != NO_RETURN))
+    return PooledView(camera, jax.device_put(pooled), normals, jax.device_put(pooled != NO_RETURN))
 
 
-def unprojected(depth_m: NDArray[np.float32], camera: CameraIntrinsics | Camera) -> NDArray[np.float64]:
+def unproject(depth_m: NDArray[np.float32], camera: CameraIntrinsics | Camera) -> NDArray[np.float64]:
     """Points (H, W, 3) in the camera frame."""
     columns = (np.arange(depth_m.shape[1]) - float(camera.cx)) / float(camera.fx)
     rows = (np.arange(depth_m.shape[0]) - float(camera.cy)) / float(camera.fy)
@@ -85,7 +85,7 @@ def _median_pool(depth_m: NDArray[np.float32], factor: int) -> NDArray[np.float3
     return np.where(count > 0, middle, NO_RETURN).astype(np.float32)
 
 
-@partial(jax.jit, compiler_options=SELDOM)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _normals(depth_m: jax.Array, camera: Camera) -> jax.Array:
     """Tangent planes by least squares: on a plane, inverse depth is linear in the pixel's place."""
     height, width = depth_m.shape

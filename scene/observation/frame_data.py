@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics
-from scene.observation.depth_view import DepthView
+from scene.observation.depth_view import PooledView
 from scene.observation.detection import SupportPlane
 from scene.observation.pixel_window import PixelWindow
 
@@ -31,7 +31,7 @@ class SceneData:
         near: (H, W) bool, the image's pixels that may show an object.
     """
 
-    view: DepthView
+    view: PooledView
     foreground: NDArray[np.bool_]
     window: PixelWindow
     window_foreground: NDArray[np.bool_]

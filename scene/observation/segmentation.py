@@ -18,7 +18,7 @@ from scipy.ndimage import (
 )
 
 from recordings.types import NO_RETURN, CameraIntrinsics
-from scene.observation.depth_view import DepthView, pooled_view, unprojected
+from scene.observation.depth_view import PooledView, pooled_view, unproject
 from scene.observation.detection import SupportPlane, support_plane
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import DETAIL, PixelWindow, window_over
@@ -58,7 +58,7 @@ def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed:
     Raises:
         ValueError: nothing is in front of the camera.
     """
-    points = unprojected(depth_m, intrinsics)
+    points = unproject(depth_m, intrinsics)
     if not shows_enough(depth_m):
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
@@ -80,7 +80,7 @@ def frame_data(
         moved = np.linalg.inv(first_camera_from_camera) @ table.camera_from_table
         table = replace(table, camera_from_table=moved)
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
-    return _data_over(table, depth_m, unprojected(depth_m, intrinsics), view, intrinsics)
+    return _data_over(table, depth_m, unproject(depth_m, intrinsics), view, intrinsics)
 
 
 def background(
@@ -110,7 +110,7 @@ def _data_over(
     table: SupportPlane | None,
     depth_m: NDArray[np.float32],
     points: NDArray[np.float64],
-    view: DepthView,
+    view: PooledView,
     intrinsics: CameraIntrinsics,
 ) -> SceneData:
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
@@ -138,14 +138,14 @@ def _data_over(
     )
 
 
-def _is_seen(view: DepthView, table: SupportPlane) -> bool:
+def _is_seen(view: PooledView, table: SupportPlane) -> bool:
     """Whether most of what nothing hides of the table's rectangle shows the table.
 
     A plane that cuts through things that hang in the air lets most of what is behind it be seen.
     """
     observed_m = np.asarray(view.depth_m)
-    points = unprojected(observed_m, view.camera)
-    plane_m = _plane_depth(table, unprojected(np.ones_like(observed_m), view.camera), 0.0)
+    points = unproject(observed_m, view.camera)
+    plane_m = _plane_depth(table, unproject(np.ones_like(observed_m), view.camera), 0.0)
     shows = (observed_m != NO_RETURN) & (np.abs(table.in_table_frame(points)[..., 2]) < WARP_M)
     hidden = (observed_m != NO_RETURN) & (observed_m < plane_m) & ~shows
     expected = np.isfinite(plane_m) & ~hidden
@@ -170,7 +170,7 @@ def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return foreground & (uniform_filter(foreground.astype(np.float32), COMPANY_PX) > 0.5)
 
 
-def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: DepthView) -> SupportPlane:
+def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: PooledView) -> SupportPlane:
     """The table, going on beyond the image under what is seen at the border and has its foot out of sight."""
     inside = table.in_table_frame(points_m)
     beside = np.maximum(np.abs(inside[:, :2]) - table.half_size_m, 0)
@@ -194,10 +194,10 @@ def _over(table: SupportPlane | None, points_m: NDArray[np.float64]) -> NDArray[
     return (beside < TABLE_MARGIN_M).all(axis=-1) & (heights > LOWEST_M) & (heights < HIGHEST_M)
 
 
-def _surface_of(table: SupportPlane, view: DepthView) -> NDArray[np.bool_]:
+def _surface_of(table: SupportPlane, view: PooledView) -> NDArray[np.bool_]:
     """Pixels of the view reached from the table's plane without a step or a slope, though it be warped."""
     depth = median_filter(np.asarray(view.depth_m), SMOOTHED_PX)
-    heights = np.where(depth > 0, table.heights(unprojected(depth, view.camera)), np.inf)
+    heights = np.where(depth > 0, table.heights(unproject(depth, view.camera)), np.inf)
     upward = np.asarray(view.normals) @ table.camera_from_table[:3, 2]
     low = np.abs(heights) < WARP_M
     level = np.where(low, heights, 0.0)

@@ -13,8 +13,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from scene.execution import SELDOM
-from scene.search.support_table import Rests
+from scene.execution import FAST_COMPILE
+from scene.search.support_table import SupportTable
 
 
 @jax.tree_util.register_dataclass
@@ -35,12 +35,12 @@ class PoseLayers:
     depth_m: jax.Array
     log_density: jax.Array
     log_alone: jax.Array
-    rests: Rests
+    rests: SupportTable
     rest_m: jax.Array
     rest_log_density: jax.Array
 
 
-@partial(jax.jit, static_argnames=("particles", "sweeps"), compiler_options=SELDOM)
+@partial(jax.jit, static_argnames=("particles", "sweeps"), compiler_options=FAST_COMPILE)
 def choose(
     key: jax.Array, layers: PoseLayers, hot: float, cold: float, particles: int, sweeps: int
 ) -> tuple[jax.Array, jax.Array]:
@@ -77,13 +77,15 @@ def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax
     objects = jnp.arange(len(layers.log_alone))
 
     def improve(choice: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        return jax.lax.cond(jnp.all(choice[jnp.stack(pair)] == none(layers)), keep, put, choice, *pair), None
+        return jax.lax.cond(
+            jnp.all(choice[jnp.stack(pair)] == no_object(layers)), keep, put, choice, *pair
+        ), None
 
     def keep(choice: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:  # noqa: ARG001
         return choice
 
     def put(choice: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
-        others = front(layers, choice, (objects != a) & (objects != b))
+        others = nearest_layer(layers, choice, (objects != a) & (objects != b))
         places = [_best_given(layers, others, choice, one, candidates) for one in (a, b)]
         pair = (a, places[0]), (b, places[1])
         joint = _joint_log_density(layers, others, *pair) + layers.rests.of_pair(choice, *pair)
@@ -103,7 +105,7 @@ def _best_given(
     front_m, shown = others
     nearer = layers.depth_m[one] < front_m[None]
     log_given = jnp.sum(jnp.where(nearer, layers.log_density[one] - shown[None], 0.0), axis=1)
-    absent = none(layers)
+    absent = no_object(layers)
     _, best = jax.lax.top_k(log_given + layers.log_alone[one], min(count - 2, absent))
     return jnp.concatenate([choice[one][None], best, jnp.full(1, absent)])
 
@@ -134,14 +136,14 @@ def _joint_log_density(
 
 def log_density_of_choice(layers: PoseLayers, choice: jax.Array) -> jax.Array:
     """Log density of the observation under one choice (N,)."""
-    _, shown = front(layers, choice, jnp.ones(len(choice), bool))
+    _, shown = nearest_layer(layers, choice, jnp.ones(len(choice), bool))
     alone = jnp.sum(layers.log_alone[jnp.arange(len(choice)), choice])
     return jnp.sum(shown) + alone + jnp.sum(layers.rests.of(choice))
 
 
 def log_conditional(layers: PoseLayers, choice: jax.Array, index: jax.Array) -> jax.Array:
     """Log density (K,) of each pose of one object given the others' choice."""
-    others_m, others = front(layers, choice, jnp.arange(len(choice)) != index)
+    others_m, others = nearest_layer(layers, choice, jnp.arange(len(choice)) != index)
 
     def shown(pose: tuple[jax.Array, jax.Array]) -> jax.Array:
         depth_m, log_density = pose
@@ -152,12 +154,12 @@ def log_conditional(layers: PoseLayers, choice: jax.Array, index: jax.Array) -> 
     return by_pose + layers.log_alone[index] + layers.rests.given(choice, index)
 
 
-def none(layers: PoseLayers) -> int:
+def no_object(layers: PoseLayers) -> int:
     """The place of the absent object in every pool, the last."""
     return layers.log_alone.shape[1] - 1
 
 
-def front(layers: PoseLayers, choice: jax.Array, use: jax.Array) -> tuple[jax.Array, jax.Array]:
+def nearest_layer(layers: PoseLayers, choice: jax.Array, use: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Depth and log density (X,) of the nearest layer of the objects in use, background included."""
     objects = jnp.arange(len(choice))
     depths = jnp.where(use[:, None], layers.depth_m[objects, choice], jnp.inf)

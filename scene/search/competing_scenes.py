@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from scene.execution import side_by_side
+from scene.execution import map_parallel
 from scene.objects.slots import FoundObjects
 from scene.search.assignment import log_density_of_choice
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from scene.search.importance_sampling import refine
-from scene.search.rendered_icp import polished
+from scene.search.rendered_icp import refine_in_render
 from scene.search.scene_edits import best_scene, rivals
 from scene.search.search_result import Initialisation
 from shapes.depth_noise import with_surface_error
@@ -30,36 +30,40 @@ RIVALS = 6
 """Scenes beside the best one that get a polish before they are compared for good."""
 
 
-def best_of(pools: Pools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]:
+def best_of(pools: PosePools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]:
     """The best scene (N,) found from some, each on a core of its own."""
 
     def better(one: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         return jax.device_get(best_scene(pools.layers, one.astype(np.int32), PAIRED))
 
-    found, log_densities = zip(*side_by_side(better, scenes), strict=True)
+    found, log_densities = zip(*map_parallel(better, scenes), strict=True)
     return found[int(np.argmax(log_densities))]
 
 
-def rivals_of(pools: Pools, scene: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
+def rivals_of(
+    pools: PosePools, scene: NDArray[np.integer]
+) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
     """For every object the best scene (N, N) with or without it, and its log odds (N,)."""
     others, log_odds = rivals(pools.layers, scene)
     return np.asarray(others), np.asarray(log_odds)
 
 
-def polished_rivals(pools: Pools, scene: NDArray[np.integer]) -> NDArray[np.float32]:
+def polished_rivals(pools: PosePools, scene: NDArray[np.integer]) -> NDArray[np.float32]:
     """Poses (N, 1 + RIVALS, 7) polished in the scene and in those that come next, where fits are compared."""
     others, log_odds = rivals_of(pools, scene)
     scenes = [scene, *others[np.resize(_closest(log_odds), RIVALS)]]
 
     def better(one: NDArray[np.integer]) -> NDArray[np.float32]:
-        return polished(pools.data, pools.objects, pools.renderer, pools.placed(one), one < pools.absent)
+        return refine_in_render(
+            pools.data, pools.objects, pools.renderer, pools.placed(one), one < pools.absent
+        )
 
-    return np.stack(side_by_side(better, scenes), axis=1)
+    return np.stack(map_parallel(better, scenes), axis=1)
 
 
 def decided(
-    key: jax.Array, pools: Pools, scene: NDArray[np.integer], first: int, noise: DepthNoise
-) -> tuple[Pools, NDArray[np.integer]]:
+    key: jax.Array, pools: PosePools, scene: NDArray[np.integer], first: int, noise: DepthNoise
+) -> tuple[PosePools, NDArray[np.integer]]:
     """The best of a scene and those that are about as good: they are refined to tell.
 
     ICP looks at surfaces alone; outlines decide between objects that show the same face.
@@ -86,7 +90,7 @@ def decided(
 
 
 def _refined(
-    key: jax.Array, pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+    key: jax.Array, pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise
 ) -> NDArray[np.float32]:
     """Poses (N, 7) of a scene, those of what is there refined."""
     found = FoundObjects.of(scene < pools.absent)

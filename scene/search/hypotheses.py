@@ -22,7 +22,7 @@ from scene.search.support_prior import Gravity, log_not_buried
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Pools:
+class PosePools:
     """K poses of each of N objects; a scene (N,) takes one of each, or `absent`.
 
     Log densities have the likelihood's exponent 1, priors are raised to the inverse of the configured one.
@@ -55,7 +55,7 @@ class Pools:
         config: ParseConfig,
         size: int,
         rng: np.random.Generator,
-    ) -> Pools:
+    ) -> PosePools:
         """Pools of `size` poses out of sight."""
         log_odds = log_prior_odds(config.presence) / config.pixel_weight
         pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds, rng)
@@ -74,7 +74,7 @@ class Pools:
         """The place of an object that is not there."""
         return self.poses.shape[1]
 
-    def with_poses(self, found: NDArray[np.float32], first: int) -> Pools:
+    def with_poses(self, found: NDArray[np.float32], first: int) -> PosePools:
         """The pools with poses (N, n, 7) in place of those from `first` on."""
         poses = self.poses.copy()
         poses[:, first : first + found.shape[1]] = found
@@ -82,7 +82,7 @@ class Pools:
         depth_m = self.renderer.layers(numbers, found.reshape(-1, 7), self.data.window)
         return replace(self, poses=poses, layers=self._with_layers(depth_m, poses, found, first))
 
-    def without(self, one: int, places: NDArray[np.bool_]) -> Pools:
+    def without(self, one: int, places: NDArray[np.bool_]) -> PosePools:
         """The pools with some poses (K,) of an object left out."""
         log_alone = np.array(self.layers.log_alone)
         log_alone[one, : self.absent][places] = -np.inf

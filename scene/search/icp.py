@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 
-from scene.observation.depth_view import DepthView
+from scene.observation.depth_view import PooledView
 from shapes.geometry.camera import Camera
 
 GRAZING = -0.15
@@ -44,7 +44,7 @@ class ViewTable:
     width: int = field(metadata={"static": True})
 
     @classmethod
-    def of(cls, view: DepthView) -> ViewTable:
+    def of(cls, view: PooledView) -> ViewTable:
         """The table of a view."""
         x, y, z = jnp.moveaxis(jnp.round(view.normals * NORMAL_STEPS).astype(jnp.int32) & 1023, -1, 0)
         code = x << 22 | y << 12 | z << 2 | view.unexplained.astype(jnp.int32)

@@ -21,7 +21,7 @@ from scipy.special import logsumexp, softmax
 from recordings.types import DepthNoise
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
-from scene.objects.symmetry import better, spun
+from scene.objects.symmetry import better_restarts, symmetric_restarts
 from scene.observation.frame_data import SceneData
 from scene.search.search_result import Initialisation
 from shapes.geometry.camera import Camera
@@ -164,11 +164,11 @@ def _better_spins(
     if not len(lined):
         return spins
     owners = np.resize(lined, TOGETHER * len(lines))
-    poses = spun(start.poses[owners], lines[owners], DRAWS)
+    poses = symmetric_restarts(start.poses[owners], lines[owners], DRAWS)
     rest_m, _ = _without_each(data, renderer, numbers, start.poses, start.found)
     log_ratio = _log_ratio(data, renderer, numbers, owners, poses, rest_m, noise)
     for row, one in enumerate(lined.tolist()):
-        spins[one] = poses[row, better(log_ratio[row])]
+        spins[one] = poses[row, better_restarts(log_ratio[row])]
     return spins
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from scene.execution import SELDOM
+from scene.execution import FAST_COMPILE
 from scene.likelihood.clutter import log_density_without_objects
 from scene.observation.frame_data import SceneData
 from scene.search.assignment import PoseLayers
-from scene.search.support_table import Rests
+from scene.search.support_table import SupportTable
 from shapes import depth_noise
 
 FOREGROUND_PIXELS = 2048
@@ -89,7 +89,7 @@ class ComparedPixels:
             depth_m=jax.device_put(np.full((*shape, FOREGROUND_PIXELS), np.inf, np.float32)),
             log_density=jax.device_put(np.zeros((*shape, FOREGROUND_PIXELS), np.float32)),
             log_alone=jax.device_put(log_alone),
-            rests=Rests.sure(*shape),
+            rests=SupportTable.sure(*shape),
             rest_m=rest_m,
             rest_log_density=rest_log_density,
         )
@@ -115,7 +115,7 @@ def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
     return pixels.rest_m[pixels.places], _without_objects(pixels)[pixels.places] * pixels.weight
 
 
-@partial(jax.jit, compiler_options=SELDOM)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _with_layers(
     pixels: ComparedPixels,
     layers: PoseLayers,

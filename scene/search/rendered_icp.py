@@ -11,10 +11,10 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.execution import SELDOM
+from scene.execution import FAST_COMPILE
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import DepthView
+from scene.observation.depth_view import PooledView
 from scene.observation.frame_data import SceneData
 from scene.search.icp import ViewTable, align, look_up, rotated
 from shapes.geometry.camera import Camera
@@ -27,7 +27,7 @@ SELF_OCCLUSION_M = 0.008
 """A surface point that lies further behind what is rendered round its pixel is hidden."""
 
 
-def polished(
+def refine_in_render(
     data: SceneData,
     objects: Sequence[SceneObject],
     renderer: ObjectRenderer,
@@ -47,9 +47,9 @@ def polished(
     return current
 
 
-@partial(jax.jit, compiler_options=SELDOM)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _polished_once(
-    view: DepthView,
+    view: PooledView,
     points_m: jax.Array,
     normals: jax.Array,
     poses: jax.Array,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN
 from scene.observation.frame_data import SceneData
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 
 UNEXPLAINED_M = 0.012
 
@@ -17,7 +17,7 @@ AGREE_M, FITTING = 0.006, 0.85
 """Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
 
 
-def unexplained_by_others(pools: Pools, scene: NDArray[np.integer]) -> dict[int, NDArray[np.bool_]]:
+def unexplained_by_others(pools: PosePools, scene: NDArray[np.integer]) -> dict[int, NDArray[np.bool_]]:
     """For every object the view's foreground that a scene leaves unexplained without it."""
     shown_m = pools.shown(scene)
     shown_m[_fit(pools.data, shown_m) < FITTING] = np.inf

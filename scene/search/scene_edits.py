@@ -13,14 +13,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from scene.execution import SELDOM
-from scene.search.assignment import PoseLayers, front, improve_pairs, log_density_of_choice, none
+from scene.execution import FAST_COMPILE
+from scene.search.assignment import PoseLayers, improve_pairs, log_density_of_choice, nearest_layer, no_object
 
 REPLACING = 8
 """Poses of each object that are tried in the place of others."""
 
 
-@partial(jax.jit, static_argnames="candidates", compiler_options=SELDOM)
+@partial(jax.jit, static_argnames="candidates", compiler_options=FAST_COMPILE)
 def best_scene(layers: PoseLayers, choice: jax.Array, candidates: int) -> tuple[jax.Array, jax.Array]:
     """The best scene (N,) found from one (N,), and its log density.
 
@@ -32,7 +32,7 @@ def best_scene(layers: PoseLayers, choice: jax.Array, candidates: int) -> tuple[
     return choice, log_density_of_choice(layers, choice)
 
 
-@partial(jax.jit, compiler_options=SELDOM)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def rivals(layers: PoseLayers, choice: jax.Array) -> tuple[jax.Array, jax.Array]:
     """For every object the best scene (N, N) without it, or with it where it is absent; its log odds (N,).
 
@@ -43,7 +43,7 @@ def rivals(layers: PoseLayers, choice: jax.Array) -> tuple[jax.Array, jax.Array]
     density = log_density_of_choice(layers, choice)
 
     def rival(one: jax.Array) -> tuple[jax.Array, jax.Array]:
-        absent = choice[one] == none(layers)
+        absent = choice[one] == no_object(layers)
         scene = jax.lax.cond(
             absent, lambda: _replaced(layers, choice, one), lambda: _without(layers, choice, one)
         )
@@ -59,18 +59,18 @@ def filled(layers: PoseLayers, choice: jax.Array, banned: jax.Array) -> jax.Arra
     objects = jnp.arange(len(choice))
 
     def gains(choice: jax.Array) -> tuple[jax.Array, jax.Array]:
-        front_m, density = front(layers, choice, objects >= 0)
+        front_m, density = nearest_layer(layers, choice, objects >= 0)
 
         def best(one: jax.Array) -> tuple[jax.Array, jax.Array]:
             nearer = layers.depth_m[one] < front_m[None]
             gain = jnp.sum(jnp.where(nearer, layers.log_density[one] - density[None], 0.0), axis=1)
             gain = gain + layers.log_alone[one] + layers.rests.given(choice, one)
-            gain = gain.at[none(layers)].set(-jnp.inf)  # rounding is no object
+            gain = gain.at[no_object(layers)].set(-jnp.inf)  # rounding is no object
             return jnp.argmax(gain), jnp.max(gain)
 
         poses, gain = jax.lax.map(best, objects)
         gain = gain - jnp.sum(layers.rests.of(choice))
-        return poses, jnp.where(banned | (choice != none(layers)), -jnp.inf, gain)
+        return poses, jnp.where(banned | (choice != no_object(layers)), -jnp.inf, gain)
 
     def add(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         choice, poses, gain = state
@@ -89,7 +89,7 @@ def _without_any(layers: PoseLayers, choice: jax.Array) -> jax.Array:
         def without() -> jax.Array:
             return _better(layers, choice, _without(layers, choice, one))
 
-        return jax.lax.cond(choice[one] == none(layers), lambda: choice, without), None
+        return jax.lax.cond(choice[one] == no_object(layers), lambda: choice, without), None
 
     return jax.lax.scan(leave_out, choice, jnp.arange(len(choice)))[0]
 
@@ -105,7 +105,7 @@ def _with_replacements(layers: PoseLayers, choice: jax.Array) -> jax.Array:
 
 def _without(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array:
     """The scene without an object, its gap filled with others."""
-    return filled(layers, choice.at[one].set(none(layers)), jnp.arange(len(choice)) == one)
+    return filled(layers, choice.at[one].set(no_object(layers)), jnp.arange(len(choice)) == one)
 
 
 def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array:
@@ -114,16 +114,16 @@ def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Arra
     The poses that are tried are the best ones if they were granted every pixel that they explain, whether or
     not others explain it too.
     """
-    front_m, density = front(layers, choice, jnp.arange(len(choice)) != one)
+    front_m, density = nearest_layer(layers, choice, jnp.arange(len(choice)) != one)
     covers = layers.depth_m[one] < layers.rest_m[None]
     explained = jnp.where(covers, layers.log_density[one] - layers.rest_log_density[None], 0.0)
     spoilt = jnp.where(layers.depth_m[one] < front_m[None], layers.log_density[one] - density[None], 0.0)
     gain = jnp.sum(jnp.where(explained > 0, explained, jnp.minimum(spoilt, 0.0)), axis=1)
-    gain = (gain + layers.log_alone[one]).at[none(layers)].set(-jnp.inf)
+    gain = (gain + layers.log_alone[one]).at[no_object(layers)].set(-jnp.inf)
     _, poses = jax.lax.top_k(gain, min(REPLACING, len(gain) - 1))
 
     def leave_out(choice: jax.Array, other: jax.Array) -> tuple[jax.Array, None]:
-        without = choice.at[other].set(none(layers))
+        without = choice.at[other].set(no_object(layers))
         return jnp.where(other == one, choice, _better(layers, choice, without)), None
 
     def put(pose: jax.Array) -> jax.Array:

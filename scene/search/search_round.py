@@ -17,15 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.execution import side_by_side
+from scene.execution import map_parallel
 from scene.objects.orientations import cube_rotations, resting_rotations, spread_rotations
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import unprojected
+from scene.observation.depth_view import unproject
 from scene.observation.detection import SupportPlane, clusters
 from scene.search.assignment import PoseLayers, choose, log_conditional
 from scene.search.competing_scenes import best_of
-from scene.search.hypotheses import Pools
-from scene.search.template_matching import search
+from scene.search.hypotheses import PosePools
+from scene.search.template_matching import match_templates
 
 ORIENTATIONS, FREE_ORIENTATIONS = 416, 576
 
@@ -59,11 +59,11 @@ def _sought(
     rng: np.random.Generator,
     rotations: Sequence[NDArray[np.float32]],
     key: jax.Array,
-    pools: Pools,
+    pools: PosePools,
     scene: NDArray[np.integer],
     masks: Mapping[int, NDArray[np.bool_]],
     turn: int,
-) -> tuple[Pools, NDArray[np.int32]]:
+) -> tuple[PosePools, NDArray[np.int32]]:
     """`scene.gaps.Seek`, with the orientations of every object."""
     size = pools.config.pool
     poses = pools.poses[:, turn * size : (turn + 1) * size].copy()
@@ -78,29 +78,31 @@ def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
     def anneal(key: jax.Array) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         return jax.device_get(choose(key, layers, HOT, COLD, PARTICLES, SWEEPS))
 
-    groups = side_by_side(anneal, jax.random.split(key, GROUPS))
+    groups = map_parallel(anneal, jax.random.split(key, GROUPS))
     choices, log_densities = (np.concatenate(leaves) for leaves in zip(*groups, strict=True))
     return choices[np.argmax(log_densities)]
 
 
 def _hypotheses(
-    pools: Pools,
+    pools: PosePools,
     rotations: Sequence[NDArray[np.float32]],
     masks: Mapping[int, NDArray[np.bool_]],
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
     """Poses (M, pool, 7) of objects on the pixels of M masks, searched side by side on all cores."""
     data, size = pools.data, pools.config.pool
-    points = unprojected(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
+    points = unproject(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
     enough = {one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()}
     drawn = {one: _drawn(points[mask], rng) for one, mask in enough.items()}
 
     def find(index: int) -> NDArray[np.float32]:
         one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
         places = _places(*drawn[index])
-        return np.asarray(search(view, one.points_m, one.normals, rotations[index], *places, size)[0])
+        return np.asarray(
+            match_templates(view, one.points_m, one.normals, rotations[index], *places, size)[0]
+        )
 
-    return np.stack(side_by_side(find, masks))
+    return np.stack(map_parallel(find, masks))
 
 
 def _drawn(

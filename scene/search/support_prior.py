@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from recordings.types import NO_RETURN
-from scene.execution import SELDOM
+from scene.execution import FAST_COMPILE
 from scene.model.prior import FLOATING_HEIGHT_M, gap_density
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import DepthView, unprojected
+from scene.observation.depth_view import PooledView, unproject
 from scene.observation.detection import SupportPlane
-from scene.search.support_table import Rests
+from scene.search.support_table import SupportTable
 from shapes.geometry.poses import matrices_of
 
 UNKNOWN_CARRIER = 0.1
@@ -52,12 +52,12 @@ class Gravity:
 
     def rests(
         self,
-        view: DepthView,
+        view: PooledView,
         table: SupportPlane | None,
         objects: Sequence[SceneObject],
         poses: NDArray[np.floating],
         exponent: float,
-    ) -> Rests:
+    ) -> SupportTable:
         """How poses (N, K, 7) camera_from_box and, last, the absent object rest; without a table all do.
 
         What is beside the table may stand on something else.
@@ -71,7 +71,7 @@ class Gravity:
         """
         count, places = poses.shape[0], poses.shape[1] + 1
         if table is None:
-            return Rests.sure(count, places)
+            return SupportTable.sure(count, places)
         heights_m = np.zeros((count, places), np.float32)
         gaps_m = np.full((count, places, count, places), np.inf, np.float32)
         table_from_box = np.linalg.inv(table.camera_from_table) @ matrices_of(poses)
@@ -85,10 +85,10 @@ class Gravity:
         return _rests(self, heights_m, seen_m, gaps_m, exponent)
 
 
-@partial(jax.jit, compiler_options=SELDOM)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _rests(
     gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array, gaps_m: jax.Array, exponent: jax.Array
-) -> Rests:
+) -> SupportTable:
     """Logs of the densities of gaps, over that of none."""
 
     def log_gap(gap_m: jax.Array) -> jax.Array:
@@ -97,7 +97,7 @@ def _rests(
     floating = gravity.floating_weight / FLOATING_HEIGHT_M / gap_density(gravity, jnp.zeros_like(heights_m))
     log_unknown = jnp.log(UNKNOWN_CARRIER) + log_gap(seen_m)
     log_alone = jnp.maximum(jnp.maximum(log_gap(heights_m), jnp.log(floating)), log_unknown)
-    return Rests(exponent * log_alone, exponent * log_gap(gaps_m))
+    return SupportTable(exponent * log_alone, exponent * log_gap(gaps_m))
 
 
 def _undersides(objects: Sequence[SceneObject], table_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -179,7 +179,7 @@ def undersides(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def gaps_to_seen(
-    view: DepthView, table: SupportPlane, undersides_m: NDArray[np.float64]
+    view: PooledView, table: SupportPlane, undersides_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Gaps (K,) from the lowest points to the top of the things that are seen where something may carry them.
 
@@ -192,7 +192,7 @@ def gaps_to_seen(
         undersides_m: (K, C, 3) in the table's frame, the lowest point first.
     """
     depth_m, foreground = np.asarray(view.depth_m), np.asarray(view.unexplained)
-    heights_m = table.in_table_frame(unprojected(depth_m, view.camera))[..., 2]
+    heights_m = table.in_table_frame(unproject(depth_m, view.camera))[..., 2]
     down_m = STEP_M * (np.arange(STEPS) + 0.5)
     below_m = undersides_m[:, :, None] - down_m[:, None] * np.array([0.0, 0.0, 1.0])
     in_camera = below_m @ table.camera_from_table[:3, :3].T + table.camera_from_table[:3, 3]

@@ -11,7 +11,7 @@ import numpy as np
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Rests:
+class SupportTable:
     """N objects with K poses each, the last that of the absent object, which rests and carries nothing.
 
     An object has the greatest log prior of all that it may rest on.
@@ -25,7 +25,7 @@ class Rests:
     log_on: jax.Array
 
     @classmethod
-    def sure(cls, objects: int, poses: int) -> Rests:
+    def sure(cls, objects: int, poses: int) -> SupportTable:
         """All poses rest, and none on another object."""
         nothing_on = np.full((objects, poses, objects, poses), -np.inf, np.float32)
         return cls(jax.device_put(np.zeros((objects, poses), np.float32)), jax.device_put(nothing_on))

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 
-from scene.observation.depth_view import DepthView
+from scene.observation.depth_view import PooledView
 from scene.search.icp import Vector, ViewTable, align, dot, faces_camera, look_up, rotated
 
 TOLERANCE_M = 0.012
@@ -67,8 +67,8 @@ _CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
 
 
 @partial(jax.jit, static_argnames="count")
-def search(
-    view: DepthView,
+def match_templates(
+    view: PooledView,
     points_m: jax.Array,
     normals: jax.Array,
     rotations: jax.Array,

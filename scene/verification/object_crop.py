@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from scene.execution import side_by_side
+from scene.execution import map_parallel
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import window_over
 from scene.observation.segmentation import background
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from shapes.depth_noise import standard_deviation
 
 ROUND_M = 0.012
@@ -53,7 +53,7 @@ class CloseView:
         return np.isfinite(self.layer_m)
 
 
-def close_views(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> dict[int, CloseView]:
+def close_views(pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise) -> dict[int, CloseView]:
     """A view of every object that a scene shows in the image, by number.
 
     Args:
@@ -63,12 +63,12 @@ def close_views(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> 
     """
     shown_m = np.where(pools.data.window.inside, pools.shown(scene), np.inf)
     seen = np.flatnonzero(np.isfinite(shown_m).any(axis=(1, 2))).tolist()
-    views = side_by_side(lambda one: _close_view(pools, scene, one, shown_m[one], noise), seen)
+    views = map_parallel(lambda one: _close_view(pools, scene, one, shown_m[one], noise), seen)
     return {one: view for one, view in zip(seen, views, strict=True) if view.covers.any()}
 
 
 def _close_view(
-    pools: Pools, scene: NDArray[np.integer], one: int, shown_m: NDArray[np.floating], noise: DepthNoise
+    pools: PosePools, scene: NDArray[np.integer], one: int, shown_m: NDArray[np.floating], noise: DepthNoise
 ) -> CloseView:
     data = pools.data
     window = window_over(_region(data, shown_m), data.depth_m, data.intrinsics)

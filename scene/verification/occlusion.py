@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from recordings.types import NO_RETURN
 from scene.objects.orientations import resting_rotations
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import DepthView
+from scene.observation.depth_view import PooledView
 from scene.observation.detection import SupportPlane
 
 DRAWS, POINTS = 512, 128
@@ -47,7 +47,7 @@ class PlacedObject:
 
 def unseen_share(
     rng: np.random.Generator,
-    views: Sequence[tuple[DepthView, SupportPlane]],
+    views: Sequence[tuple[PooledView, SupportPlane]],
     one: SceneObject,
     others: Sequence[PlacedObject],
 ) -> float:
@@ -83,7 +83,7 @@ def _resting_poses(
 
 
 def _share_seen(
-    view: DepthView,
+    view: PooledView,
     camera_from_table: NDArray[np.float64],
     points_m: NDArray[np.float64],
     normals: NDArray[np.float64],
@@ -99,7 +99,7 @@ def _share_seen(
 
 
 def _in_image(
-    view: DepthView, camera_from_table: NDArray[np.float64], points_m: NDArray[np.float64]
+    view: PooledView, camera_from_table: NDArray[np.float64], points_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     return view.pixels(points_m @ camera_from_table[:3, :3].T + camera_from_table[:3, 3])[2]
 

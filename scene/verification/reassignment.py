@@ -8,7 +8,7 @@ from scipy.special import logit
 
 from recordings.types import DepthNoise
 from scene.search.competing_scenes import rivals_of
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from scene.search.scene_edits import filled
 from scene.verification.appearance_test import log_ratio_of_lookalike
 from scene.verification.object_crop import close_views
@@ -23,7 +23,7 @@ PLACE, PLACES = 0.5, 3
 
 
 def without_lookalikes(
-    pools: Pools, scene: NDArray[np.integer], noise: DepthNoise
+    pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise
 ) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """The scene without objects in whose place a lookalike is more probable, and everyone's log odds (N,).
 
@@ -49,15 +49,15 @@ def without_lookalikes(
         beside = np.where(emptied & found & (scene < pools.absent) & (odds > CONVINCING), odds, -np.inf)
 
 
-def convincing(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.bool_]:
+def convincing(pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.bool_]:
     """Which objects (N,) of a scene look like themselves beside all others that it holds."""
     odds = _log_odds(pools, scene, with_surface_error(noise, pools.config.model_error_m))
     return (scene < pools.absent) & (odds > CONVINCING)
 
 
 def _looks_best(
-    pools: Pools, scene: NDArray[np.integer], one: int, log_odds: float, noise: DepthNoise
-) -> tuple[Pools, NDArray[np.integer], float]:
+    pools: PosePools, scene: NDArray[np.integer], one: int, log_odds: float, noise: DepthNoise
+) -> tuple[PosePools, NDArray[np.integer], float]:
     """Pools that leave an object one place or none, the scene with it there, and its log odds there.
 
     Those where the scene has it are known.
@@ -78,20 +78,20 @@ def _looks_best(
     return pools, _filled(pools, scene, one), odds[best]
 
 
-def _place(pools: Pools, scene: NDArray[np.integer], one: int) -> NDArray[np.bool_]:
+def _place(pools: PosePools, scene: NDArray[np.integer], one: int) -> NDArray[np.bool_]:
     """Which of an object's poses (K,) are where the scene has it."""
     centres_m = pools.poses[one, :, 4:]
     reach_m = PLACE * np.linalg.norm(pools.objects[one].half_extents_m)
     return np.linalg.norm(centres_m - centres_m[scene[one]], axis=1) < reach_m
 
 
-def _filled(pools: Pools, scene: NDArray[np.integer], one: int) -> NDArray[np.integer]:
+def _filled(pools: PosePools, scene: NDArray[np.integer], one: int) -> NDArray[np.integer]:
     """The scene (N,) after an object was taken away and what gains was added, itself or others."""
     absent = np.where(np.arange(len(scene)) == one, pools.absent, scene).astype(np.int32)
     return np.asarray(filled(pools.layers, absent, np.zeros(len(scene), bool)))
 
 
-def _log_odds(pools: Pools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.float64]:
+def _log_odds(pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.float64]:
     """Of every object (N,) being there against the best scene without it, or a lookalike in its place."""
     config = pools.config
     _, by_scene = rivals_of(pools, scene)

@@ -16,7 +16,7 @@ import jaxlie
 LOG_8 = 2.0794415416798357
 
 
-def displaced(centre: jax.Array, xi: jax.Array) -> jax.Array:
+def displace(centre: jax.Array, xi: jax.Array) -> jax.Array:
     """The pose (7,) with coordinates `xi` (6,) in the chart at `centre` (7,)."""
     pose = jaxlie.SE3(centre)
     rotation = pose.rotation()
@@ -60,4 +60,4 @@ def log_density(pose: jax.Array, centre: jax.Array, scale: jax.Array) -> jax.Arr
 
 def sample(key: jax.Array, centre: jax.Array, scale: jax.Array) -> jax.Array:
     """Draw of a pose (7,) from the Gaussian at `centre` (7,) with covariance scale scale^T."""
-    return displaced(centre, scale @ jax.random.normal(key, (6,), scale.dtype))
+    return displace(centre, scale @ jax.random.normal(key, (6,), scale.dtype))

@@ -28,7 +28,7 @@ def mean_and_covariance(
 
     def average(mean: jax.Array, _: None) -> tuple[jax.Array, None]:
         tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
-        return pose_gaussian.displaced(mean, of_mean @ tangents), None
+        return pose_gaussian.displace(mean, of_mean @ tangents), None
 
     mean, _ = jax.lax.scan(average, poses[jnp.argmax(of_mean)], None, length=3)
     tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
@@ -48,7 +48,7 @@ GROUP_SHIFT_M = 0.1
 
 GROUP_ANGLE_RAD = 0.1
 
-MOST_GROUPS = 4
+MAX_CLUSTERS = 4
 
 LEAST_GROUP_WEIGHT = 1e-3
 
@@ -65,11 +65,11 @@ def within_reach(
     return (np.linalg.norm(relative[..., :3, 3], axis=-1) < shift_m) & (cosine > np.cos(angle_rad))
 
 
-def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int_]:
+def cluster(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int_]:
     """Group (K,) of each particle by its pose (K, 4, 4), or by all of its poses (K, N, 4, 4).
 
     Group 0 holds the heaviest. Particles join the first leader within reach, leaders being the heaviest
-    particles. Groups of negligible weight, and all beyond `MOST_GROUPS`, join group 0: a search for them
+    particles. Groups of negligible weight, and all beyond `MAX_CLUSTERS`, join group 0: a search for them
     would be wasted.
     """
     groups = np.full(len(poses), -1)
@@ -80,7 +80,7 @@ def grouped(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray
         near = within_reach(poses[leader], poses)
         members = near.reshape(len(poses), -1).all(axis=1) & (groups < 0)
         members[leader] = True
-        negligible = weights[members].sum() < LEAST_GROUP_WEIGHT or count == MOST_GROUPS
+        negligible = weights[members].sum() < LEAST_GROUP_WEIGHT or count == MAX_CLUSTERS
         groups[members] = 0 if count and negligible else count
         count += not (count and negligible)
     return groups
@@ -93,7 +93,9 @@ def spread_around(centre: jax.Array, poses: jax.Array, log_weights: jax.Array) -
     return jnp.einsum("k,ki,kj->ij", jnp.exp(log_weights), tangents, tangents)
 
 
-def distinct(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float) -> NDArray[np.int_]:
+def suppress_similar(
+    poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: float
+) -> NDArray[np.int_]:
     """Indices of the first `count` poses (C, 4, 4) that differ from each other, in their given order."""
     chosen: list[int] = []
     for index, pose in enumerate(poses):
@@ -107,7 +109,7 @@ def distinct(poses: NDArray[np.float64], count: int, shift_m: float, angle_rad: 
     return np.asarray(chosen, int)
 
 
-def padded(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
+def pad_to_multiple(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
     """Poses (C, 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
     return np.concatenate([poses, np.tile(poses[:1], (-len(poses) % multiple, 1, 1))])
 
@@ -116,6 +118,6 @@ WIDE_STEP_RAD = 0.4
 """From frame to frame: with narrower steps the filter does not lose its way."""
 
 
-def is_wide(before: NDArray[np.float64], after: NDArray[np.float64]) -> bool:
+def turns_wide(before: NDArray[np.float64], after: NDArray[np.float64]) -> bool:
     """Whether a step from a pose (4, 4) to another turns far."""
     return bool(0.5 * (np.trace(before[:3, :3].T @ after[:3, :3]) - 1.0) < np.cos(WIDE_STEP_RAD))

@@ -71,7 +71,7 @@ def pose_of(matrix: jax.Array) -> jax.Array:
     return jaxlie.SE3.from_matrix(matrix).wxyz_xyz
 
 
-def composed(first: jax.Array, second: jax.Array) -> jax.Array:
+def compose(first: jax.Array, second: jax.Array) -> jax.Array:
     """The pose a_from_c of a_from_b and b_from_c."""
     product = (jaxlie.SE3(first) @ jaxlie.SE3(second)).wxyz_xyz
     return jnp.concatenate([product[:4] / jnp.linalg.norm(product[:4]), product[4:]])

@@ -20,7 +20,7 @@ def _products() -> np.ndarray:
 _PRODUCTS = _products()
 
 
-def times(first: jax.Array, second: jax.Array) -> jax.Array:
+def multiply(first: jax.Array, second: jax.Array) -> jax.Array:
     """The product: `second` is applied first."""
     return jnp.sum(_PRODUCTS * first[:, None, None] * second[None, :, None], axis=(0, 1))
 
@@ -30,14 +30,14 @@ def inverse(wxyz: jax.Array) -> jax.Array:
     return wxyz * np.array([1.0, -1.0, -1.0, -1.0])
 
 
-def normalised(wxyz: jax.Array) -> jax.Array:
+def normalise(wxyz: jax.Array) -> jax.Array:
     """Of length 1."""
     return wxyz / jnp.linalg.norm(wxyz)
 
 
-def rotated(wxyz: jax.Array, vector: jax.Array) -> jax.Array:
+def rotate(wxyz: jax.Array, vector: jax.Array) -> jax.Array:
     """A vector (3,) turned."""
-    return times(times(wxyz, jnp.concatenate([jnp.zeros(1, vector.dtype), vector])), inverse(wxyz))[1:]
+    return multiply(multiply(wxyz, jnp.concatenate([jnp.zeros(1, vector.dtype), vector])), inverse(wxyz))[1:]
 
 
 def exp(vector: jax.Array) -> jax.Array:

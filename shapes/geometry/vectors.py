@@ -25,12 +25,12 @@ def layer_sum(layers: jax.Array) -> jax.Array:
     return reduce(add, [layers[index] for index in range(len(layers))])
 
 
-def rotated(matrix: jax.Array, vectors: jax.Array) -> jax.Array:
+def rotate(matrix: jax.Array, vectors: jax.Array) -> jax.Array:
     """`matrix` (3, 3) applied to vectors (3, ...)."""
     return jnp.stack([dot(matrix[i], vectors) for i in range(3)])
 
 
-def moved(matrix: jax.Array, translation: jax.Array, points: jax.Array) -> jax.Array:
+def transform(matrix: jax.Array, translation: jax.Array, points: jax.Array) -> jax.Array:
     """`matrix` (3, 3) applied to points (3, ...), then shifted by `translation` (3,)."""
     return jnp.stack([dot(matrix[i], points) + translation[i] for i in range(3)])
 

@@ -27,12 +27,12 @@ SPECK = 0.02
 """Seen-occupied voxels apart from the largest piece count as object from this share of its size."""
 
 
-def distilled(phi: ArrayLike, log_weights: ArrayLike) -> NDArray[np.float64]:
+def distil(phi: ArrayLike, log_weights: ArrayLike) -> NDArray[np.float64]:
     """phi* (...) of probabilities (K, ...) under normalised log weights (K,)."""
     return np.tensordot(np.exp(np.asarray(log_weights)), np.asarray(phi), axes=1)
 
 
-def used_views(total: int, config: LearnConfig) -> NDArray[np.intp]:
+def select_views(total: int, config: LearnConfig) -> NDArray[np.intp]:
     """Numbers of the frames that are learned from, spread evenly over all `total`."""
     return np.unique(np.round(np.linspace(0, total - 1, min(config.views, total))).astype(np.intp))
 
@@ -61,7 +61,7 @@ def learn_shape(
         ValueError: there is no object to learn; the message says why.
     """
     total = trajectories.shape[1]
-    chosen = used_views(total, config)
+    chosen = select_views(total, config)
     wanted = set(chosen.tolist())
     kept = [frame for number, frame in enumerate(frames) if number in wanted]
     if len(kept) != len(chosen):
@@ -106,9 +106,9 @@ def _prior(
     reference_from_camera: NDArray[np.float64],
 ) -> ShapePrior:
     log_weights = np.log(weights)
-    phi = distilled([one.phi for one in found], log_weights).reshape(grid.shape)
-    seen = distilled([one.seen for one in found], log_weights).reshape(grid.shape) > 0.5
-    hidden = distilled([one.hidden for one in found], log_weights).reshape(grid.shape) > 0.5
+    phi = distil([one.phi for one in found], log_weights).reshape(grid.shape)
+    seen = distil([one.seen for one in found], log_weights).reshape(grid.shape) > 0.5
+    hidden = distil([one.hidden for one in found], log_weights).reshape(grid.shape) > 0.5
     occupied = seen & (phi > 0.5)
     box = _object_box(occupied)
     inner = tuple(slice(*axis) for axis in box.T)

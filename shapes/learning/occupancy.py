@@ -14,7 +14,7 @@ from shapes.geometry.camera import Camera
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
 from shapes.learning.local_planes import LocalPlanes, local_planes
-from shapes.learning.readings import BEFORE, BEHIND, NEAR, first_look, voxel_readings
+from shapes.learning.readings import BEFORE, BEHIND, NEAR, initial_readings, voxel_readings
 from shapes.learning.voxel_rays import ViewReadings, bucket, evidence
 from shapes.voxel_grid import VoxelGrid
 
@@ -154,7 +154,7 @@ def _readings(
     ]
     looks = [
         np.asarray(
-            first_look(
+            initial_readings(
                 view.planes,
                 camera,
                 jnp.asarray(view.corner, jnp.float32),

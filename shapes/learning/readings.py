@@ -51,7 +51,7 @@ class Readings:
 
 
 @jax.jit
-def first_look(
+def initial_readings(
     planes: LocalPlanes,
     camera: Camera,
     corner: jax.Array,

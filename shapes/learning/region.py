@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from shapes.learning.config import LearnConfig
-from shapes.learning.support_plane import INLIER_M, Plane, fitted_plane, planes_below
+from shapes.learning.support_plane import INLIER_M, Plane, fit_plane, planes_below
 from shapes.voxel_grid import VoxelGrid
 
 REACH_M = 0.6
@@ -64,7 +64,7 @@ def object_grid(
     ]
     points = np.concatenate(clouds)
     if config.box is None:
-        target = looked_at(depths_m, intrinsics, reference_from_camera)
+        target = observed_region(depths_m, intrinsics, reference_from_camera)
         low, high = target - REACH_M, target + REACH_M
     else:
         low, high = np.asarray(config.box[:3]), np.asarray(config.box[3:])
@@ -85,7 +85,7 @@ def object_grid(
         best = min(found, key=lambda candidate: candidate.size)
         around = np.linalg.norm(cells - best.cluster.mean(axis=0), axis=1) < best.size / 2 + RING_M
         on_it = around & (np.abs(best.plane.heights(cells)) < INLIER_M)
-        plane = fitted_plane(cells[on_it], eyes)
+        plane = fit_plane(cells[on_it], eyes)
         return _grid(
             best.cluster, _upright(plane, best.cluster, reference_from_camera[0]), config, on_plane=True
         )
@@ -97,7 +97,7 @@ def object_grid(
     return _grid(cluster, np.eye(4), config, on_plane=False)
 
 
-def looked_at(
+def observed_region(
     depths_m: Sequence[NDArray[np.float32]],
     intrinsics: CameraIntrinsics,
     reference_from_camera: NDArray[np.float64],

@@ -50,13 +50,13 @@ def planes_below(
         inliers = np.abs(plane.heights(left)) < INLIER_M
         if inliers.sum() < FEWEST_INLIERS:
             return
-        plane = fitted_plane(left[inliers], eyes_m)
+        plane = fit_plane(left[inliers], eyes_m)
         if plane.heights(eyes_m).min() > CAMERA_CLEARANCE_M:
             yield plane
         left = left[~inliers]
 
 
-def fitted_plane(points_m: NDArray[np.float64], eyes_m: NDArray[np.float64]) -> Plane:
+def fit_plane(points_m: NDArray[np.float64], eyes_m: NDArray[np.float64]) -> Plane:
     """Least-squares plane of points (N, 3), its normal towards the cameras."""
     centre = points_m.mean(axis=0)
     normal = np.linalg.svd(points_m - centre, full_matrices=False)[2][2]

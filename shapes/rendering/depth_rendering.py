@@ -11,7 +11,7 @@ from shapes.geometry.camera import Camera
 from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import PosedObjects
 from shapes.rendering.tile_queue import for_each_block
-from shapes.rendering.tiles import TILE_PIXELS, tile_counts, untiled
+from shapes.rendering.tiles import TILE_PIXELS, from_tiles, tile_counts
 
 
 @partial(jax.jit, static_argnames=("height", "width"))
@@ -31,7 +31,7 @@ def render_layers(
         width: of the images.
     """
     rows = render_tiles(library, posed, cameras, height, width)
-    return untiled(rows.reshape(-1, TILE_PIXELS), height, width)
+    return from_tiles(rows.reshape(-1, TILE_PIXELS), height, width)
 
 
 def render_tiles(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from shapes.rendering.object_library import ObjectLibrary, level_of, unpacked
+from shapes.rendering.object_library import ObjectLibrary, level_of, unpack
 from shapes.rendering.ray_casting import PosedObjects
 
 LEVEL = 1
@@ -38,7 +38,7 @@ def squared_distance(library: ObjectLibrary, posed: PosedObjects, points_m: jax.
     inside = [jnp.clip(p, 0.0, n - 0.5) for p, n in zip(point, count, strict=True)]
     voxel = [jnp.floor(p) for p in inside]
     index = first_voxel[:, None] + ((voxel[0] * count[1] + voxel[1]) * count[2] + voxel[2]).astype(jnp.int32)
-    distance, *normal = unpacked(library.table.at[index].get(mode="clip"))
+    distance, *normal = unpack(library.table.at[index].get(mode="clip"))
     distance += sum(n * (p - 0.5 - v) for n, p, v in zip(normal, inside, voxel, strict=True))
     beyond = sum((p - q) ** 2 for p, q in zip(point, inside, strict=True))
     return ((distance + jnp.sqrt(beyond)) * pitch[:, None]) ** 2

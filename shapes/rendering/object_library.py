@@ -103,7 +103,7 @@ def library_of_mesh(
     )
 
 
-def joined(libraries: Sequence[ObjectLibrary]) -> ObjectLibrary:
+def join(libraries: Sequence[ObjectLibrary]) -> ObjectLibrary:
     """One library of all objects, in order; its table is padded to a power of two against recompilation."""
     libraries = [jax.tree.map(np.asarray, library) for library in libraries]
     tables = [library.table for library in libraries]
@@ -172,7 +172,7 @@ def level_of(
     return pitch, size, first_voxel
 
 
-def unpacked(word: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+def unpack(word: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Signed distance of voxel centres in voxels, and the components of the unit normals."""
     return (
         (word >> 21).astype(jnp.float32) * (1.0 / DISTANCE_STEPS),

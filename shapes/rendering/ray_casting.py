@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from shapes.geometry.camera import Camera
-from shapes.rendering.object_library import LEVELS, ObjectLibrary, level_of, unpacked
+from shapes.rendering.object_library import LEVELS, ObjectLibrary, level_of, unpack
 from shapes.rendering.tiles import TILE, TILE_PIXELS
 
 ARRIVED = 0.15
@@ -142,11 +142,11 @@ def image_rays(library: ObjectLibrary, posed: PosedObjects, cameras: Camera) -> 
 
 def tile_rays(images: Rays, view: jax.Array, row: jax.Array, column: jax.Array) -> Rays:
     """The rays of tiles (B,) of images `view`, at `row` and `column` counted in tiles."""
-    rays = gathered(images, view)
+    rays = gather(images, view)
     return replace(rays, direction=_direction(rays, column * TILE, row * TILE))
 
 
-def gathered(rays: Rays, index: jax.Array) -> Rays:
+def gather(rays: Rays, index: jax.Array) -> Rays:
     """Bundles by index, looked up here: the compiler would do it again wherever one of them is used."""
     return jax.lax.optimization_barrier(jax.tree.map(itemgetter(index), rays))
 
@@ -193,7 +193,7 @@ def first_hits(table: jax.Array, tiles: Rays, free: jax.Array) -> jax.Array:
     number = jnp.arange(TILE_PIXELS, dtype=jnp.int32)[None]
     rays = jax.tree.map(lambda leaf: leaf[:, None], tiles)
     start = jnp.broadcast_to(free[:, None], (len(free), TILE_PIXELS))
-    reached = advanced(table, rays, number, start, STEPS[0]).reshape(-1)
+    reached = advance(table, rays, number, start, STEPS[0]).reshape(-1)
     pixel = jnp.arange(len(reached), dtype=jnp.int32)
     hits = jnp.where(reached < 0, -reached, jnp.inf)
     return _continued(table, tiles, pixel, reached, hits, STEPS[1:]).reshape(-1, TILE_PIXELS)
@@ -207,19 +207,19 @@ def _continued(
     hits: jax.Array,
     steps: tuple[int, ...],
 ) -> jax.Array:
-    """The hits (B * TILE_PIXELS,) with those of rays (P,) that are not done where `advanced` left them."""
+    """The hits (B * TILE_PIXELS,) with those of rays (P,) that are not done where `advance` left them."""
     if not steps:
         return hits
-    order, count = chosen_first((reached >= 0) & jnp.isfinite(reached))
+    order, count = sort_chosen_first((reached >= 0) & jnp.isfinite(reached))
     together = len(pixel) // SHRINKING
 
     def march(turn: jax.Array, hits: jax.Array) -> jax.Array:
         mine = jax.lax.dynamic_slice_in_dim(order, turn * together, together)
         there = turn * together + jnp.arange(together, dtype=jnp.int32) < count
         where = pixel[mine]
-        rays = gathered(tiles, where // TILE_PIXELS)
+        rays = gather(tiles, where // TILE_PIXELS)
         depth = jnp.where(there, reached[mine], jnp.inf)
-        further = advanced(table, rays, where % TILE_PIXELS, depth, steps[0])
+        further = advance(table, rays, where % TILE_PIXELS, depth, steps[0])
         place = jnp.where(further < 0, where, len(hits))
         hits = hits.at[place].set(-further, mode="drop", unique_indices=True)
         return _continued(table, tiles, where, further, hits, steps[1:])
@@ -227,7 +227,7 @@ def _continued(
     return jax.lax.fori_loop(0, -(-count // together), march, hits)
 
 
-def chosen_first(chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
+def sort_chosen_first(chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Indices (N,) of which the first are those of the chosen (N,), in order, and the number of these."""
     groups = chosen.reshape(-1, TILE_PIXELS).astype(jnp.float32)
     within = groups @ np.triu(np.ones((TILE_PIXELS, TILE_PIXELS), np.float32))  # faster than a long sum
@@ -239,7 +239,7 @@ def chosen_first(chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
     return order, place[-1] + 1
 
 
-def advanced(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, steps: int) -> jax.Array:
+def advance(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, steps: int) -> jax.Array:
     """Depths of pixels `number` of tiles after so many steps; negated where the surface is met, +inf beyond.
 
     Sphere tracing with longer steps (Keinert et al. 2014, Enhanced Sphere Tracing): towards a plane at
@@ -302,7 +302,7 @@ def _word(table: jax.Array, rays: Rays, point: Vector) -> jax.Array:
 
 def _plane_distance(word: jax.Array, point: Vector) -> tuple[jax.Array, Vector]:
     """Signed distance of a point in voxels by the tangent plane of its voxel, and that plane's normal."""
-    distance, *normal = unpacked(word)
+    distance, *normal = unpack(word)
     return distance + _dot(normal, [p - jnp.floor(p) - 0.5 for p in point]), normal
 
 

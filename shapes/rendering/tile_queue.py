@@ -20,12 +20,12 @@ from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import (
     NEAREST_M,
     PosedObjects,
-    chosen_first,
     first_hits,
     free_depth,
-    gathered,
+    gather,
     image_rays,
     in_single_precision,
+    sort_chosen_first,
     tile_rays,
 )
 from shapes.rendering.tiles import TILE, tile_counts
@@ -87,13 +87,13 @@ def for_each_block(
         view, row, column, known = _numbered(candidates, following + jnp.arange(examined, dtype=jnp.int32))
         rays = tile_rays(images, view, row, column)
         free = free_depth(library.table, rays)
-        order, count = chosen_first(known & jnp.isfinite(free))
+        order, count = sort_chosen_first(known & jnp.isfinite(free))
 
         def cast(turn: jax.Array, carry: Carry) -> Carry:
             chosen = jax.lax.dynamic_slice_in_dim(order, turn * block, block)
             valid = turn * block + jnp.arange(block, dtype=jnp.int32) < count
             clear = jnp.where(valid, free[chosen], jnp.inf)
-            depth = first_hits(library.table, gathered(rays, chosen), clear)
+            depth = first_hits(library.table, gather(rays, chosen), clear)
             return visit(carry, view[chosen], (row * across + column)[chosen], depth, valid)
 
         return following + examined, jax.lax.fori_loop(0, -(-count // block), cast, carry)

@@ -16,7 +16,7 @@ def tile_counts(height: int, width: int) -> tuple[int, int]:
     return -(-height // TILE), -(-width // TILE)
 
 
-def tiled(images: jax.Array, fill: float) -> jax.Array:
+def to_tiles(images: jax.Array, fill: float) -> jax.Array:
     """Images (I, H, W) as rows of pixels (I * down * across, TILE_PIXELS); `fill` beyond the border."""
     count, height, width = images.shape
     down, across = tile_counts(height, width)
@@ -25,7 +25,7 @@ def tiled(images: jax.Array, fill: float) -> jax.Array:
     return blocks.transpose(0, 1, 3, 2, 4).reshape(-1, TILE_PIXELS)
 
 
-def untiled(rows: jax.Array, height: int, width: int) -> jax.Array:
+def from_tiles(rows: jax.Array, height: int, width: int) -> jax.Array:
     """Images (I, H, W) from rows of pixels (I * down * across, TILE_PIXELS)."""
     down, across = tile_counts(height, width)
     blocks = rows.reshape(-1, down, across, TILE, TILE).transpose(0, 1, 3, 2, 4)

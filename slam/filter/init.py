@@ -14,28 +14,28 @@ from slam.filter.map_update import CAPACITY_STEP
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
 from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_particles
 from slam.filter.step import smc
-from slam.keyframes.depth_view import DepthView, central_depth
+from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.keyframes.surfels import surface_of
-from slam.likelihood.noise_calibration import Calibration
+from slam.keyframes.surfels import surfel_image
+from slam.likelihood.noise_calibration import NoiseCalibration
 
 LOOSE_RADIUS = 0.15
 """Relative standard deviation of an orbit's radius that nobody gave."""
 
 
-def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState, FrameInfo]:
+def init(view: CanvasView, time_ns: int, config: SlamConfig) -> tuple[FilterState, FrameInfo]:
     """The state after the first frame, which is the reference and the first keyframe."""
     radius = config.orbit_radius_m or central_depth(view)
     motion: MotionPrior = FreeMotion.default()
     if config.motion == "orbit":
         known = config.orbit_radius_m is not None
         motion = OrbitMotion.default() if known else OrbitMotion.of_unknown_radius(LOOSE_RADIUS * radius)
-    calibration = Calibration.initial(config.noise, config.effective_pixel_share)
+    calibration = NoiseCalibration.initial(config.noise, config.effective_pixel_share)
     pivot = np.asarray([0.0, 0.0, radius], np.float32)
     particles = initial_particles(config.particles, CAPACITY_STEP, pivot)
     state = FilterState(
         population=smc.uniform_population(particles),
-        keyframe_map=KeyframeMap().with_keyframe(surface_of(view, calibration.noise)),
+        keyframe_map=KeyframeMap().with_keyframe(surfel_image(view, calibration.noise)),
         keyframe_times_ns=(time_ns,),
         calibration=calibration,
         motion=motion,
@@ -47,7 +47,7 @@ def init(view: DepthView, time_ns: int, config: SlamConfig) -> tuple[FilterState
     return state, _first_frame_info(config.particles)
 
 
-def before_the_map(key: jax.Array, state: FilterState) -> FrameInfo:
+def info_before_map(key: jax.Array, state: FilterState) -> FrameInfo:
     """A frame before the first that shows anything: lost, anywhere that the motion prior leads from there.
 
     Args:

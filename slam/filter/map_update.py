@@ -10,11 +10,11 @@ import jaxlie
 import numpy as np
 
 from slam.filter.state import CameraParticles, FilterState, with_capacity
-from slam.keyframes.depth_view import DepthView, central_depth
-from slam.keyframes.fusion import fused
+from slam.keyframes.depth_view import CanvasView, central_depth
+from slam.keyframes.fusion import fuse
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.keyframes.surfels import surface_of, with_noise
-from slam.registration.search import Located
+from slam.keyframes.surfels import surfel_image, with_noise
+from slam.registration.search import Registration
 
 CAPACITY_STEP = 32
 
@@ -36,7 +36,7 @@ def with_room(state: FilterState) -> FilterState:
     return replace(state, population=population)
 
 
-def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> FilterState:
+def with_frame(state: FilterState, view: CanvasView, found: list[Registration]) -> FilterState:
     """The frame teaches the sensor, and refines its anchor or, seen from elsewhere, becomes a keyframe.
 
     A new keyframe stands where each particle has the camera. While several places compete, no depth is
@@ -51,7 +51,7 @@ def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> Fil
     if not far and best.covered >= KEYFRAME_COVERAGE:
         if len(found) > 1:
             return state
-        refined = fused(keyframe_map.surfaces[anchor], view, relative, noise)
+        refined = fuse(keyframe_map.surfaces[anchor], view, relative, noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
     particles: CameraParticles = state.population.particles
     keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
@@ -59,7 +59,7 @@ def with_frame(state: FilterState, view: DepthView, found: list[Located]) -> Fil
     return replace(
         state,
         population=population,
-        keyframe_map=keyframe_map.with_keyframe(surface_of(view, noise)),
+        keyframe_map=keyframe_map.with_keyframe(surfel_image(view, noise)),
         keyframe_times_ns=(*state.keyframe_times_ns, state.times_ns[1]),
     )
 
@@ -72,7 +72,7 @@ def _motion(origin: jax.Array, pose: jax.Array) -> tuple[jax.Array, jax.Array, j
     return relative.wxyz_xyz, shift, jnp.linalg.norm(relative.rotation().log())
 
 
-def with_calibration(state: FilterState, located: Located) -> FilterState:
+def with_calibration(state: FilterState, located: Registration) -> FilterState:
     """The sensor after one frame more; surfaces keep the variances of the sensor that is now believed."""
     calibration = state.calibration
     if not calibration.is_learning:

@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-from shapes.geometry.pose_sets import grouped, is_wide, mean_and_covariance
+from shapes.geometry.pose_sets import cluster, mean_and_covariance, turns_wide
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
 from slam.filter.motion import LONGEST_RATIO, velocity_ratio
 from slam.filter.state import CameraParticles, FilterState
 from slam.filter.step import smc
-from slam.keyframes.depth_view import DepthView, central_depth
+from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.registration import pose_grids
-from slam.registration.search import GroupMap, Located, Searcher, distinct_places, worth_keeping
+from slam.registration.search import GroupMap, Registration, Searcher, prune_improbable, suppress_duplicates
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class Prediction:
     trusted: bool
 
 
-def predicted(state: FilterState, time_ns: int) -> Prediction:
+def predict(state: FilterState, time_ns: int) -> Prediction:
     """Of the frame with that stamp."""
     particles: CameraParticles = state.population.particles
     ratio = velocity_ratio(state.times_ns, time_ns)
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
     return Prediction(
         poses=_carried_on(particles, ratio),
-        groups=grouped(matrices_of(particles.pose), weights),
+        groups=cluster(matrices_of(particles.pose), weights),
         weights=weights,
         trusted=0.0 < ratio < LONGEST_RATIO and not state.was_lost,
     )
@@ -56,27 +56,27 @@ def predicted(state: FilterState, time_ns: int) -> Prediction:
 @jax.jit
 def _carried_on(particles: CameraParticles, ratio: float) -> jax.Array:
     def one(previous: jax.Array, pose: jax.Array) -> jax.Array:
-        return pose_gaussian.displaced(pose, ratio * pose_gaussian.coordinates(previous, pose))
+        return pose_gaussian.displace(pose, ratio * pose_gaussian.coordinates(previous, pose))
 
     return jax.vmap(one)(particles.previous_pose, particles.pose)
 
 
-PREDICTION_HOLD = 0.01
+PREDICTION_WEIGHT = 0.01
 """`PixelTerms.held_step`'s hold at a trusted prediction."""
 
-MOST_PLACES = 8
+MAX_HYPOTHESES = 8
 """Optima that become components of one proposal."""
 
 _mean = jax.jit(mean_and_covariance)
 
 
-def found_places(
+def find_pose_hypotheses(
     state: FilterState,
-    view: DepthView,
+    view: CanvasView,
     prediction: Prediction,
     config: SlamConfig,
     odometry: NDArray[np.float64] | None,
-) -> list[Located]:
+) -> list[Registration]:
     """Optima worth proposing, the best first; a single one of group -1 where the camera is lost.
 
     Where depth tells nothing of a direction, as along a bare wall, a trusted prediction is kept.
@@ -87,17 +87,17 @@ def found_places(
     """
     searcher = Searcher(state.keyframe_map, view, state.calibration.noise, config.keyframes_compared)
     found = _near_predictions(searcher, state, prediction, config, odometry)
-    convincing = [located for located in found if located.is_convincing]
-    doubtful = not any(located.is_unmistakable for located in found)
+    convincing = [located for located in found if located.is_accepted]
+    doubtful = not any(located.is_unambiguous for located in found)
     if not convincing or (doubtful and _step_may_be_wide(state.population)):
         everyone = _group_map(state, prediction.weights, 0)
         distances = np.asarray(pose_grids.ORBIT_DISTANCES) * central_depth(view)
         found.append(searcher.near(everyone, [state.last_found]))
         found += searcher.anywhere(everyone, state.last_found, distances)
-        convincing = [replace(located, group=0) for located in distinct_places(found)]
-    kept = worth_keeping(convincing, state.calibration.exponent)
+        convincing = [replace(located, group=0) for located in suppress_duplicates(found)]
+    kept = prune_improbable(convincing, state.calibration.exponent)
     kept.sort(key=lambda located: -float(located.optimum.log_density))
-    return kept[:MOST_PLACES] or [replace(found[0], group=-1)]
+    return kept[:MAX_HYPOTHESES] or [replace(found[0], group=-1)]
 
 
 def _near_predictions(
@@ -106,11 +106,11 @@ def _near_predictions(
     prediction: Prediction,
     config: SlamConfig,
     odometry: NDArray[np.float64] | None,
-) -> list[Located]:
+) -> list[Registration]:
     """The best optimum near each group's prediction; none after a frame that was lost."""
     particles: CameraParticles = state.population.particles
     found = []
-    hold = PREDICTION_HOLD if prediction.trusted else 0.0
+    hold = PREDICTION_WEIGHT if prediction.trusted else 0.0
     for group in range(0 if state.was_lost else prediction.groups.max() + 1):
         group_map = _group_map(state, np.where(prediction.groups == group, prediction.weights, 0.0), group)
         last = _mean(particles.pose, group_map.weights)[0]
@@ -127,11 +127,11 @@ def _step_may_be_wide(population: smc.Population) -> bool:
     Round an object on a pedestal the last view explains most of the next one, a fifth of a circle on. Of the
     first step nothing is known.
     """
-    before, after = last_step(population)
-    return bool(np.array_equal(before, after)) or is_wide(before, after)
+    before, after = last_motion(population)
+    return bool(np.array_equal(before, after)) or turns_wide(before, after)
 
 
-def last_step(population: smc.Population) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def last_motion(population: smc.Population) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Poses (4, 4) of the heaviest particle, in the frame before the last and in the last."""
     particles: CameraParticles = population.particles
     heaviest = int(jnp.argmax(population.log_weights))

@@ -84,7 +84,7 @@ def component_at(
     """
 
     def residual(xi: jax.Array) -> jax.Array:
-        return motion.whitened_residual(history, pose_gaussian.displaced(optimum.pose, xi))
+        return motion.whitened_residual(history, pose_gaussian.displace(optimum.pose, xi))
 
     zero = jnp.zeros(6, jnp.float32)
     jacobian, offset = jax.jacfwd(residual)(zero), residual(zero)
@@ -93,7 +93,7 @@ def component_at(
     covariance = 0.5 * (covariance + covariance.T)
     sensitivity = jnp.einsum("ij,mjk->mik", covariance, exponent * optimum.layer_precisions)
     return Component(
-        pose=pose_gaussian.displaced(optimum.pose, -covariance @ jacobian.T @ offset),
+        pose=pose_gaussian.displace(optimum.pose, -covariance @ jacobian.T @ offset),
         scale=jnp.linalg.cholesky(covariance),
         sensitivity=sensitivity,
         log_score=exponent * optimum.log_density,
@@ -114,7 +114,7 @@ def centre_for(component: Component, keyframe_poses: jax.Array) -> jax.Array:
 
     displacements = jax.vmap(displacement)(keyframe_poses, component.mean_keyframe_poses)
     shift = jnp.einsum("mij,mj->i", component.sensitivity, displacements)
-    return pose_gaussian.displaced(component.pose, shift)
+    return pose_gaussian.displace(component.pose, shift)
 
 
 def log_proposal_density(

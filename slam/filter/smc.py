@@ -55,7 +55,7 @@ def uniform_population(particles: Any) -> Population:
     return Population(particles, jnp.full(count, -jnp.log(count), dtype=jnp.float32))
 
 
-def resampled_if_poor(
+def resample_if_degenerate(
     key: jax.Array, population: Population, ess_threshold: float
 ) -> tuple[Population, jax.Array, jax.Array]:
     """The population, drawn anew with equal weights where its ESS is under `ess_threshold` times K.
@@ -67,7 +67,7 @@ def resampled_if_poor(
     count = len(log_weights)
     poor = effective_sample_size(log_weights) < ess_threshold * count
     identity = jnp.arange(count, dtype=jnp.int32)
-    ancestors = jnp.where(poor, systematic(key, log_weights), identity)
+    ancestors = jnp.where(poor, resample_systematically(key, log_weights), identity)
     uniform = jnp.full_like(log_weights, -jnp.log(float(count)))
     particles = jax.tree.map(lambda leaf: leaf[ancestors], population.particles)
     return Population(particles, jnp.where(poor, uniform, log_weights)), ancestors, poor
@@ -78,14 +78,14 @@ def step(
 ) -> tuple[Population, StepInfo]:
     """Resample where the ESS is low, extend every particle, weigh it, add up the evidence."""
     resample_key, propose_key = jax.random.split(key)
-    population, ancestors, poor = resampled_if_poor(resample_key, population, ess_threshold)
+    population, ancestors, poor = resample_if_degenerate(resample_key, population, ess_threshold)
     particles, log_increments = propose(propose_key, population.particles)
-    log_weights, log_evidence = normalised(population.log_weights + log_increments)
+    log_weights, log_evidence = normalise(population.log_weights + log_increments)
     info = StepInfo(log_evidence, effective_sample_size(log_weights), poor, ancestors)
     return Population(particles, log_weights), info
 
 
-def normalised(log_weights: jax.Array) -> tuple[jax.Array, jax.Array]:
+def normalise(log_weights: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Normalised log weights (K,) and the log of their sum; all -inf becomes uniform with sum -inf."""
     log_sum = jax.nn.logsumexp(log_weights)
     uniform = jnp.full_like(log_weights, -jnp.log(float(len(log_weights))))
@@ -97,7 +97,7 @@ def effective_sample_size(log_weights: jax.Array) -> jax.Array:
     return jnp.exp(-jax.nn.logsumexp(2.0 * log_weights))
 
 
-def systematic(key: jax.Array, log_weights: jax.Array) -> jax.Array:
+def resample_systematically(key: jax.Array, log_weights: jax.Array) -> jax.Array:
     """Ancestor indices (K,) int32, non-decreasing; particle k is drawn floor or ceil of K w_k times.
 
     Args:

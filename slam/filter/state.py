@@ -15,7 +15,7 @@ from shapes.geometry.pose_sets import IDENTITY
 from slam.filter.motion import MotionPrior
 from slam.filter.step import smc
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.likelihood.noise_calibration import Calibration
+from slam.likelihood.noise_calibration import NoiseCalibration
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class FilterState:
     population: smc.Population
     keyframe_map: KeyframeMap
     keyframe_times_ns: tuple[int, ...]
-    calibration: Calibration
+    calibration: NoiseCalibration
     motion: MotionPrior
     times_ns: tuple[int, int]
     last_found: jax.Array

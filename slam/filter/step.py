@@ -19,25 +19,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import is_wide, spread_around
+from shapes.geometry.pose_sets import spread_around, turns_wide
 from slam.config import SlamConfig
 from slam.filter import smc
 from slam.filter.map_update import with_calibration, with_frame, with_room
 from slam.filter.motion import MotionHistory, MotionPrior
-from slam.filter.pose_hypotheses import MOST_PLACES, found_places, last_step, predicted
+from slam.filter.pose_hypotheses import MAX_HYPOTHESES, find_pose_hypotheses, last_motion, predict
 from slam.filter.proposal import Component, Proposed, component_at, propose_all
 from slam.filter.state import CameraParticles, FilterState, FrameInfo
-from slam.keyframes.depth_view import DepthView
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import stacked
-from slam.registration.search import Located
+from slam.registration.search import Registration
 
-COMPONENT_BUCKETS = (1, 2, 4, MOST_PLACES)
+COMPONENT_BUCKETS = (1, 2, 4, MAX_HYPOTHESES)
 
 
 def step(
     key: jax.Array,
     state: FilterState,
-    view: DepthView,
+    view: CanvasView,
     time_ns: int,
     config: SlamConfig,
     odometry: NDArray[np.float64] | None = None,
@@ -53,11 +53,11 @@ def step(
         odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used and not degenerate.
     """
     state = with_room(state)
-    prediction = predicted(state, time_ns)
-    found = found_places(state, view, prediction, config, odometry)
+    prediction = predict(state, time_ns)
+    found = find_pose_hypotheses(state, view, prediction, config, odometry)
     if state.calibration.frames == 0 and found[0].group >= 0:
         state = with_calibration(state, found[0])
-        found = found_places(state, view, prediction, config, odometry)
+        found = find_pose_hypotheses(state, view, prediction, config, odometry)
     components = _components(found, state, prediction.poses)
     population, info, proposed = _advance(
         key,
@@ -76,15 +76,15 @@ def step(
     if not lost:
         moved = with_frame(moved, view, found)
     report = frame_info(moved, known, info, proposed, components, found, lost)
-    turned = state.steps_were_wide or is_wide(*last_step(population))
+    turned = state.steps_were_wide or turns_wide(*last_motion(population))
     return replace(moved, steps_were_wide=turned), report
 
 
-def _components(found: list[Located], state: FilterState, predicted: jax.Array) -> Component:
+def _components(found: list[Registration], state: FilterState, predict: jax.Array) -> Component:
     """The optima as components, stacked (J, ...), J padded to a bucket with components for nobody."""
     particles: CameraParticles = state.population.particles
     heaviest = int(jnp.argmax(state.population.log_weights))
-    history = MotionHistory(particles.pose[heaviest], predicted[heaviest], particles.pivot[heaviest])
+    history = MotionHistory(particles.pose[heaviest], predict[heaviest], particles.pivot[heaviest])
     components = [
         component_at(
             located.optimum,
@@ -107,7 +107,7 @@ def _components(found: list[Located], state: FilterState, predicted: jax.Array) 
 def _advance(
     key: jax.Array,
     population: smc.Population,
-    predicted: jax.Array,
+    predict: jax.Array,
     groups: jax.Array,
     components: Component,
     motion: MotionPrior,
@@ -130,7 +130,7 @@ def _advance(
         moved = replace(particles, pose=proposed.pose, previous_pose=particles.pose)
         return (moved, proposed), log_increments
 
-    extended = smc.Population((population.particles, predicted, groups), population.log_weights)
+    extended = smc.Population((population.particles, predict, groups), population.log_weights)
     extended, info = smc.step(key, extended, propose, ess_threshold)
     particles, proposed = extended.particles
     return smc.Population(particles, extended.log_weights), info, proposed
@@ -142,7 +142,7 @@ def frame_info(
     info: smc.StepInfo,
     proposed: Proposed,
     components: Component,
-    found: list[Located],
+    found: list[Registration],
     lost: bool,
 ) -> FrameInfo:
     """Of a frame after its step.

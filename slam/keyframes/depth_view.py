@@ -33,7 +33,7 @@ BLOCK_DEPTH_BAND = 0.03
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class DepthView:
+class CanvasView:
     """One frame on a canvas (H, W).
 
     Attributes:
@@ -49,14 +49,14 @@ class DepthView:
     camera: Camera
 
 
-def framing(view: DepthView) -> NDArray[np.float64]:
+def framing(view: CanvasView) -> NDArray[np.float64]:
     """What the view's image takes in (6,): fx, fy, cx, cy, columns, rows, in pixels."""
     camera = view.camera
     rows, columns = np.argwhere(np.asarray(view.measured)).max(axis=0) + 1
     return np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, columns, rows], float)
 
 
-def central_depth(view: DepthView) -> float:
+def central_depth(view: CanvasView) -> float:
     """Median depth of the image's middle ninth, or of all of it, or 1 m where nothing was measured."""
     depth_m = np.asarray(view.depth_m)
     rows, columns = depth_m.shape
@@ -73,7 +73,7 @@ def reduction_factor(intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CAN
     return max(1, -(-intrinsics.width // columns), -(-intrinsics.height // rows))
 
 
-def view_of_frame(frame: Frame, intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> DepthView:
+def view_of_frame(frame: Frame, intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> CanvasView:
     """A frame on a canvas of (rows, columns); one of another size than `intrinsics` is taken as resized."""
     height, width = frame.depth_m.shape
     if (height, width) != (intrinsics.height, intrinsics.width):
@@ -88,11 +88,11 @@ def view_of_frame(frame: Frame, intrinsics: CameraIntrinsics, canvas: tuple[int,
 
 
 @partial(jax.jit, static_argnames=("factor", "canvas"))
-def _reduce(depth_m: jax.Array, camera: Camera, factor: int, canvas: tuple[int, int]) -> DepthView:
+def _reduce(depth_m: jax.Array, camera: Camera, factor: int, canvas: tuple[int, int]) -> CanvasView:
     reduced = block_reduce(depth_m, factor)
     rows, columns = reduced.shape
     padding = ((0, canvas[0] - rows), (0, canvas[1] - columns))
-    return DepthView(
+    return CanvasView(
         depth_m=jnp.pad(reduced, padding),
         measured=jnp.pad(jnp.ones((rows, columns), bool), padding),
         rays=jnp.moveaxis(pixel_rays(camera, *canvas), -1, 0),

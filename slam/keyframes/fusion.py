@@ -10,10 +10,10 @@ import jaxlie
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
-from shapes.geometry.vectors import dot, moved, rotated
-from slam.keyframes.depth_view import DepthView
+from shapes.geometry.vectors import dot, rotate, transform
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import depth_on_rays, pixels_of, planes_in_frame
-from slam.keyframes.surfels import LEAST_VARIANCE_SHARE, Surface
+from slam.keyframes.surfels import LEAST_VARIANCE_SHARE, SurfelImage
 
 GATE_SIGMAS = 3.0
 
@@ -22,7 +22,9 @@ GAIN_RANGE = (0.2, 5.0)
 
 
 @jax.jit
-def fused(surface: Surface, frame: DepthView, keyframe_from_camera: jax.Array, noise: DepthNoise) -> Surface:
+def fuse(
+    surface: SurfelImage, frame: CanvasView, keyframe_from_camera: jax.Array, noise: DepthNoise
+) -> SurfelImage:
     """The surface after a frame seen from `keyframe_from_camera` (7,); planes keep their orientation.
 
     The frame's depth is compared with the element's plane on the frame's own ray; the difference moves
@@ -32,7 +34,7 @@ def fused(surface: Surface, frame: DepthView, keyframe_from_camera: jax.Array, n
     camera_from_keyframe = pose.inverse()
     depth, variance = surface.depth_m.ravel(), surface.variance_m2.ravel()
     planes = surface.planes.reshape(3, -1)
-    points = moved(
+    points = transform(
         camera_from_keyframe.rotation().as_matrix(),
         camera_from_keyframe.translation(),
         surface.points().reshape(3, -1),
@@ -46,7 +48,7 @@ def fused(surface: Surface, frame: DepthView, keyframe_from_camera: jax.Array, n
     innovation = jnp.where(seen, observed - rendered, 0.0)
     seen &= jnp.abs(innovation) < GATE_SIGMAS * jnp.sqrt(observed_variance + variance)
     along_keyframe_ray = dot(planes, surface.rays.reshape(3, -1))
-    along_frame_ray = dot(rotated(pose.rotation().as_matrix().T, planes), ray)
+    along_frame_ray = dot(rotate(pose.rotation().as_matrix().T, planes), ray)
     gain = jnp.clip(along_frame_ray / jnp.where(along_keyframe_ray > 0, along_keyframe_ray, 1.0), *GAIN_RANGE)
     carried_variance = observed_variance * gain**2
     share = jnp.where(seen, variance / (variance + carried_variance), 0.0)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.keyframes.surfels import Surface
+from slam.keyframes.surfels import SurfelImage
 
 Tree = TypeVar("Tree")
 
@@ -34,24 +34,24 @@ class KeyframeMap:
         samples: (300, 3) points of each keyframe in its own frame, NaN where it has none; overlap only.
     """
 
-    surfaces: tuple[Surface, ...] = ()
+    surfaces: tuple[SurfelImage, ...] = ()
     samples: tuple[NDArray[np.float32], ...] = ()
 
     def __len__(self) -> int:
         return len(self.surfaces)
 
-    def with_keyframe(self, surface: Surface) -> KeyframeMap:
+    def with_keyframe(self, surface: SurfelImage) -> KeyframeMap:
         """The map with one keyframe more."""
         return KeyframeMap(
             surfaces=(*self.surfaces, surface), samples=(*self.samples, _sample_points(surface))
         )
 
-    def with_refined(self, index: int, surface: Surface) -> KeyframeMap:
+    def with_refined(self, index: int, surface: SurfelImage) -> KeyframeMap:
         """The map with the surface of one keyframe replaced by a better one."""
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
         return KeyframeMap(surfaces=surfaces, samples=self.samples)
 
-    def stacked(self, indices: NDArray[np.int_]) -> Surface:
+    def stacked(self, indices: NDArray[np.int_]) -> SurfelImage:
         """The surfaces of (M,) keyframes, leaves stacked (M, ...)."""
         return stacked(*(self.surfaces[i] for i in indices))
 
@@ -62,7 +62,7 @@ def stacked(*trees: Tree) -> Tree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
-def _sample_points(surface: Surface) -> NDArray[np.float32]:
+def _sample_points(surface: SurfelImage) -> NDArray[np.float32]:
     every = slice(SAMPLED_STRIDE_PX // 2, None, SAMPLED_STRIDE_PX)
     points = np.asarray(surface.points())[:, every, every].reshape(3, -1).T
     return np.where(points[:, 2:] > 0, points, np.nan).astype(np.float32)

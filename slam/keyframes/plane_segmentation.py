@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
-from slam.keyframes.depth_view import DepthView
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.planes import LEAST_REGION, ON_PLANE_SIGMAS
 
 LEAST_SHARE = 0.03
@@ -25,8 +25,8 @@ MOST_TURN_RAD = 0.3
 MOST_SEEDS, GROWTH_ROUNDS = 16, 8
 
 
-def with_whole_planes(
-    planes: NDArray[np.float32], region_sizes: NDArray[np.float32], view: DepthView, noise: DepthNoise
+def with_plane_segments(
+    planes: NDArray[np.float32], region_sizes: NDArray[np.float32], view: CanvasView, noise: DepthNoise
 ) -> NDArray[np.float32]:
     """Planes (3, H, W) with one for all pixels of each large plane; pixels without stay so.
 

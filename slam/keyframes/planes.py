@@ -21,7 +21,7 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.geometry.vectors import dot
-from slam.keyframes.depth_view import DepthView
+from slam.keyframes.depth_view import CanvasView
 
 WINDOW_RADIUS_PX = 3
 
@@ -41,7 +41,7 @@ LEAST_REGION = 300.0
 """Product of the rounds' counts of alike neighbours, at most 25 each, from which on a region is a plane."""
 
 
-def region_planes(view: DepthView, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:
+def region_planes(view: CanvasView, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:
     """Plane vectors (3, H, W) averaged over flat regions, zeros at edges, and the regions' sizes (H, W).
 
     A plane has the same N everywhere, so that windows which explain each other's pixels within the noise
@@ -114,7 +114,7 @@ def _averaged(
     planes: jax.Array,
     on_plane: jax.Array,
     inverse_depth: jax.Array,
-    view: DepthView,
+    view: CanvasView,
     tolerance: jax.Array,
     step_px: int,
     most_turn: float,

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import jaxlie
 
 from shapes.geometry.camera import Camera
-from shapes.geometry.vectors import dot, layer_sum, moved, rotated
+from shapes.geometry.vectors import dot, layer_sum, rotate, transform
 from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH
-from slam.keyframes.surfels import Surface
+from slam.keyframes.surfels import SurfelImage
 
 NEAREST_DEPTH_M = 0.05
 
@@ -58,7 +58,7 @@ def planes_in_frame(planes: jax.Array, source_from_target: jax.Array) -> jax.Arr
     pose = jaxlie.SE3(source_from_target)
     offset = 1.0 - dot(pose.translation(), planes)
     facing = offset > 1e-6
-    turned = rotated(pose.rotation().as_matrix().T, planes)
+    turned = rotate(pose.rotation().as_matrix().T, planes)
     return jnp.where(facing[None], turned / jnp.where(facing, offset, 1.0)[None], 0.0)
 
 
@@ -79,10 +79,10 @@ def pixels_of(points: jax.Array, camera: Camera) -> tuple[jax.Array, jax.Array]:
     return jnp.where(inside, row * CANVAS_WIDTH + column, 0), inside
 
 
-def visible_elements(surface: Surface, camera_from_keyframe: jax.Array, camera: Camera) -> jax.Array:
+def visible_elements(surface: SurfelImage, camera_from_keyframe: jax.Array, camera: Camera) -> jax.Array:
     """Index (H, W) int32 of the element of `surface` that each pixel sees, -1 for none."""
     pose = jaxlie.SE3(camera_from_keyframe)
-    points = moved(pose.rotation().as_matrix(), pose.translation(), surface.points().reshape(3, -1))
+    points = transform(pose.rotation().as_matrix(), pose.translation(), surface.points().reshape(3, -1))
     pixel, inside = pixels_of(points, camera)
     drawn = inside & (surface.depth_m.ravel() > 0)
     order = _drawing_order(points, pixel, camera)
@@ -119,7 +119,11 @@ def _fill_gaps(front: jax.Array, empty: int) -> jax.Array:
 
 
 def render(
-    surfaces: Surface, present: jax.Array, keyframes_from_camera: jax.Array, rays: jax.Array, camera: Camera
+    surfaces: SurfelImage,
+    present: jax.Array,
+    keyframes_from_camera: jax.Array,
+    rays: jax.Array,
+    camera: Camera,
 ) -> MapImage:
     """The map of M keyframes as seen by a camera.
 
@@ -149,7 +153,7 @@ def render(
     return MapImage(jnp.stack(planes), jnp.stack(in_front))
 
 
-def _rows(surface: Surface) -> jax.Array:
+def _rows(surface: SurfelImage) -> jax.Array:
     """Planes and variances (PIXELS, 4), element by element: gathered so in half the time (measured)."""
     return jnp.concatenate([surface.planes.reshape(3, -1), surface.variance_m2.reshape(1, -1)]).T
 

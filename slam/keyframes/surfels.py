@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from recordings.types import DepthNoise
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
-from slam.keyframes.depth_view import DepthView
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.planes import region_planes
 
 LEAST_VARIANCE_SHARE = 0.1
@@ -20,7 +20,7 @@ development seed 101), but errors that views share (calibration, distortion) do 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Surface:
+class SurfelImage:
     """One surface element per pixel of a keyframe, in its own camera frame; shared by all particles.
 
     Attributes:
@@ -44,16 +44,16 @@ class Surface:
         return self.rays * self.depth_m[None]
 
 
-def surface_of(view: DepthView, noise: DepthNoise) -> Surface:
+def surfel_image(view: CanvasView, noise: DepthNoise) -> SurfelImage:
     """The surface that a single view shows."""
     planes, region_sizes = region_planes(view, noise)
     share = jnp.where(region_sizes > 1.0, LEAST_VARIANCE_SHARE, 1.0)
     variance = share * depth_noise.standard_deviation(noise, view.depth_m) ** 2
-    return Surface(view.depth_m, planes, variance, view.measured, view.rays, view.camera)
+    return SurfelImage(view.depth_m, planes, variance, view.measured, view.rays, view.camera)
 
 
 @jax.jit
-def with_noise(surface: Surface, believed: DepthNoise, learnt: DepthNoise) -> Surface:
+def with_noise(surface: SurfelImage, believed: DepthNoise, learnt: DepthNoise) -> SurfelImage:
     """The surface with variances as if it had been measured by the sensor that is now known."""
     ratio = depth_noise.standard_deviation(learnt, surface.depth_m) / depth_noise.standard_deviation(
         believed, surface.depth_m

@@ -24,14 +24,14 @@ import jaxlie
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
-from shapes.geometry.vectors import dot, moved, rotated
-from slam.keyframes.depth_view import DepthView
+from shapes.geometry.vectors import dot, rotate, transform
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, pixels_of
-from slam.keyframes.surfels import Surface
+from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.unmapped_depth import (
-    Foreseen,
-    foreseen_from_before,
+    PredictedDepth,
     log_density_of_unknown,
+    predict_from_neighbours,
     probability_nearer,
 )
 
@@ -74,7 +74,7 @@ class ScoredPixels:
 
     observed_m: jax.Array
     measured: jax.Array
-    foreseen: Foreseen
+    foreseen: PredictedDepth
     in_front: jax.Array
     border: jax.Array
     rays: jax.Array
@@ -82,19 +82,19 @@ class ScoredPixels:
     weights: jax.Array
 
 
-def log_unknown_shortfall(observed_m: jax.Array, noise: DepthNoise) -> jax.Array:
+def unmapped_log_penalty(observed_m: jax.Array, noise: DepthNoise) -> jax.Array:
     """By how much returns (H, W) of a lattice are less probable, in logs, than were their surfaces known.
 
     A search that blurs what is known has to blur what is unknown as well, or it looks away.
     """
-    log_unknown = log_density_of_unknown(observed_m, foreseen_from_before(observed_m, noise), noise)
+    log_unknown = log_density_of_unknown(observed_m, predict_from_neighbours(observed_m, noise), noise)
     sigma = depth_noise.standard_deviation(noise, observed_m)
     return log_unknown + jnp.log(sigma) + LOG_ROOT_TWO_PI
 
 
-def log_density_of_shown(
+def log_density_of_mapped(
     observed_m: jax.Array,
-    foreseen: Foreseen,
+    foreseen: PredictedDepth,
     in_front: jax.Array,
     depth_m: jax.Array,
     sigma_m: jax.Array,
@@ -114,9 +114,9 @@ def log_density_of_shown(
 
 
 def scored_pixels(
-    view: DepthView,
+    view: CanvasView,
     image: MapImage,
-    surfaces: Surface,
+    surfaces: SurfelImage,
     present: jax.Array,
     keyframes_from_camera: jax.Array,
     noise: DepthNoise,
@@ -126,7 +126,7 @@ def scored_pixels(
     layers = len(image.planes)
     foreseen = jax.tree.map(
         lambda leaf: leaf.reshape(*leaf.shape[:-2], -1),
-        foreseen_from_before(view.depth_m[every, every], noise),
+        predict_from_neighbours(view.depth_m[every, every], noise),
     )
     rays = view.rays[:, every, every].reshape(3, -1)
     pixels = ScoredPixels(
@@ -157,14 +157,14 @@ def _beside_nothing(shown: jax.Array) -> jax.Array:
 
 
 def _seen_through(
-    points: jax.Array, surfaces: Surface, present: jax.Array, keyframes_from_camera: jax.Array
+    points: jax.Array, surfaces: SurfelImage, present: jax.Array, keyframes_from_camera: jax.Array
 ) -> jax.Array:
     """Whether any of the M keyframes saw something behind each of a camera's points (3, P)."""
     through = jnp.zeros(points.shape[1], bool)
     for index in range(len(present)):
         surface = jax.tree.map(lambda leaf, index=index: leaf[index], surfaces)
         pose = jaxlie.SE3(keyframes_from_camera[index])
-        in_keyframe = moved(pose.rotation().as_matrix(), pose.translation(), points)
+        in_keyframe = transform(pose.rotation().as_matrix(), pose.translation(), points)
         pixel, inside = pixels_of(in_keyframe, surface.camera)
         behind = in_keyframe[2] < (1.0 - SEEN_THROUGH_BAND) * surface.depth_m.ravel()[pixel]
         through |= present[index] & inside & behind
@@ -176,7 +176,7 @@ def rendered_depth(pixels: ScoredPixels, keyframes_from_camera: jax.Array) -> tu
 
     def layer(planes: jax.Array, weights: jax.Array, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
         keyframe_from_camera = jaxlie.SE3(pose)
-        slope = dot(planes, rotated(keyframe_from_camera.rotation().as_matrix(), pixels.rays))
+        slope = dot(planes, rotate(keyframe_from_camera.rotation().as_matrix(), pixels.rays))
         height = 1.0 - dot(keyframe_from_camera.translation(), planes)
         ahead = (weights > 0) & (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
         return jnp.where(ahead, height / jnp.where(ahead, slope, 1.0), 0.0), jnp.where(ahead, weights, 0.0)
@@ -203,7 +203,7 @@ def log_image_density(
     returned = pixels.observed_m > NO_RETURN
     observed = jnp.where(returned, pixels.observed_m, 1.0)
     log_unknown = log_density_of_unknown(observed, pixels.foreseen, noise)
-    log_hit = log_density_of_shown(
+    log_hit = log_density_of_mapped(
         observed, pixels.foreseen, pixels.in_front, jnp.where(hit, depth, 1.0), jnp.sqrt(variance), noise
     )
     log_hit = jnp.where(hit, log_hit, jnp.log(noise.outlier_probability / noise.max_range_m))

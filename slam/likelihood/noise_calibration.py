@@ -30,7 +30,7 @@ EXPONENT_RANGE = (1e-3, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibration:
+class NoiseCalibration:
     """Running estimates.
 
     Attributes:
@@ -54,7 +54,7 @@ class Calibration:
     fixed_exponent: bool
 
     @classmethod
-    def initial(cls, noise: DepthNoise | None, exponent: float | None) -> Calibration:
+    def initial(cls, noise: DepthNoise | None, exponent: float | None) -> NoiseCalibration:
         """Before the first frame; what is given stays as it is."""
         bins = np.zeros(len(BIN_EDGES_M) - 1)
         return cls(
@@ -77,7 +77,7 @@ class Calibration:
         count: NDArray[np.float64],
         precision: NDArray[np.float64],
         score_variance: NDArray[np.float64],
-    ) -> Calibration:
+    ) -> NoiseCalibration:
         """One frame more.
 
         Args:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
-from shapes.geometry.vectors import cross, dot, moved, rotated
-from slam.keyframes.depth_view import DepthView
+from shapes.geometry.vectors import cross, dot, rotate, transform
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import NEAREST_DEPTH_M
 
 SAMPLES = 4096
@@ -55,7 +55,7 @@ class PlaneImage:
     camera: Camera
 
     @classmethod
-    def of(cls, view: DepthView, planes: jax.Array) -> PlaneImage:
+    def of(cls, view: CanvasView, planes: jax.Array) -> PlaneImage:
         """A view with planes (3, H, W)."""
         leaves = jnp.concatenate([planes, view.rays, view.depth_m[None]])
         return cls(jnp.moveaxis(leaves, 0, -1), view.camera)
@@ -93,7 +93,7 @@ class OverlapTerms:
     inliers: jax.Array
 
 
-def sampled(view: DepthView, planes: jax.Array, region_sizes: jax.Array) -> PointSample:
+def sample_points(view: CanvasView, planes: jax.Array, region_sizes: jax.Array) -> PointSample:
     """Up to `SAMPLES` of a view's pixels that lie on planes (3, H, W), fewer on large regions (H, W).
 
     A table top says the same thing many times; what stands on it is seen by few pixels. Systematic: pixels
@@ -133,17 +133,17 @@ def _gaps(
 ) -> _Gaps:
     pose = jaxlie.SE3(surface_from_image)
     rotation = pose.rotation().as_matrix()
-    points = moved(rotation, pose.translation(), sample.points)
+    points = transform(rotation, pose.translation(), sample.points)
     pixel, inside = _pixels(points, surface)
     element = surface.elements.reshape(-1, surface.elements.shape[-1])[pixel].T
     planes, surface_ray, surface_depth = element[:3], element[3:6], element[6]
     length = jnp.sqrt(dot(planes, planes))
     normals = planes / jnp.where(length > 0, length, 1.0)[None]
     depth = sample.points[2]
-    ray = rotated(rotation, sample.points / jnp.where(depth > 0, depth, 1.0)[None])
+    ray = rotate(rotation, sample.points / jnp.where(depth > 0, depth, 1.0)[None])
     along, surface_along = dot(normals, ray), dot(normals, surface_ray)
     meets = inside & (depth > NO_RETURN) & (length > 0)
-    meets &= dot(normals, rotated(rotation, sample.normals)) > LEAST_NORMAL_COSINE
+    meets &= dot(normals, rotate(rotation, sample.normals)) > LEAST_NORMAL_COSINE
     meets &= along > LEAST_INCIDENCE_COSINE * jnp.sqrt(dot(ray, ray))
     meets &= surface_along > LEAST_INCIDENCE_COSINE * jnp.sqrt(dot(surface_ray, surface_ray))
     sigma = depth_noise.standard_deviation(noise, depth)
@@ -195,7 +195,7 @@ def overlap_terms(
         variance = inflation**2 * gaps.variance_m2
         inlier = jnp.where(gaps.meets, jax.nn.sigmoid(_log_normal(gaps, variance) - LOG_OUTLIER), 0.0)
         weight = inlier / variance
-        normals = rotated(jaxlie.SE3(pose).rotation().as_matrix().T, gaps.normals)
+        normals = rotate(jaxlie.SE3(pose).rotation().as_matrix().T, gaps.normals)
         of_image = [normals, cross(sample.points, normals)]
         of_surface = [-gaps.normals, -cross(gaps.points, gaps.normals)]
         jacobian = jnp.concatenate([*of_image, *of_surface])

@@ -47,7 +47,7 @@ NONE_BY_NEIGHBOURS = (0.019, 0.235, 0.46, 0.61, 0.94)
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Foreseen:
+class PredictedDepth:
     """What is expected at each pixel.
 
     Attributes:
@@ -84,7 +84,7 @@ class Foreseen:
             yield depth, (1.0 - self.share) * share / total, scale * depth
 
 
-def log_density_of_unknown(observed_m: jax.Array, foreseen: Foreseen, noise: DepthNoise) -> jax.Array:
+def log_density_of_unknown(observed_m: jax.Array, foreseen: PredictedDepth, noise: DepthNoise) -> jax.Array:
     """Log density of returns (...) from surfaces of which only the pixels before tell.
 
     s_0 Normal(z; e_0, sigma) + sum_j s_j Laplace(z; e_j, b_j) + s_any 1[0 <= z <= D] / D with expectations e,
@@ -99,7 +99,7 @@ def log_density_of_unknown(observed_m: jax.Array, foreseen: Foreseen, noise: Dep
     return jnp.log(density + left_over * jnp.where(inside, 1.0 / noise.max_range_m, 0.0))
 
 
-def probability_nearer(depth_m: jax.Array, foreseen: Foreseen, noise: DepthNoise) -> jax.Array:
+def probability_nearer(depth_m: jax.Array, foreseen: PredictedDepth, noise: DepthNoise) -> jax.Array:
     """Probability that an unknown surface is nearer than `depth_m`: the same density's integral."""
     expected, sigma = foreseen.plane(noise)
     probability, left_over = foreseen.share * norm.cdf(depth_m, expected, sigma), 1.0 - foreseen.share
@@ -110,7 +110,7 @@ def probability_nearer(depth_m: jax.Array, foreseen: Foreseen, noise: DepthNoise
     return probability + left_over * jnp.clip(depth_m / noise.max_range_m, 1e-3, 1.0)
 
 
-def foreseen_from_before(lattice_m: jax.Array, noise: DepthNoise) -> Foreseen:
+def predict_from_neighbours(lattice_m: jax.Array, noise: DepthNoise) -> PredictedDepth:
     """What the pixels of a lattice (H, W) suggest of those that come after them in the order of lines.
 
     In a pinhole image inverse depth is affine along a plane: 1/z = 2/z_1 - 1/z_2.
@@ -122,7 +122,9 @@ def foreseen_from_before(lattice_m: jax.Array, noise: DepthNoise) -> Foreseen:
     ahead = both & (inverse > 0.5 / jnp.where(both, near, 1.0))
     planar = jnp.where(ahead, 1.0 / jnp.where(ahead, inverse, 1.0), NO_RETURN)
     around, share, uncertainty = _on_plane_around(lattice_m, noise)
-    return Foreseen(jnp.stack([around, planar, near]), share, uncertainty, _probability_of_none(lattice_m))
+    return PredictedDepth(
+        jnp.stack([around, planar, near]), share, uncertainty, _probability_of_none(lattice_m)
+    )
 
 
 def _probability_of_none(lattice_m: jax.Array) -> jax.Array:

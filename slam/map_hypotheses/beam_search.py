@@ -20,8 +20,8 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import GROUP_SHIFT_M
 from shapes.geometry.poses import matrices_of
 from slam.likelihood.image_density import log_image_density
-from slam.map_hypotheses.cross_registration import Jury
-from slam.registration.search import Located
+from slam.map_hypotheses.cross_registration import KeyframeRegistrar
+from slam.registration.search import Registration
 
 KEPT_MAPS, SOUGHT = 3, 2
 """Partial maps, and keyframes that are sought again in each."""
@@ -54,7 +54,7 @@ class _PartialMap:
         )
 
 
-def placed_surest_first(jury: Jury) -> NDArray[np.float64] | None:
+def place_best_first(jury: KeyframeRegistrar) -> NDArray[np.float64] | None:
     """Poses (N, 4, 4) of all keyframes, or None where one is found in no map.
 
     Of the maps kept it is the one that all images agree with most, improved keyframe by keyframe.
@@ -67,31 +67,31 @@ def placed_surest_first(jury: Jury) -> NDArray[np.float64] | None:
     return _improved_singly(jury, max(settled, key=jury.log_composite)) if settled else None
 
 
-def _settled(jury: Jury, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _settled(jury: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each keyframe in turn at the optimum next to it in the map of all the others, a few times.
 
     In partial maps they were placed by few, millimetres off, which costs as much as modes differ by.
     """
     for index in list(range(1, len(jury))) * SETTLING_SWEEPS:
-        poses = _with(poses, index, jury.located(poses, index, jury.all_but(index)))
+        poses = _with(poses, index, jury.register_locally(poses, index, jury.all_but(index)))
     return poses
 
 
-def _improved_singly(jury: Jury, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _improved_singly(jury: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each keyframe in turn sought in the map of all the others; a map that all agree with more is taken.
 
     What was placed first was placed by least.
     """
     log_composite = jury.log_composite(poses)
     for index in range(1, len(jury)):
-        for place in jury.sought(poses, index, jury.all_but(index))[:PLACES]:
+        for place in jury.register_globally(poses, index, jury.all_but(index))[:PLACES]:
             other = _settled(jury, _with(poses, index, place))
             if (log_other := jury.log_composite(other)) > log_composite:
                 poses, log_composite = other, log_other
     return poses
 
 
-def _with(poses: NDArray[np.float64], index: int, place: Located) -> NDArray[np.float64]:
+def _with(poses: NDArray[np.float64], index: int, place: Registration) -> NDArray[np.float64]:
     """Poses (N, 4, 4) with one moved, unless that left the numbers."""
     if not place.is_finite:
         return poses
@@ -100,13 +100,13 @@ def _with(poses: NDArray[np.float64], index: int, place: Located) -> NDArray[np.
     return poses
 
 
-def _extended(jury: Jury, partial: _PartialMap) -> list[_PartialMap]:
+def _extended(jury: KeyframeRegistrar, partial: _PartialMap) -> list[_PartialMap]:
     """The maps with one keyframe more."""
     core = sorted(partial.poses)
     poses = np.stack([partial.poses.get(index, np.eye(4)) for index in range(len(jury))])
     new = [index for index in range(len(jury)) if index not in partial.poses | partial.foretold]
     surest = sorted(partial.foretold, key=lambda index: -partial.foretold[index])[:SOUGHT]
-    places = {index: jury.sought(poses, index, core)[:PLACES] for index in new or surest}
+    places = {index: jury.register_globally(poses, index, core)[:PLACES] for index in new or surest}
     evidence = {
         index: [_log_evidence(place, jury.noise) for place in found] for index, found in places.items()
     }
@@ -122,7 +122,7 @@ def _extended(jury: Jury, partial: _PartialMap) -> list[_PartialMap]:
     ]
 
 
-def _log_evidence(place: Located, noise: DepthNoise) -> float:
+def _log_evidence(place: Registration, noise: DepthNoise) -> float:
     """Log p(image | map, place) - log p(image | no map)."""
     pixels, poses = place.optimum.pixels, place.local_map.keyframes_from_camera(place.optimum.pose)
     without_map = replace(pixels, weights=jnp.zeros_like(pixels.weights))

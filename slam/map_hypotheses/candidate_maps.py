@@ -26,13 +26,13 @@ from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.filter.motion import OrbitMotion
 from slam.keyframes.depth_view import central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.map_hypotheses.beam_search import placed_surest_first
-from slam.map_hypotheses.circular_paths import regular_steps, repeated
-from slam.map_hypotheses.cross_registration import Jury, agreeing, placed_anew
+from slam.map_hypotheses.beam_search import place_best_first
+from slam.map_hypotheses.circular_paths import circular_steps, repeat_step
+from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
 from slam.map_hypotheses.modes import Modes
-from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimum
-from slam.pose_graph.overlaps import Detail, keyframes_at
-from slam.pose_graph.trajectory_prior import KeyframeMotion
+from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimise
+from slam.pose_graph.overlaps import KeyframeDetail, keyframes_at
+from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 MODES_EXPONENT = 0.01
 """Tempering of the composite likelihood between maps. What tempers one map's optimum (`slam.calibration`: .25
@@ -51,11 +51,11 @@ MOST_ROUNDS = 3
 """After the first, in which keyframes are placed without regard to any map."""
 
 
-def likely_maps(
-    jury: Jury,
+def candidate_maps(
+    jury: KeyframeRegistrar,
     present: Sequence[NDArray[np.float64]],
-    motion: KeyframeMotion,
-    details: Sequence[Detail],
+    motion: TrajectoryPrior,
+    details: Sequence[KeyframeDetail],
     noise: DepthNoise,
 ) -> Modes:
     """Maps of all keyframes and their probabilities.
@@ -67,7 +67,9 @@ def likely_maps(
         details: of the keyframes.
         noise: the sensor at that detail.
     """
-    settle = partial(settled, keyframe_map=jury.keyframe_map, details=details, noise=noise, motion=motion)
+    settle = partial(
+        optimise_jointly, keyframe_map=jury.keyframe_map, details=details, noise=noise, motion=motion
+    )
 
     def log_weight(poses: NDArray[np.float64]) -> float:
         return MODES_EXPONENT * jury.log_composite(poses) + motion.log_density(poses)
@@ -76,22 +78,22 @@ def likely_maps(
     log_weights = [log_weight(poses) for poses in maps]
     for round_ in range(1 + MOST_ROUNDS):
         best = maps[int(np.argmax(log_weights))]
-        core = agreeing(jury, best)
+        core = consistent_set(jury, best)
         if len(core) == len(jury):
             break
-        proposed = placed_anew(jury, best, core) if round_ else placed_surest_first(jury)
+        proposed = register_inconsistent(jury, best, core) if round_ else place_best_first(jury)
         if proposed is not None:
             maps.append(settle(proposed))
             log_weights.append(log_weight(maps[-1]))
     return Modes.of(maps, log_weights)
 
 
-def _regular_maps(jury: Jury, motion: KeyframeMotion) -> list[NDArray[np.float64]]:
+def _regular_maps(jury: KeyframeRegistrar, motion: TrajectoryPrior) -> list[NDArray[np.float64]]:
     """Maps (N, 4, 4) on circles of the orbit's radius, where there is one, or of any."""
     distances = np.asarray(REGULAR_DISTANCES, np.float64) * central_depth(jury.view(0))
     if isinstance(motion.motion, OrbitMotion):
         distances = np.asarray([np.linalg.norm(motion.pivot_m)], np.float64)
-    return [repeated(step, len(jury)) for step in regular_steps(jury, distances)[:REGULAR_MAPS]]
+    return [repeat_step(step, len(jury)) for step in circular_steps(jury, distances)[:REGULAR_MAPS]]
 
 
 FAR_INFLATIONS = (16.0, 8.0, *INFLATIONS)
@@ -101,12 +103,12 @@ FARTHEST = 0.3
 """Metres or radians that a keyframe may move."""
 
 
-def settled(
+def optimise_jointly(
     poses: NDArray[np.float64],
     keyframe_map: KeyframeMap,
-    details: Sequence[Detail],
+    details: Sequence[KeyframeDetail],
     noise: DepthNoise,
-    motion: KeyframeMotion,
+    motion: TrajectoryPrior,
 ) -> NDArray[np.float64]:
     """The map (N, 4, 4) at the optimum near `poses`; as it is where no keyframes overlap.
 
@@ -121,7 +123,7 @@ def settled(
     """
     keyframes = keyframes_at(keyframe_map, details, poses, noise)
     for inflations, prior in ((FAR_INFLATIONS, None), (HELD_INFLATIONS, motion)):
-        found = optimum(keyframes, np.asarray(single_precision_poses(poses)), inflations, FARTHEST, prior)
+        found = optimise(keyframes, np.asarray(single_precision_poses(poses)), inflations, FARTHEST, prior)
         if found is None or not np.isfinite(found[0]).all():
             return poses
         moved = matrices_of(found[0])

@@ -17,7 +17,7 @@ from scipy.stats import norm, qmc
 
 from shapes.geometry import pose_sets
 from shapes.geometry.poses import single_precision_poses
-from slam.map_hypotheses.cross_registration import Jury
+from slam.map_hypotheses.cross_registration import KeyframeRegistrar
 from slam.registration import pose_grids
 from slam.registration.global_search import log_scores_of_maps
 
@@ -40,7 +40,7 @@ LOG_CLOUD = 6
 BATCH = 256
 
 
-def regular_steps(jury: Jury, distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def circular_steps(jury: KeyframeRegistrar, distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Steps last_from_next (S, 4, 4) of one repeated motion, those that explain the keyframes best first.
 
     Args:
@@ -52,14 +52,14 @@ def regular_steps(jury: Jury, distances_m: NDArray[np.float64]) -> NDArray[np.fl
     return _refined(jury, _first_distinct(ranked, STARTS))
 
 
-def repeated(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def repeat_step(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Poses (N, 4, 4) that a step (4, 4) leads through, from the identity."""
     return np.stack([np.linalg.matrix_power(step, index) for index in range(count)])
 
 
-def _scores(jury: Jury, steps: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
+def _scores(jury: KeyframeRegistrar, steps: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
     """Sums (C,) over the judging images of their approximate log densities in the map of all others."""
-    total, padded = np.zeros(len(steps)), pose_sets.padded(steps, BATCH)
+    total, padded = np.zeros(len(steps)), pose_sets.pad_to_multiple(steps, BATCH)
     powers = {lag: np.linalg.matrix_power(padded, lag) for lag in range(1 - len(jury), len(jury))}
     for index in range(0, len(jury), -(-len(jury) // JUDGING)):
         others = jury.all_but(index)
@@ -71,10 +71,10 @@ def _scores(jury: Jury, steps: NDArray[np.float64], blur: float) -> NDArray[np.f
 
 
 def _first_distinct(steps: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    return steps[pose_sets.distinct(steps, count, STEP_SHIFT_M, STEP_ANGLE_RAD)]
+    return steps[pose_sets.suppress_similar(steps, count, STEP_SHIFT_M, STEP_ANGLE_RAD)]
 
 
-def _refined(jury: Jury, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _refined(jury: KeyframeRegistrar, steps: NDArray[np.float64]) -> NDArray[np.float64]:
     """The best steps near each (S, 4, 4), in clouds that grow narrower and fewer: distinct, best first."""
     for width in REFINING:
         clouds = steps[:, None] @ np.asarray(expm(width * _cloud()))

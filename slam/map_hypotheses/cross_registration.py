@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from shapes.geometry.poses import matrices_of, single_precision_poses
-from slam.keyframes.depth_view import DepthView, central_depth
+from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.registration.pose_grids import ORBIT_DISTANCES
-from slam.registration.search import GroupMap, Located, Searcher
+from slam.registration.search import GroupMap, Registration, Searcher
 
-LEAST_MET = 0.2
+LEAST_OVERLAP = 0.2
 
 
 @dataclass(frozen=True)
-class Jury:
+class KeyframeRegistrar:
     """The keyframes, each of which is seen through the eyes of others.
 
     Attributes:
@@ -38,12 +38,14 @@ class Jury:
     def __len__(self) -> int:
         return len(self.keyframe_map)
 
-    def located(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Located:
+    def register_locally(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Registration:
         """A keyframe where `poses` (N, 4, 4) have it, in the map of `others`."""
         searcher, group = self._searcher(poses, index, others)
         return searcher.at(group, single_precision_poses(poses[index]))
 
-    def sought(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> list[Located]:
+    def register_globally(
+        self, poses: NDArray[np.float64], index: int, others: Sequence[int]
+    ) -> list[Registration]:
         """Plausible places of a keyframe anywhere in the map of `others`, the best first."""
         searcher, group = self._searcher(poses, index, others)
         distances = np.asarray(ORBIT_DISTANCES) * central_depth(searcher.view)
@@ -59,13 +61,13 @@ class Jury:
         round an object, some turned by 18 and 42 degrees beat the true ones by 57 nats, and by 32 and 32
         degrees by 285; given all the others the true ones win, by 55 and 188 (development, objects 701).
         """
-        located = (self.located(poses, index, self.all_but(index)) for index in range(len(self)))
+        located = (self.register_locally(poses, index, self.all_but(index)) for index in range(len(self)))
         return 0.5 * sum(float(one.optimum.log_density) for one in located)
 
-    def view(self, index: int) -> DepthView:
+    def view(self, index: int) -> CanvasView:
         """A keyframe's image."""
         surface = self.keyframe_map.surfaces[index]
-        return DepthView(surface.depth_m, surface.measured, surface.rays, surface.camera)
+        return CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
 
     def all_but(self, index: int) -> list[int]:
         """The other keyframes."""
@@ -84,25 +86,31 @@ class Jury:
         return Searcher(rest, self.view(index), self.noise, self.compared), group
 
 
-def agreement(located: Located) -> float:
+def inlier_ratio(located: Registration) -> float:
     """Share of the returns that meet the map and lie on it; zero where hardly any meets it."""
-    return located.explained / located.covered if located.covered >= LEAST_MET else 0.0
+    return located.explained / located.covered if located.covered >= LEAST_OVERLAP else 0.0
 
 
-AGREEING = 0.9
+CONSISTENT_INLIER_RATIO = 0.9
 """Share of the returns that meet the map and lie on it, from which on a keyframe does not contradict: at true
 poses round objects it was .92 at least, at wrong ones .6 to .9 (development films, seeds 0 and 101)."""
 
-LEAST_CORE = 2
+LEAST_CONSISTENT = 2
 
 
-def placed_anew(jury: Jury, poses: NDArray[np.float64], core: list[int]) -> NDArray[np.float64]:
+def register_inconsistent(
+    jury: KeyframeRegistrar, poses: NDArray[np.float64], core: list[int]
+) -> NDArray[np.float64]:
     """Poses (N, 4, 4) with those that are not of the `core` sought in its map."""
     poses = poses.copy()
     missing = [index for index in range(len(jury)) if index not in core]
     while missing:
-        found = {index: next(iter(jury.sought(poses, index, core)), None) for index in missing}
-        sure = [index for index in missing if (place := found[index]) and agreement(place) >= AGREEING]
+        found = {index: next(iter(jury.register_globally(poses, index, core)), None) for index in missing}
+        sure = [
+            index
+            for index in missing
+            if (place := found[index]) and inlier_ratio(place) >= CONSISTENT_INLIER_RATIO
+        ]
         most = max(missing, key=lambda index: place.explained if (place := found[index]) else -1.0)
         for index in sure or [most]:
             if place := found[index]:
@@ -111,16 +119,16 @@ def placed_anew(jury: Jury, poses: NDArray[np.float64], core: list[int]) -> NDAr
     return np.linalg.inv(poses[0]) @ poses
 
 
-def agreeing(jury: Jury, poses: NDArray[np.float64]) -> list[int]:
+def consistent_set(jury: KeyframeRegistrar, poses: NDArray[np.float64]) -> list[int]:
     """Keyframes that do not contradict each other: those that do most are left out, one by one."""
     core = list(range(len(jury)))
-    while len(core) > LEAST_CORE:
+    while len(core) > LEAST_CONSISTENT:
         agreements = [
-            agreement(jury.located(poses, index, [other for other in core if other != index]))
+            inlier_ratio(jury.register_locally(poses, index, [other for other in core if other != index]))
             for index in core
         ]
         worst = int(np.argmin(agreements))
-        if agreements[worst] >= AGREEING:
+        if agreements[worst] >= CONSISTENT_INLIER_RATIO:
             break
         del core[worst]
     return core

@@ -26,18 +26,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import grouped, mean_keyframes
+from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
 from slam.filter.state import CameraParticles, FilterState
 from slam.filter.step import smc
-from slam.map_hypotheses.candidate_maps import likely_maps
-from slam.map_hypotheses.cross_registration import Jury, agreeing, placed_anew
-from slam.map_hypotheses.modes import carried, dealt
-from slam.pose_graph.overlaps import Detail
-from slam.pose_graph.trajectory_prior import KeyframeMotion
+from slam.map_hypotheses.candidate_maps import candidate_maps
+from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
+from slam.map_hypotheses.modes import assign_modes, transport
+from slam.pose_graph.overlaps import KeyframeDetail
+from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
-MOSTLY = 0.5
+SPARSE_SHARE = 0.5
 """Share of the frames that are keyframes, from which on views are far apart whatever the filter says: it may
 have taken the next corner of a bare room for the last one."""
 
@@ -46,23 +46,23 @@ MOST_KEYFRAMES = 48
 MOST_ROUNDS = 3
 """From a first core that is small, the places of the others may be wrong again."""
 
-HANDFUL = 12
+SPARSE_KEYFRAMES = 12
 """Keyframes few enough to be placed without regard to what the filter found."""
 
 
-def is_handful(state: FilterState, frames: int) -> bool:
+def are_sparse_views(state: FilterState, frames: int) -> bool:
     """Whether the keyframes are few and views of a recording of `frames` far apart."""
     used = len(state.keyframe_map)
-    return 2 < used <= HANDFUL and used > MOSTLY * frames
+    return 2 < used <= SPARSE_KEYFRAMES and used > SPARSE_SHARE * frames
 
 
-def reconsidered(
+def choose_map(
     key: jax.Array,
     state: FilterState,
     config: SlamConfig,
-    details: Sequence[Detail],
+    details: Sequence[KeyframeDetail],
     noise: DepthNoise,
-    motion: KeyframeMotion | None,
+    motion: TrajectoryPrior | None,
 ) -> FilterState:
     """The state with the keyframes of every mode placed anew where they contradict each other.
 
@@ -81,13 +81,13 @@ def reconsidered(
     poses = particles.keyframe_poses[:, :used]
     log_weights = np.asarray(state.population.log_weights, np.float64)
     weights = np.exp(log_weights)
-    groups = grouped(matrices_of(poses), weights)
+    groups = cluster(matrices_of(poses), weights)
     shares = [np.where(groups == group, weights, 0.0) for group in range(groups.max() + 1)]
     means = jnp.stack([mean_keyframes(poses, jnp.asarray(share / share.sum())) for share in shares])
-    jury = Jury(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
+    jury = KeyframeRegistrar(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
     if motion is not None:
-        modes = likely_maps(jury, list(matrices_of(means)), motion, details, noise)
-        now, log_weights = dealt(key, modes.shares, log_weights)
+        modes = candidate_maps(jury, list(matrices_of(means)), motion, details, noise)
+        now, log_weights = assign_modes(key, modes.shares, log_weights)
         after = single_precision_poses(modes.maps)[now]
     else:
         maps = [
@@ -95,24 +95,26 @@ def reconsidered(
             for group, mean in enumerate(means)
         ]
         after = single_precision_poses(np.stack(maps))[groups]
-    keyframe_poses = particles.keyframe_poses.at[:, :used].set(carried(poses, means[groups], after))
+    keyframe_poses = particles.keyframe_poses.at[:, :used].set(transport(poses, means[groups], after))
     moved = replace(particles, keyframe_poses=keyframe_poses)
     population = smc.Population(moved, jnp.asarray(log_weights, jnp.float32))
     return replace(state, population=population)
 
 
-def _chosen(key: jax.Array, jury: Jury, poses: NDArray[np.float64], exponent: float) -> NDArray[np.float64]:
+def _chosen(
+    key: jax.Array, jury: KeyframeRegistrar, poses: NDArray[np.float64], exponent: float
+) -> NDArray[np.float64]:
     """Poses (N, 4, 4) after steps until all agree or one is refused."""
-    core = agreeing(jury, poses)
+    core = consistent_set(jury, poses)
     present = None
     for log_uniform in np.log(np.asarray(jax.random.uniform(key, (MOST_ROUNDS,)))):
         if len(core) == len(jury):
             break
-        proposed = placed_anew(jury, poses, core)
+        proposed = register_inconsistent(jury, poses, core)
         present = jury.log_composite(poses) if present is None else present
         log_composite = jury.log_composite(proposed)
         if log_uniform >= exponent * (log_composite - present):
             break
         poses, present = proposed, log_composite
-        core = agreeing(jury, poses)
+        core = consistent_set(jury, poses)
     return poses

@@ -11,8 +11,8 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.geometry.pose_sets import MOST_GROUPS, within_reach
-from slam.filter.smc import systematic
+from shapes.geometry.pose_sets import MAX_CLUSTERS, within_reach
+from slam.filter.smc import resample_systematically
 
 LEAST_SHARE = 0.01
 
@@ -38,11 +38,11 @@ class Modes:
                 kept.append(index)
         weights = np.asarray(log_weights, np.float64)[kept]
         shares = np.exp(weights - np.logaddexp.reduce(weights))
-        enough = (shares >= LEAST_SHARE) & (np.arange(len(kept)) < MOST_GROUPS)
+        enough = (shares >= LEAST_SHARE) & (np.arange(len(kept)) < MAX_CLUSTERS)
         return cls(np.stack(maps)[kept][enough], shares[enough] / shares[enough].sum())
 
 
-def dealt(
+def assign_modes(
     key: jax.Array, shares: NDArray[np.float64], log_weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
     """Which mode each particle stands for (K,) from now on, and its log weight (K,).
@@ -59,7 +59,7 @@ def dealt(
     count = len(log_weights)
     room = jnp.full(count, -jnp.inf).at[: len(shares)].set(jnp.log(jnp.asarray(shares[:count], jnp.float32)))
     order = np.asarray(jax.random.permutation(order_key, count))
-    modes = np.asarray(systematic(deal_key, room), int)[order]
+    modes = np.asarray(resample_systematically(deal_key, room), int)[order]
     weights = np.array(log_weights, np.float64)
     for mode in np.unique(modes):
         members = modes == mode
@@ -68,7 +68,7 @@ def dealt(
 
 
 @jax.jit
-def carried(poses: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
+def transport(poses: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
     """Poses (K, N, 7) that keep their displacements when their means (K, N, 7) move."""
 
     def one(pose: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:

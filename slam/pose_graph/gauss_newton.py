@@ -26,7 +26,7 @@ from slam.likelihood.overlap_density import overlap_terms
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
 from slam.pose_graph.sparse_gaussian import PoseGraph
-from slam.pose_graph.trajectory_prior import KeyframeMotion
+from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 INFLATIONS = (4.0, 3.0, 2.0, 1.5)
 """Of sigma in the first rounds, which start at the filter's drift."""
@@ -70,12 +70,12 @@ class _Linearised:
     inliers: NDArray[np.float64]
 
 
-def optimum(
+def optimise(
     keyframes: Keyframes,
     poses: NDArray[np.float32],
     inflations: Sequence[float] = INFLATIONS,
     farthest: float = FARTHEST,
-    motion: KeyframeMotion | None = None,
+    motion: TrajectoryPrior | None = None,
 ) -> tuple[NDArray[np.float32], PoseGraph, NDArray[np.float64]] | None:
     """Poses (N, 7) at the optimum near `poses`, the tempered graph there and each image's exponent (N,).
 
@@ -103,7 +103,7 @@ def optimum(
 
 
 def _tempered(
-    linearised: _Linearised, motion: KeyframeMotion | None, poses: NDArray[np.float32]
+    linearised: _Linearised, motion: TrajectoryPrior | None, poses: NDArray[np.float32]
 ) -> PoseGraph:
     """The graph with its terms to the power of their exponents, and the motion prior at poses (N, 7)."""
     graph = linearised.graph
@@ -175,7 +175,7 @@ def coordinates(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDA
     return np.asarray(_coordinates(_padded(origins, 0), _padded(poses, 0)))[: len(poses)]
 
 
-def drawn(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
+def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
     """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
     return np.asarray(_drawn(_padded(centres, 0), _padded(displacements, 1)))[:, : len(centres)]
 
@@ -186,8 +186,8 @@ def _padded(values: NDArray[np.floating], axis: int) -> NDArray[np.float32]:
     return np.concatenate([values, first], axis).astype(np.float32)
 
 
-_displaced = jax.jit(jax.vmap(pose_gaussian.displaced))
+_displaced = jax.jit(jax.vmap(pose_gaussian.displace))
 
 _coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
 
-_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displaced), (None, 0)))
+_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace), (None, 0)))

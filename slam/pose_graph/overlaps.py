@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from slam.keyframes.depth_view import DepthView, framing
+from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
-from slam.keyframes.plane_segmentation import with_whole_planes
+from slam.keyframes.plane_segmentation import with_plane_segments
 from slam.keyframes.planes import region_planes
-from slam.likelihood.overlap_density import PlaneImage, PointSample, sampled
+from slam.likelihood.overlap_density import PlaneImage, PointSample, sample_points
 
 OVERLAPS = 6
 """Earlier keyframes with which each one is compared, both ways round."""
@@ -27,13 +27,13 @@ IMAGE_BUCKET = 4
 
 
 @dataclass(frozen=True)
-class Detail:
+class KeyframeDetail:
     """A keyframe at full detail: its view, and `region_planes` of it.
 
     JAX computes in the background: planes are asked for when the keyframe is made, and used at the end.
     """
 
-    view: DepthView
+    view: CanvasView
     planes: jax.Array
     region_sizes: jax.Array
 
@@ -45,17 +45,17 @@ class Detail:
     @cached_property
     def sample(self) -> PointSample:
         """On the host, where stacking is cheap."""
-        return jax.tree.map(np.asarray, sampled(self.view, self.planes, self.region_sizes))
+        return jax.tree.map(np.asarray, sample_points(self.view, self.planes, self.region_sizes))
 
-    def with_whole_planes(self, noise: DepthNoise) -> Detail:
+    def with_plane_segments(self, noise: DepthNoise) -> KeyframeDetail:
         """The same with large planes as one each."""
-        planes = with_whole_planes(np.asarray(self.planes), np.asarray(self.region_sizes), self.view, noise)
+        planes = with_plane_segments(np.asarray(self.planes), np.asarray(self.region_sizes), self.view, noise)
         return replace(self, planes=jnp.asarray(planes))
 
 
-def detail_of(view: DepthView, noise: DepthNoise) -> Detail:
+def keyframe_detail(view: CanvasView, noise: DepthNoise) -> KeyframeDetail:
     """A keyframe seen on `FINE_CANVAS`."""
-    return Detail(view, *region_planes(view, noise))
+    return KeyframeDetail(view, *region_planes(view, noise))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,10 @@ class Keyframes:
 
 
 def keyframes_at(
-    keyframe_map: KeyframeMap, details: Sequence[Detail], poses: NDArray[np.float64], noise: DepthNoise
+    keyframe_map: KeyframeMap,
+    details: Sequence[KeyframeDetail],
+    poses: NDArray[np.float64],
+    noise: DepthNoise,
 ) -> Keyframes:
     """The keyframes with those overlaps that they have at poses (N, 4, 4)."""
     overlap = np.zeros((len(details), len(details)), bool)

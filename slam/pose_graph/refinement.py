@@ -8,7 +8,7 @@ carries the mode's mean over to the optimum, which is its own inverse and keeps 
 ratio alone decides. (Asked particle by particle it was refused at random: densities at single draws differ by
 tens of nats.) Moved or not, a mode's particles then forget the filter's drift: they draw their displacement
 from the mean by the graph's Gaussian, the Laplace approximation of the same density (MATH.md J). What is told
-of keyframes is that Gaussian itself (`Placed`): a few dozen draws, of which the weights may leave two or
+of keyframes is that Gaussian itself (`RefinedKeyframes`): a few dozen draws, of which the weights may leave two or
 three, have no spread in most directions.
 """
 
@@ -23,19 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import grouped, mean_keyframes
+from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of
 from slam.filter.state import CameraParticles, FilterState
 from slam.likelihood.overlap_density import log_overlap_densities
 from slam.pose_graph import gauss_newton, sparse_gaussian
-from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimum
-from slam.pose_graph.overlaps import IMAGE_BUCKET, Detail, Keyframes, keyframes_at, relative_to
-from slam.pose_graph.trajectory_prior import KeyframeMotion
+from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimise
+from slam.pose_graph.overlaps import IMAGE_BUCKET, KeyframeDetail, Keyframes, keyframes_at, relative_to
+from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Placed:
+class RefinedKeyframes:
     """Where the modes have the keyframes, before the particles (K,) drew theirs.
 
     Attributes:
@@ -51,13 +51,13 @@ class Placed:
     held: jax.Array
 
 
-def refined(
+def refine_keyframes(
     key: jax.Array,
     state: FilterState,
-    details: Sequence[Detail],
+    details: Sequence[KeyframeDetail],
     noise: DepthNoise,
-    motion: KeyframeMotion | None = None,
-) -> tuple[FilterState, Placed | None]:
+    motion: TrajectoryPrior | None = None,
+) -> tuple[FilterState, RefinedKeyframes | None]:
     """The state with every particle's keyframes after one Metropolis-Hastings step, and where that led.
 
     None where no keyframes overlap.
@@ -73,7 +73,7 @@ def refined(
     used = len(state.keyframe_map)
     poses = np.array(particles.keyframe_poses)
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
-    modes = grouped(matrices_of(poses[:, :used]), weights)
+    modes = cluster(matrices_of(poses[:, :used]), weights)
     of_particle = np.full(len(modes), -1, np.int32)
     placed: list[tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_]]] = []
     for mode in range(modes.max() + 1):
@@ -82,16 +82,16 @@ def refined(
         filtered = np.asarray(mean_keyframes(particles.keyframe_poses, share))[:used]
         keyframes = keyframes_at(state.keyframe_map, details, matrices_of(filtered), noise)
         inflations = INFLATIONS if motion is None else HELD_INFLATIONS
-        found = optimum(keyframes, filtered, inflations, motion=motion)
+        found = optimise(keyframes, filtered, inflations, motion=motion)
         if found is None:
             continue
         centres, graph, exponents = found
         draw_key, choice_key = jax.random.split(jax.random.fold_in(key, mode))
         if not _is_accepted(choice_key, keyframes, filtered, centres, exponents, motion):
             centres = filtered
-        held = sparse_gaussian.tied_to_first(graph)
+        held = sparse_gaussian.connected_to_first(graph)
         displacements = sparse_gaussian.draws(draw_key, graph, len(modes))
-        drawn = gauss_newton.drawn(centres, displacements)
+        drawn = gauss_newton.draw_poses(centres, displacements)
         poses[:, :used] = np.where((members[:, None] & held)[..., None], drawn, poses[:, :used])
         of_particle[members] = len(placed)
         placed.append((centres, sparse_gaussian.marginals(graph), held))
@@ -100,7 +100,7 @@ def refined(
     moved = replace(particles, keyframe_poses=jnp.asarray(poses))
     population = replace(state.population, particles=moved)
     centres, covariances, held = zip(*placed, strict=True)
-    return replace(state, population=population), Placed(
+    return replace(state, population=population), RefinedKeyframes(
         mode=jnp.asarray(of_particle),
         poses=jnp.asarray(np.stack(centres)),
         covariances=jnp.asarray(np.stack(covariances), jnp.float32),
@@ -114,7 +114,7 @@ def _is_accepted(
     before: NDArray[np.float32],
     after: NDArray[np.float32],
     exponents: NDArray[np.float64],
-    motion: KeyframeMotion | None,
+    motion: TrajectoryPrior | None,
 ) -> bool:
     """Whether keyframes at `before` (N, 7) go to `after` (N, 7); `key` is consumed."""
     log_densities = _log_densities(keyframes, np.stack([before, after]), exponents)

@@ -106,7 +106,7 @@ def marginals(graph: PoseGraph) -> NDArray[np.float64]:
     return covariances
 
 
-def tied_to_first(graph: PoseGraph) -> NDArray[np.bool_]:
+def connected_to_first(graph: PoseGraph) -> NDArray[np.bool_]:
     """Which keyframes (N,) the terms tie to the first, directly or through others; a joint one ties all."""
     if graph.joint is not None:
         return np.ones(graph.keyframes, bool)

@@ -28,7 +28,7 @@ POSE, PIVOT = 6, 3
 
 
 @dataclass(frozen=True)
-class KeyframeMotion:
+class TrajectoryPrior:
     """The prior and what it looks at besides poses.
 
     Attributes:
@@ -44,7 +44,7 @@ class KeyframeMotion:
     times_ns: tuple[int, ...]
 
     @classmethod
-    def of(cls, state: FilterState, config: SlamConfig) -> KeyframeMotion:
+    def of(cls, state: FilterState, config: SlamConfig) -> TrajectoryPrior:
         """As the filter has it; free where the radius of an orbit is a guess, for it may be off by half."""
         motion = (
             OrbitMotion.default()
@@ -134,8 +134,8 @@ def _terms(
     """
 
     def at(trio: jax.Array, ratio: jax.Array, coordinates: jax.Array) -> tuple[MotionHistory, jax.Array]:
-        moved = jax.vmap(pose_gaussian.displaced)(trio, coordinates[:-PIVOT].reshape(3, POSE))
-        predicted = pose_gaussian.displaced(moved[1], ratio * pose_gaussian.coordinates(moved[0], moved[1]))
+        moved = jax.vmap(pose_gaussian.displace)(trio, coordinates[:-PIVOT].reshape(3, POSE))
+        predicted = pose_gaussian.displace(moved[1], ratio * pose_gaussian.coordinates(moved[0], moved[1]))
         return MotionHistory(moved[1], predicted, pivot + coordinates[-PIVOT:]), moved[2]
 
     def one(trio: jax.Array, ratio: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

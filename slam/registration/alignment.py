@@ -13,8 +13,8 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry import pose_gaussian
 from shapes.geometry.camera import Camera
-from shapes.geometry.vectors import cross, dot, moved, rotated
-from slam.keyframes.depth_view import DepthView
+from shapes.geometry.vectors import cross, dot, rotate, transform
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, pixels_of
 from slam.likelihood.image_density import LOG_ROOT_TWO_PI, STRIDE_PX
 
@@ -40,7 +40,7 @@ class ModelImage:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Agreement:
+class InlierCounts:
     """How well a frame agrees with the map at a pose.
 
     Attributes:
@@ -69,7 +69,7 @@ class PixelTerms:
     weight: jax.Array
     inlier: jax.Array
     residual: jax.Array
-    agreement: Agreement
+    agreement: InlierCounts
 
     def scores(self) -> jax.Array:
         """Gradients (6, n) of the log factors."""
@@ -108,7 +108,7 @@ def depth_and_jacobian(planes: jax.Array, rays: jax.Array, pose: jax.Array) -> t
     of `pose_gaussian` at `pose` (7,), planes_from_camera.
     """
     planes_from_camera = jaxlie.SE3(pose)
-    normals = rotated(planes_from_camera.rotation().as_matrix().T, planes)
+    normals = rotate(planes_from_camera.rotation().as_matrix().T, planes)
     height = 1.0 - dot(planes_from_camera.translation(), planes)
     slope = dot(normals, rays)
     ahead = (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
@@ -146,16 +146,16 @@ def pixel_terms(
     inlier = jnp.where(hit, jax.nn.sigmoid(log_ratio), 0.0)
     count = jnp.maximum(returned.sum(), 1)
     return PixelTerms(
-        jacobian, inlier / variance, inlier, residual, Agreement(inlier.sum() / count, hit.sum() / count)
+        jacobian, inlier / variance, inlier, residual, InlierCounts(inlier.sum() / count, hit.sum() / count)
     )
 
 
-def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: int) -> tuple[jax.Array, ...]:
+def associate(model: ModelImage, view: CanvasView, pose: jax.Array, stride_px: int) -> tuple[jax.Array, ...]:
     """Planes and variances of the model pixels that the view's points fall into, with depths and rays."""
     rays = view.rays[:, ::stride_px, ::stride_px].reshape(3, -1)
     observed = view.depth_m[::stride_px, ::stride_px].ravel()
     model_from_camera = jaxlie.SE3(pose)
-    points = moved(
+    points = transform(
         model_from_camera.rotation().as_matrix(), model_from_camera.translation(), rays * observed[None]
     )
     pixel, inside = pixels_of(points, model.camera)
@@ -165,7 +165,7 @@ def associated(model: ModelImage, view: DepthView, pose: jax.Array, stride_px: i
 
 def projected_scores(
     model: ModelImage,
-    view: DepthView,
+    view: CanvasView,
     log_unknown_shortfall: jax.Array,
     noise: DepthNoise,
     poses: jax.Array,
@@ -194,10 +194,10 @@ def projected_scores(
     def score(pose: jax.Array) -> jax.Array:
         model_from_camera = jaxlie.SE3(pose)
         rotation, translation = model_from_camera.rotation().as_matrix(), model_from_camera.translation()
-        pixel, inside = pixels_of(moved(rotation, translation, points), model.camera)
+        pixel, inside = pixels_of(transform(rotation, translation, points), model.camera)
         element = elements[pixel].T
         height = 1.0 - dot(translation, element[:3])
-        slope = dot(element[:3], rotated(rotation, rays))
+        slope = dot(element[:3], rotate(rotation, rays))
         hit = inside & (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
         depth = jnp.where(hit, height / jnp.where(hit, slope, 1.0), 0.0)
         variance = element[3] + surface_sigma_m**2 + depth_noise.standard_deviation(noise, depth) ** 2
@@ -208,25 +208,25 @@ def projected_scores(
     return jax.vmap(score)(poses)
 
 
-def aligned(
+def align(
     model: ModelImage,
-    view: DepthView,
+    view: CanvasView,
     noise: DepthNoise,
     start: jax.Array,
     hold: jax.Array | float,
     schedule: tuple[Passes, ...],
-) -> tuple[jax.Array, Agreement]:
+) -> tuple[jax.Array, InlierCounts]:
     """Local optimum (7,) of the view's density over model_from_camera, from `start` (7,).
 
     A point's surface element is the one it projects to, anew in each pass, so starts may be some
     hundredth of the field of view away; it is held at the start as in `PixelTerms.held_step`.
     """
 
-    def iteration(pose: jax.Array, inflation: jax.Array, stride_px: int) -> tuple[jax.Array, Agreement]:
-        planes, variance, observed, rays = associated(model, view, pose, stride_px)
+    def iteration(pose: jax.Array, inflation: jax.Array, stride_px: int) -> tuple[jax.Array, InlierCounts]:
+        planes, variance, observed, rays = associate(model, view, pose, stride_px)
         terms = pixel_terms(planes, variance, observed, rays, pose, noise, inflation)
         step = terms.held_step(pose_gaussian.coordinates(start, pose), hold)
-        return pose_gaussian.displaced(pose, step), terms.agreement
+        return pose_gaussian.displace(pose, step), terms.agreement
 
     pose, agreements = start, None
     for passes in schedule:

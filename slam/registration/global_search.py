@@ -18,11 +18,11 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
-from shapes.geometry.vectors import cross, dot, moved, rotated
-from slam.keyframes.depth_view import DepthView
+from shapes.geometry.vectors import cross, dot, rotate, transform
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import pixels_of
-from slam.keyframes.surfels import Surface
-from slam.likelihood.image_density import LOG_ROOT_TWO_PI, STRIDE_PX, log_unknown_shortfall
+from slam.keyframes.surfels import SurfelImage
+from slam.likelihood.image_density import LOG_ROOT_TWO_PI, STRIDE_PX, unmapped_log_penalty
 from slam.registration.alignment import STIFFNESS
 from slam.registration.local_search import COARSE_STRIDE_PX, LocalMap
 
@@ -63,14 +63,14 @@ class _Points:
         points: (3, P) in the camera's frame, metres.
         returned: (P,) whether there is one.
         sigma_m: (P,) of its depth.
-        log_unknown_shortfall: (P,) log of its factor where no keyframe looked over that on a known surface.
+        unmapped_log_penalty: (P,) log of its factor where no keyframe looked over that on a known surface.
         log_contradicted: () the same in space that a keyframe saw through.
     """
 
     points: jax.Array
     returned: jax.Array
     sigma_m: jax.Array
-    log_unknown_shortfall: jax.Array
+    unmapped_log_penalty: jax.Array
     log_contradicted: jax.Array
 
     def blurred_sigma_m(self, blur: jax.Array | float) -> jax.Array:
@@ -96,17 +96,17 @@ class _Met:
     gap_m: jax.Array
 
 
-def _points(view: DepthView, noise: DepthNoise) -> _Points:
+def _points(view: CanvasView, noise: DepthNoise) -> _Points:
     start, step = COARSE_STRIDE_PX // 2, COARSE_STRIDE_PX // STRIDE_PX
     every = slice(start, None, COARSE_STRIDE_PX)
     depth = view.depth_m[every, every].ravel()
     lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
-    shortfall = log_unknown_shortfall(lattice, noise)
+    shortfall = unmapped_log_penalty(lattice, noise)
     return _Points(
         points=view.rays[:, every, every].reshape(3, -1) * depth[None],
         returned=depth > NO_RETURN,
         sigma_m=depth_noise.standard_deviation(noise, depth),
-        log_unknown_shortfall=shortfall[start // STRIDE_PX :: step, start // STRIDE_PX :: step].ravel(),
+        unmapped_log_penalty=shortfall[start // STRIDE_PX :: step, start // STRIDE_PX :: step].ravel(),
         log_contradicted=jnp.log(noise.outlier_probability / noise.max_range_m),
     )
 
@@ -123,7 +123,7 @@ def _met(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candidate
         keyframe = jax.tree.map(lambda leaf, index=index: leaf[index], local_map.surfaces)
         relative = jaxlie.SE3(local_map.poses[index]).inverse() @ camera
         rotation = relative.rotation().as_matrix()
-        points = moved(rotation, relative.translation(), frame.points)
+        points = transform(rotation, relative.translation(), frame.points)
         pixel, inside = pixels_of(points, keyframe.camera)
         planes = keyframe.planes.reshape(3, -1)[:, pixel]
         nearness = dot(planes, points)
@@ -135,7 +135,7 @@ def _met(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candidate
         best = _Met(
             jnp.where(better, log_normal, best.log_explained),
             best.seen_through | (known & (along_ray < -SEEN_THROUGH_SIGMAS * sigma)),
-            jnp.where(better[None], rotated(rotation.T, planes / length[None]), best.normals),
+            jnp.where(better[None], rotate(rotation.T, planes / length[None]), best.normals),
             jnp.where(better, (nearness - 1.0) / length, best.gap_m),
         )
     return best
@@ -144,7 +144,7 @@ def _met(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candidate
 def _score(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candidate: jax.Array) -> jax.Array:
     met = _met(local_map, frame, blur, candidate)
     log_known = -jnp.log(frame.blurred_sigma_m(blur)) - LOG_ROOT_TWO_PI
-    log_unknown = log_known + jnp.minimum(frame.log_unknown_shortfall, -LEAST_SHORTFALL)
+    log_unknown = log_known + jnp.minimum(frame.unmapped_log_penalty, -LEAST_SHORTFALL)
     otherwise = jnp.where(met.seen_through, frame.log_contradicted, log_unknown)
     return jnp.where(frame.returned, jnp.maximum(met.log_explained, otherwise), 0.0).sum()
 
@@ -163,7 +163,7 @@ def _newton(
 @jax.jit
 def log_map_scores(
     local_map: LocalMap,
-    view: DepthView,
+    view: CanvasView,
     noise: DepthNoise,
     candidates: jax.Array,
     blur: jax.Array | float,
@@ -178,7 +178,7 @@ def log_map_scores(
 
 @jax.jit
 def log_scores_of_maps(
-    surfaces: Surface, poses: jax.Array, view: DepthView, noise: DepthNoise, blur: jax.Array | float
+    surfaces: SurfelImage, poses: jax.Array, view: CanvasView, noise: DepthNoise, blur: jax.Array | float
 ) -> jax.Array:
     """Approximate log densities (C,) of a frame in maps of M surfaces at camera_from_keyframe (C, M, 7)."""
     frame, here = _points(view, noise), jnp.asarray(IDENTITY, jnp.float32)
@@ -190,7 +190,7 @@ def log_scores_of_maps(
 
 
 @jax.jit
-def climbed(local_map: LocalMap, view: DepthView, noise: DepthNoise, candidates: jax.Array) -> jax.Array:
+def ascend(local_map: LocalMap, view: CanvasView, noise: DepthNoise, candidates: jax.Array) -> jax.Array:
     """Candidates (C, 7) uphill: steps on surfaces that are blurred less and less, a slide, and steps again.
 
     Round an object on a pedestal few points tell of the azimuth: a grid's neighbours climb to the right
@@ -203,13 +203,13 @@ def climbed(local_map: LocalMap, view: DepthView, noise: DepthNoise, candidates:
         held = STIFFNESS + CLIMBING_DAMPING * jnp.repeat(jnp.diagonal(precision).reshape(2, 3).mean(1), 3)
         offset = -jnp.linalg.solve(precision + jnp.diag(held), gradient)
         offset *= LARGEST_STEP / jnp.maximum(jnp.abs(offset).max(), LARGEST_STEP)
-        return pose_gaussian.displaced(pose, offset), None
+        return pose_gaussian.displace(pose, offset), None
 
     def slid(pose: jax.Array) -> jax.Array:
         precision, _ = _newton(local_map, frame, pose, jnp.asarray(SLIDING_BLUR, pose.dtype))
         _, directions = jnp.linalg.eigh(precision)
         offsets = jnp.outer(jnp.asarray((0.0, *SLIDES), pose.dtype), directions[:, 0])
-        poses = jax.vmap(partial(pose_gaussian.displaced, pose))(offsets)
+        poses = jax.vmap(partial(pose_gaussian.displace, pose))(offsets)
         return poses[jnp.argmax(jax.lax.map(partial(_score, local_map, frame, SLIDING_BLUR), poses))]
 
     def climb(candidate: jax.Array) -> jax.Array:

@@ -12,24 +12,24 @@ import numpy as np
 
 from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
-from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, DepthView
+from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, CanvasView
 from slam.keyframes.rendering import MapImage, fused_planes, render
-from slam.keyframes.surfels import Surface
+from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.image_density import (
     STRIDE_PX,
     ScoredPixels,
     log_image_density,
-    log_unknown_shortfall,
     scored_pixels,
+    unmapped_log_penalty,
 )
 from slam.likelihood.noise_calibration import BIN_EDGES_M
 from slam.registration.alignment import (
-    Agreement,
+    InlierCounts,
     ModelImage,
     Passes,
     PixelTerms,
-    aligned,
-    associated,
+    align,
+    associate,
     pixel_terms,
     projected_scores,
 )
@@ -73,7 +73,7 @@ class LocalMap:
         poses: (M, 7) reference_from_keyframe.
     """
 
-    surfaces: Surface
+    surfaces: SurfelImage
     present: jax.Array
     poses: jax.Array
 
@@ -103,14 +103,14 @@ class Optimum:
     pose: jax.Array
     layer_precisions: jax.Array
     log_density: jax.Array
-    agreement: Agreement
+    agreement: InlierCounts
     score_variance: jax.Array
     squared_ratio: jax.Array
     inlier_count: jax.Array
     pixels: ScoredPixels
 
 
-def model_image(local_map: LocalMap, camera_pose: jax.Array, view: DepthView) -> ModelImage:
+def model_image(local_map: LocalMap, camera_pose: jax.Array, view: CanvasView) -> ModelImage:
     """The map fused in the camera at `camera_pose` (7,)."""
     keyframes_from_camera = local_map.keyframes_from_camera(camera_pose)
     image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
@@ -118,9 +118,9 @@ def model_image(local_map: LocalMap, camera_pose: jax.Array, view: DepthView) ->
     return ModelImage(planes, variance, view.camera)
 
 
-def best_aligned(
+def align_best(
     local_map: LocalMap,
-    view: DepthView,
+    view: CanvasView,
     noise: DepthNoise,
     starts: jax.Array,
     offsets: jax.Array,
@@ -148,13 +148,13 @@ def best_aligned(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Compared:
-    """The map as rendered at the first start, and the view's `log_unknown_shortfall`."""
+    """The map as rendered at the first start, and the view's `unmapped_log_penalty`."""
 
     model: ModelImage
     log_shortfall: jax.Array
 
     def scores(
-        self, view: DepthView, noise: DepthNoise, poses: jax.Array, stride_px: int, sigma_m: float = 0.0
+        self, view: CanvasView, noise: DepthNoise, poses: jax.Array, stride_px: int, sigma_m: float = 0.0
     ) -> jax.Array:
         """`projected_scores` (C,) of poses (C, 7), surfaces blurred by `sigma_m`."""
         return projected_scores(self.model, view, self.log_shortfall, noise, poses, stride_px, sigma_m)
@@ -162,16 +162,16 @@ class _Compared:
 
 @jax.jit
 def _ranked(
-    local_map: LocalMap, view: DepthView, noise: DepthNoise, starts: jax.Array, offsets: jax.Array
+    local_map: LocalMap, view: CanvasView, noise: DepthNoise, starts: jax.Array, offsets: jax.Array
 ) -> tuple[_Compared, jax.Array]:
     """What is compared, and candidates (STARTS, 7) relative to the first start: itself and the best ones."""
     lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
-    log_shortfall = jax.lax.optimization_barrier(log_unknown_shortfall(lattice, noise))
+    log_shortfall = jax.lax.optimization_barrier(unmapped_log_penalty(lattice, noise))
     compared = _Compared(model_image(local_map, starts[0], view), log_shortfall)
     anchor = jaxlie.SE3(starts[0])
     relative_starts = jax.vmap(lambda pose: (anchor.inverse() @ jaxlie.SE3(pose)).wxyz_xyz)(starts)
     identity = jaxlie.SE3.identity().wxyz_xyz.astype(starts.dtype)
-    grid = jax.vmap(partial(pose_gaussian.displaced, identity))(offsets)
+    grid = jax.vmap(partial(pose_gaussian.displace, identity))(offsets)
     candidates = jax.lax.optimization_barrier(jnp.concatenate([relative_starts, grid]))
     scores = compared.scores(view, noise, candidates, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M)
     _, best = jax.lax.top_k(scores.at[0].set(jnp.inf), STARTS)
@@ -180,63 +180,63 @@ def _ranked(
 
 @jax.jit
 def _winner(
-    compared: _Compared, view: DepthView, noise: DepthNoise, starts: jax.Array, hold: jax.Array | float
+    compared: _Compared, view: CanvasView, noise: DepthNoise, starts: jax.Array, hold: jax.Array | float
 ) -> jax.Array:
     """The best (7,) of the starts (STARTS, 7) once they are aligned, aligned finely."""
-    align_coarse = partial(aligned, compared.model, view, noise, hold=hold, schedule=COARSE_SCHEDULE)
+    align_coarse = partial(align, compared.model, view, noise, hold=hold, schedule=COARSE_SCHEDULE)
     coarse, _ = jax.lax.optimization_barrier(jax.vmap(lambda start: align_coarse(start=start))(starts))
     scores = compared.scores(view, noise, coarse, COARSE_STRIDE_PX // 2)
     lead = jnp.where(hold > 0, LEAST_GAIN * view.depth_m.size / COARSE_STRIDE_PX**2, 0.0)
     winner = coarse[jnp.argmax(scores.at[0].add(lead))]
-    return aligned(compared.model, view, noise, winner, hold, FINE_SCHEDULE)[0]
+    return align(compared.model, view, noise, winner, hold, FINE_SCHEDULE)[0]
 
 
 @jax.jit
 def _slid(
-    compared: _Compared, view: DepthView, noise: DepthNoise, anchor: jax.Array, pose: jax.Array
+    compared: _Compared, view: CanvasView, noise: DepthNoise, anchor: jax.Array, pose: jax.Array
 ) -> jax.Array:
     """The best slide (7,) from a pose (7,) relative to the anchor (7,), as reference_from_camera."""
-    slid = jax.lax.optimization_barrier(slides(compared.model, view, noise, pose))
+    slid = jax.lax.optimization_barrier(weak_directions(compared.model, view, noise, pose))
     scores = compared.scores(view, noise, slid, FINE_SCHEDULE[0].stride_px)
     best = slid[jnp.argmax(scores.at[0].add(SLIDE_GAIN))]
     return (jaxlie.SE3(anchor) @ jaxlie.SE3(best)).wxyz_xyz
 
 
-def slides(model: ModelImage, view: DepthView, noise: DepthNoise, pose: jax.Array) -> jax.Array:
+def weak_directions(model: ModelImage, view: CanvasView, noise: DepthNoise, pose: jax.Array) -> jax.Array:
     """Poses (S, 7) from `pose` (7,) itself, the first, along the directions in which it is held least.
 
     Where walls and a floor fill the image, the little that holds the camera along them lies in a few
     pixels, which count as outliers once it is off by more than they resolve: Gauss-Newton stays there.
     """
     stride = FINE_SCHEDULE[0].stride_px
-    planes, variance, observed, rays = associated(model, view, pose, stride)
+    planes, variance, observed, rays = associate(model, view, pose, stride)
     terms = pixel_terms(planes, variance, observed, rays, pose, noise)
     _, directions = jnp.linalg.eigh(terms.precision())
     steps = jnp.asarray(SLIDES, pose.dtype)
     offsets = (steps[:, None, None] * directions.T[None, :WEAK_DIRECTIONS]).reshape(-1, 6)
     offsets = jnp.concatenate([jnp.zeros((1, 6), pose.dtype), offsets])
-    return jax.vmap(partial(pose_gaussian.displaced, pose))(offsets)
+    return jax.vmap(partial(pose_gaussian.displace, pose))(offsets)
 
 
 def local_optimum(
     local_map: LocalMap,
-    view: DepthView,
+    view: CanvasView,
     noise: DepthNoise,
     starts: jax.Array,
     offsets: jax.Array,
     hold: jax.Array | float,
 ) -> Optimum:
-    """The density's optimum near the starts, as for `best_aligned`; the map is rendered anew there.
+    """The density's optimum near the starts, as for `align_best`; the map is rendered anew there.
 
     Two kernels: compiled as one they run twice as long (measured, XLA's CPU backend).
     """
-    pose = best_aligned(local_map, view, noise, starts, offsets, hold)
+    pose = align_best(local_map, view, noise, starts, offsets, hold)
     return optimum_at(local_map, view, noise, pose, hold)
 
 
 @jax.jit
 def optimum_at(
-    local_map: LocalMap, view: DepthView, noise: DepthNoise, pose: jax.Array, hold: jax.Array | float = 0.0
+    local_map: LocalMap, view: CanvasView, noise: DepthNoise, pose: jax.Array, hold: jax.Array | float = 0.0
 ) -> Optimum:
     """The density's optimum next to `pose` (7,), with the map rendered at `pose`."""
     keyframes_from_camera = local_map.keyframes_from_camera(pose)
@@ -254,7 +254,7 @@ def optimum_at(
 
     def climb(relative: jax.Array, _: None) -> tuple[jax.Array, None]:
         step = terms_at(relative).held_step(pose_gaussian.coordinates(identity, relative), hold)
-        return pose_gaussian.displaced(relative, step), None
+        return pose_gaussian.displace(relative, step), None
 
     relative, _ = jax.lax.scan(climb, identity, None, length=LATTICE_STEPS)
     terms = jax.lax.optimization_barrier(terms_at(relative))

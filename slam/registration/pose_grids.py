@@ -56,7 +56,7 @@ def orbit_steps(distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate(steps)
 
 
-def turns() -> NDArray[np.float64]:
+def turn_grid() -> NDArray[np.float64]:
     """Poses last_from_camera (C, 4, 4) of a camera that turns and tilts on the spot."""
     angles = list(itertools.product(TURNS_DEG, TILTS_DEG))
     matrices = np.tile(np.eye(4), (len(angles), 1, 1))
@@ -64,7 +64,7 @@ def turns() -> NDArray[np.float64]:
     return matrices
 
 
-def anywhere(
+def grid_everywhere(
     last: NDArray[np.float64], keyframes: NDArray[np.float64], distances_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Candidates reference_from_camera (C, 4, 4): orbits and turns from the last pose, looks from keyframes.
@@ -80,4 +80,4 @@ def anywhere(
     looks = np.tile(np.eye(4), (len(tilted), 1, 1))
     looks[:, :3, :3] = tilted
     returns = (keyframes[:, None] @ looks[None]).reshape(-1, 4, 4)
-    return np.concatenate([last @ orbit_steps(distances_m), last @ turns(), returns])
+    return np.concatenate([last @ orbit_steps(distances_m), last @ turn_grid(), returns])

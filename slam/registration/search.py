@@ -15,10 +15,10 @@ from recordings.types import DepthNoise
 from shapes.geometry import pose_sets
 from shapes.geometry.pose_sets import mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
-from slam.keyframes.depth_view import DepthView, framing
+from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
 from slam.registration import pose_grids
-from slam.registration.global_search import climbed, log_map_scores
+from slam.registration.global_search import ascend, log_map_scores
 from slam.registration.local_search import LocalMap, Optimum, local_optimum, optimum_at
 
 CONVINCING_EXPLAINED = 0.75
@@ -67,7 +67,7 @@ NEGLIGIBLE_LOG_SHARE = 15.0
 
 
 @dataclass(frozen=True)
-class Located:
+class Registration:
     """An optimum and what it was compared with.
 
     Attributes:
@@ -98,14 +98,14 @@ class Located:
         return bool(np.isfinite(np.asarray(self.optimum.pose)).all())
 
     @property
-    def is_convincing(self) -> bool:
+    def is_accepted(self) -> bool:
         """No need to look elsewhere."""
         return self.covered >= CONVINCING_COVERED and self.explained >= CONVINCING_EXPLAINED * self.covered
 
     @property
-    def is_unmistakable(self) -> bool:
+    def is_unambiguous(self) -> bool:
         """No need to look elsewhere, even where the camera may be far from where it is expected."""
-        return self.is_convincing and self.explained >= UNMISTAKABLE_EXPLAINED * self.covered
+        return self.is_accepted and self.explained >= UNMISTAKABLE_EXPLAINED * self.covered
 
     @property
     def is_plausible(self) -> bool:
@@ -142,11 +142,11 @@ class Searcher:
     """
 
     keyframe_map: KeyframeMap
-    view: DepthView
+    view: CanvasView
     noise: DepthNoise
     compared: int
 
-    def near(self, group: GroupMap, starts: list[jax.Array], hold: float = 0.0) -> Located:
+    def near(self, group: GroupMap, starts: list[jax.Array], hold: float = 0.0) -> Registration:
         """The best optimum near the starts (7,), the likeliest first, and on the grid around that one.
 
         `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`).
@@ -166,34 +166,40 @@ class Searcher:
             located = again
         return located
 
-    def _near(self, group: GroupMap, starts: jax.Array, hold: float) -> Located:
+    def _near(self, group: GroupMap, starts: jax.Array, hold: float) -> Registration:
         indices, local_map = self._local_map(group, starts[0])
         grid = jnp.asarray(pose_grids.local_grid())
         optimum = local_optimum(local_map, self.view, self.noise, starts, grid, hold)
-        found = Located(optimum, indices, local_map, group.group)
+        found = Registration(optimum, indices, local_map, group.group)
         return found if hold > 0 else max(found, self.at(group, starts[0]), key=_log_density)
 
-    def at(self, group: GroupMap, pose: jax.Array) -> Located:
+    def at(self, group: GroupMap, pose: jax.Array) -> Registration:
         """The optimum next to a pose, which alignment on associated points may leave."""
         indices, local_map = self._local_map(group, pose)
-        return Located(optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group)
+        return Registration(
+            optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group
+        )
 
-    def anywhere(self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]) -> list[Located]:
+    def anywhere(
+        self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]
+    ) -> list[Registration]:
         """Distinct optima anywhere in the map, best first; none where no climb leads to what it shows."""
-        candidates = pose_grids.anywhere(matrices_of(last), group.representative, distances_m)
+        candidates = pose_grids.grid_everywhere(matrices_of(last), group.representative, distances_m)
         scores = self._map_scores(group, candidates, WIDE_BLUR)
         ranked = candidates[np.argsort(-scores, kind="stable")]
-        starts = ranked[pose_sets.distinct(ranked, WIDE_CLIMBED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
+        starts = ranked[pose_sets.suppress_similar(ranked, WIDE_CLIMBED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
         places = self._climbed(group, starts)
         if not len(places):
             return []
         scores = self._map_scores(group, places, CLIMBED_BLUR)
         ranked = places[np.argsort(-scores, kind="stable")]
-        best = pose_sets.distinct(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
-        rendered = distinct_places([self.at(group, single_precision_poses(pose)) for pose in ranked[best]])
+        best = pose_sets.suppress_similar(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
+        rendered = suppress_duplicates(
+            [self.at(group, single_precision_poses(pose)) for pose in ranked[best]]
+        )
         meeting = [located for located in rendered if located.explained >= LEAST_EXPLAINED]
         found = [self.near(group, [located.optimum.pose]) for located in meeting[:WIDE_REFINED]]
-        return distinct_places(found)
+        return suppress_duplicates(found)
 
     @cached_property
     def _framing(self) -> NDArray[np.float64]:
@@ -217,7 +223,7 @@ class Searcher:
         self, group: GroupMap, candidates: NDArray[np.float64], blur: float
     ) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
-        padded = single_precision_poses(pose_sets.padded(candidates, 256))
+        padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, 256))
         scores = [
             np.asarray(log_map_scores(local_map, self.view, self.noise, padded, blur))
             for local_map in self._neighbourhoods(group)
@@ -226,9 +232,9 @@ class Searcher:
 
     def _climbed(self, group: GroupMap, starts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses (S', 4, 4) uphill of the starts (S, 4, 4), in each neighbourhood; strays are dropped."""
-        padded = single_precision_poses(pose_sets.padded(starts, WIDE_CLIMBED))
+        padded = single_precision_poses(pose_sets.pad_to_multiple(starts, WIDE_CLIMBED))
         climbs = [
-            np.asarray(climbed(local_map, self.view, self.noise, padded))[: len(starts)]
+            np.asarray(ascend(local_map, self.view, self.noise, padded))[: len(starts)]
             for local_map in self._neighbourhoods(group)
         ]
         places = np.concatenate(climbs)
@@ -248,21 +254,21 @@ def _is_near(pose: jax.Array, start: jax.Array) -> bool:
     return bool(shift < FAR_SHIFT_M and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(FAR_ANGLE_RAD))
 
 
-def _log_density(located: Located) -> float:
+def _log_density(located: Registration) -> float:
     return float(located.optimum.log_density) if located.is_finite else -np.inf
 
 
-def distinct_places(found: list[Located]) -> list[Located]:
+def suppress_duplicates(found: list[Registration]) -> list[Registration]:
     """Optima that differ from each other, the best first; those that left the numbers are dropped."""
     finite = [located for located in found if located.is_finite]
     ranked = sorted(finite, key=_log_density, reverse=True)
     if not ranked:
         return []
     poses = np.stack([matrices_of(located.optimum.pose) for located in ranked])
-    return [ranked[i] for i in pose_sets.distinct(poses, len(ranked), SAME_SHIFT_M, SAME_ANGLE_RAD)]
+    return [ranked[i] for i in pose_sets.suppress_similar(poses, len(ranked), SAME_SHIFT_M, SAME_ANGLE_RAD)]
 
 
-def worth_keeping(found: list[Located], exponent: float) -> list[Located]:
+def prune_improbable(found: list[Registration], exponent: float) -> list[Registration]:
     """Plausible optima whose tempered share is not negligible beside the best one's."""
     plausible = [located for located in found if located.is_plausible]
     if not plausible:

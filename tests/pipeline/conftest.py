@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from pipeline.publishing.values import RunValues
-from pipeline.surfaces import Surface, Surfaces
+from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.synthesis.filming import film_object
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paths import PathConfig
@@ -68,7 +68,7 @@ def parsed_run(true_trajectory: SlamResult) -> RunValues:
     edges = np.zeros((3, 4))
     edges[0, 1] = edges[1, 3] = 0.9
     box = trimesh.creation.box((0.1, 0.1, 0.1))
-    surface = Surface(vertices_m=np.asarray(box.vertices), faces=np.asarray(box.faces, np.int64))
+    surface = SceneSurface(vertices_m=np.asarray(box.vertices), faces=np.asarray(box.faces, np.int64))
     scene = SceneResult(
         names=np.array(["mug", "box", "can"]),
         frames=np.array([2]),

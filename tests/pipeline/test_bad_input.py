@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from PIL import Image
 
 from pipeline.cli import voxscene
-from pipeline.options import Source
+from pipeline.options import RecordingSource
 from pipeline.session import open_session
 from slam.config import SlamConfig
 from slam.result import SlamResult
@@ -197,7 +197,7 @@ def test_a_full_disk_leaves_no_run(
     tracker = Tracker(true_trajectory)
 
     def work() -> None:
-        with open_session(common(), Source(path=mug_file, said={}), tmp_path / "run") as session:
+        with open_session(common(), RecordingSource(path=mug_file, said={}), tmp_path / "run") as session:
             tracker.stage(session, SlamConfig(particles=3))
 
     with pytest.raises(PipelineError, match="File too large") as caught, file_size_limit(size):

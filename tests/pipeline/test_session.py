@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from pipeline.cli import Failure
 from pipeline.config import Settings
-from pipeline.options import Common, Source, common_options, recording_options
+from pipeline.options import Common, RecordingSource, common_options, recording_options
 from pipeline.publishing.publish import stage_document
 from pipeline.session import STAGES, Session, open_session
 from slam.config import SlamConfig
@@ -44,7 +44,7 @@ class Tracker:
 
 def track(tracker: Tracker, recording: Path, run: Path, seed: int = 0, every: int | None = None) -> Session:
     """One command's work."""
-    source = Source(path=recording, said={"every": every})
+    source = RecordingSource(path=recording, said={"every": every})
     with open_session(common(seed), source, run) as session:
         tracker.stage(session, SlamConfig(particles=3))
     return session
@@ -81,9 +81,9 @@ def test_the_run_folder_holds_what_other_programs_rely_on(
     assert settings["slam"]["particles"] == 3
     again = Settings.read(run / "config.toml", ())
     assert again.section("slam", SlamConfig) == SlamConfig(particles=3)
-    assert Source(path=mug_file, said={}).read_options(again) == Source(path=mug_file, said={}).read_options(
-        Settings({})
-    )
+    assert RecordingSource(path=mug_file, said={}).read_options(again) == RecordingSource(
+        path=mug_file, said={}
+    ).read_options(Settings({}))
 
 
 def test_derived_files_are_the_same_bytes_when_made_again(
@@ -103,7 +103,7 @@ def test_derived_files_are_the_same_bytes_when_made_again(
 
 def test_every_stage_has_a_key_of_its_own(mug_file: Path, tmp_path: Path) -> None:
     """They follow from the seed, and stay when stages are added at the end."""
-    with open_session(common(7), Source(path=mug_file, said={}), tmp_path / "run") as session:
+    with open_session(common(7), RecordingSource(path=mug_file, said={}), tmp_path / "run") as session:
         data = [jax.random.key_data(session.key(stage)).tolist() for stage in STAGES]
     longer = jax.random.split(jax.random.key(7), len(STAGES) + 1)
 
@@ -120,7 +120,7 @@ def test_reading_options_and_missing_files_are_named(arguments: list[str], tmp_p
     @click.command()
     @recording_options
     @common_options("recording")
-    def command(common: Common, source: Source) -> None:
+    def command(common: Common, source: RecordingSource) -> None:
         with open_session(common, source, tmp_path / "run"):
             pass
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from pipeline.errors import PipelineError
-from pipeline.surfaces import Surface, Surfaces
+from pipeline.surfaces import SceneSurface, Surfaces
 
 
 def test_surfaces_are_read_as_they_were_written(tmp_path: Path) -> None:
@@ -15,7 +15,7 @@ def test_surfaces_are_read_as_they_were_written(tmp_path: Path) -> None:
     meshes = {"mug/2": trimesh.creation.icosphere(1), "a box": trimesh.creation.box((1, 2, 3))}
     surfaces = Surfaces(
         {
-            name: Surface(vertices_m=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces, np.int64))
+            name: SceneSurface(vertices_m=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces, np.int64))
             for name, mesh in meshes.items()
         }
     )

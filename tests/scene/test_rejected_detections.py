@@ -16,7 +16,7 @@ from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import scene_object
 from scene.observation.segmentation import scene_data
 from scene.search.competing_scenes import RIVALS, best_of
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from scene.verification.reassignment import CONVINCING, without_lookalikes
 from shapes.geometry.poses import poses_of
 from tests.scene.verification.test_appearance_test import camera, moved
@@ -34,7 +34,7 @@ FIRST, SECOND = range(2)
 """Places in the pools of a test."""
 
 
-def pools(seed: int, poses: Sequence[NDArray[np.floating]], *, can_beside: bool = False) -> Pools:
+def pools(seed: int, poses: Sequence[NDArray[np.floating]], *, can_beside: bool = False) -> PosePools:
     """Of a box on a drum, and perhaps a can beside it; poses (4, 4) in the world: of the can, of the box."""
     parts = [
         Part(name="table", mesh=trimesh.creation.box((1.0, 1.0, 0.02)), world_from_part=moved(0, 0, -0.01)),
@@ -48,7 +48,7 @@ def pools(seed: int, poses: Sequence[NDArray[np.floating]], *, can_beside: bool 
     data = scene_data(depth_m.astype(np.float32), INTRINSICS, seed)
     objects = [scene_object(name, mesh.vertices, mesh.faces) for name, mesh in SHAPES.items()]
     config, rng = ParseConfig(rounds=0, pool=2), np.random.default_rng(seed)
-    empty = Pools.of(data, objects, ObjectRenderer.of(objects), NOISE, config, 3 + RIVALS, rng)
+    empty = PosePools.of(data, objects, ObjectRenderer.of(objects), NOISE, config, 3 + RIVALS, rng)
     return empty.with_poses(in_camera(*poses)[:, None], FIRST)
 
 
@@ -86,11 +86,11 @@ def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Arr
 
     def seek(
         key: jax.Array,  # noqa: ARG001
-        pools: Pools,
+        pools: PosePools,
         scene: NDArray[np.integer],
         masks: Mapping[int, NDArray[np.bool_]],
         turn: int,  # noqa: ARG001
-    ) -> tuple[Pools, NDArray[np.integer]]:
+    ) -> tuple[PosePools, NDArray[np.integer]]:
         asked.append({one: bool(mask.any()) for one, mask in masks.items()})
         pools = pools.with_poses(in_camera(found_at, on_the_drum())[:, None], SECOND)
         return pools, best_of(pools, np.array([SECOND, FIRST]), scene)

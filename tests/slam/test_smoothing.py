@@ -7,7 +7,7 @@ import numpy as np
 
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
-from slam.pose_graph.refinement import Placed
+from slam.pose_graph.refinement import RefinedKeyframes
 from slam.smoothing import _with_placed
 
 
@@ -22,7 +22,7 @@ RELATIVE = _pose(0.1, 0.7, 0.3, -0.3, 0.6, 0.2)
 def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
     """As by autodiff; particles of no mode, and keyframes that nothing holds, stay as they were."""
     factor = np.random.default_rng(seed).normal(size=(6, 6))
-    placed = Placed(
+    placed = RefinedKeyframes(
         mode=jnp.asarray([0, -1], jnp.int32),
         poses=jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR])[None],
         covariances=jnp.asarray(np.stack([0 * factor, *[factor @ factor.T] * 2])[None], jnp.float32),
@@ -36,7 +36,7 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
     )
 
     def moved(xi: jax.Array) -> jax.Array:
-        displaced = jaxlie.SE3(pose_gaussian.displaced(ANCHOR, xi)) @ jaxlie.SE3(RELATIVE)
+        displaced = jaxlie.SE3(pose_gaussian.displace(ANCHOR, xi)) @ jaxlie.SE3(RELATIVE)
         camera = jaxlie.SE3(ANCHOR) @ jaxlie.SE3(RELATIVE)
         return pose_gaussian.coordinates(camera.wxyz_xyz, displaced.wxyz_xyz)
 

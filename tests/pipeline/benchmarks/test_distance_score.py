@@ -6,7 +6,7 @@ import open3d as o3d
 import trimesh
 
 from pipeline.benchmarks.distance_score import distance_score
-from shapes.rendering.object_library import joined, library_of_mesh
+from shapes.rendering.object_library import join, library_of_mesh
 from tests.shapes.views import posed, random_views
 
 SCALE_M = 0.01
@@ -47,7 +47,7 @@ def test_scores_agree_with_exact_distances(seed: int) -> None:
 def test_padding_and_damaged_points_count_for_nothing() -> None:
     """Points behind the camera and points that are not numbers leave the mean of the others."""
     mesh = trimesh.creation.box((0.1, 0.1, 0.1))
-    library = joined([library_of_mesh(mesh.vertices, mesh.faces, 0.002)] * 2)
+    library = join([library_of_mesh(mesh.vertices, mesh.faces, 0.002)] * 2)
     pose = np.eye(4)[None].copy()
     pose[0, 2, 3] = 0.5
     good = np.array([[0, 0, 0.45], [0, 0, 0.6]])

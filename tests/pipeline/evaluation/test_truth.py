@@ -13,7 +13,7 @@ from pipeline.config import Settings
 from pipeline.errors import PipelineError
 from pipeline.evaluation.shapes import true_voxels
 from pipeline.evaluation.truth import RecordedTruth, true_mesh
-from pipeline.options import Common, Source
+from pipeline.options import Common, RecordingSource
 from pipeline.session import open_session
 from recordings.types import CameraIntrinsics, Frame
 from recordings.writer import RecordingWriter
@@ -52,7 +52,7 @@ def test_a_perfect_shape_agrees_wholly(mug_file: Path, true_trajectory: SlamResu
     """Through the file and the command line."""
     shape = perfect_shape(RecordedTruth(mug_file))
     common = Common(as_json=True, quiet=True, settings=Settings({}))
-    with open_session(common, Source(path=mug_file, said={}), tmp_path / "run") as session:
+    with open_session(common, RecordingSource(path=mug_file, said={}), tmp_path / "run") as session:
         session.stage("slam", SlamResult.load, lambda: true_trajectory, {})
         session.stage("learn/mug", ShapePrior.load, lambda: shape, {})
     arguments = ["eval", "shapes", str(tmp_path / "run"), "--truth", str(mug_file)]

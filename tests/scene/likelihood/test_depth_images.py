@@ -11,18 +11,18 @@ import trimesh
 from scipy.spatial import KDTree
 
 from recordings.types import DepthNoise
-from scene.likelihood.depth_images import DepthImages
+from scene.likelihood.depth_images import DepthLikelihood
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.point_clouds import CloudImages, CloudNoise, window_half_width
+from scene.likelihood.point_clouds import CloudLikelihood, CloudNoise, window_half_width
 from scene.likelihood.shape_draws import candidate_keys
 from scene.model.posterior import Estimate
 from scene.model.scene_graph import SceneGraph, floating_scene
 from scene.objects.scene_object import SceneObject, scene_object
-from scene.observation.depth_view import unprojected
+from scene.observation.depth_view import unproject
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
-from shapes.rendering.tiles import tiled
+from shapes.rendering.tiles import to_tiles
 from tests.statistical import assert_mean
 
 HEIGHT, WIDTH, WEIGHT = 48, 64, 0.25
@@ -50,17 +50,17 @@ def poses() -> jax.Array:
 
 def images(
     shapes: list[SceneObject], observed_m: np.ndarray, *, objects: int = 2, draws: int = 1
-) -> DepthImages:
+) -> DepthLikelihood:
     """Two cameras side by side, a wall behind, the second image's last rows beyond its border."""
     rest_m = np.full((2, HEIGHT, WIDTH), 0.8, np.float32)
     rest_m[1, -5:] = 0
     camera = Camera(*(jnp.full(2, value, jnp.float32) for value in (80.0, 80.0, 31.5, 23.5)))
-    return DepthImages(
+    return DepthLikelihood(
         renderer=ObjectRenderer.of(shapes),
         cameras=camera,
         camera_from_world=jnp.asarray([[1.0, 0, 0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0.05, 0, 0]]),
-        observed_m=tiled(jnp.asarray(observed_m, jnp.float32), 0.0),
-        rest_m=tiled(jnp.asarray(rest_m), 0.0),
+        observed_m=to_tiles(jnp.asarray(observed_m, jnp.float32), 0.0),
+        rest_m=to_tiles(jnp.asarray(rest_m), 0.0),
         weights=jnp.asarray([WEIGHT, WEIGHT / 2]),
         noise=jax.tree.map(jnp.float32, NOISE),
         fresh_share=jnp.ones(()),
@@ -71,14 +71,14 @@ def images(
     )
 
 
-def clouds(shapes: list[SceneObject], observed_m: np.ndarray) -> CloudImages:
+def clouds(shapes: list[SceneObject], observed_m: np.ndarray) -> CloudLikelihood:
     """The same frames, whose points are of every third pixel, some of no return."""
     thinned = np.where(np.arange(WIDTH) % 3, 0, observed_m)
     thinned[:, :3] = 0
     alike = images(shapes, observed_m)
     camera = jax.tree.map(lambda leaf: leaf[0], alike.cameras)
-    points_m = np.stack([unprojected(image, camera).reshape(-1, 3) for image in thinned])
-    return CloudImages(
+    points_m = np.stack([unproject(image, camera).reshape(-1, 3) for image in thinned])
+    return CloudLikelihood(
         **vars(alike),
         points_m=jnp.asarray(points_m, jnp.float32),
         cloud=CLOUD,
@@ -87,7 +87,7 @@ def clouds(shapes: list[SceneObject], observed_m: np.ndarray) -> CloudImages:
 
 
 @jax.jit
-def started(likelihood: DepthImages, key: jax.Array, scene: SceneGraph) -> Estimate:
+def started(likelihood: DepthLikelihood, key: jax.Array, scene: SceneGraph) -> Estimate:
     """The estimate of a scene from scratch."""
     start_key, offer_key = jax.random.split(key)
     blank = likelihood.start(start_key, scene)
@@ -104,13 +104,13 @@ def beside(scene: SceneGraph, poses: jax.Array) -> tuple[SceneGraph, jax.Array]:
 
 @jax.jit
 def offered(
-    likelihood: DepthImages, keys: jax.Array, scene: SceneGraph, poses: jax.Array, current: Estimate
+    likelihood: DepthLikelihood, keys: jax.Array, scene: SceneGraph, poses: jax.Array, current: Estimate
 ) -> Estimate:
     """The estimates of scenes with objects at poses (K, N, 7), the present ones first."""
     return likelihood.offered(keys, *beside(scene, poses), current, anew=jnp.array(False))
 
 
-def rendered(likelihood: DepthImages, scene: SceneGraph, frame: int) -> np.ndarray:
+def rendered(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.ndarray:
     """The whole image (H, W) that a frame shows."""
     shifted = scene.poses.at[:, 4:].add(jnp.asarray([0.05 * frame, 0, 0]))
     renderer = likelihood.renderer
@@ -121,7 +121,7 @@ def rendered(likelihood: DepthImages, scene: SceneGraph, frame: int) -> np.ndarr
     return np.minimum(shown, 0.8)[: HEIGHT - 5 * frame]
 
 
-def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:
+def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph) -> float:
     """The log likelihood by whole images."""
     total = 0.0
     for frame in range(2):
@@ -132,13 +132,13 @@ def dense(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) ->
     return total
 
 
-def counted(likelihood: DepthImages, observed_m: np.ndarray, scene: SceneGraph) -> float:  # noqa: ARG001
+def counted(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph) -> float:  # noqa: ARG001
     """The log likelihood by whole clouds, whose neighbours a tree counts (main paper, section 3.3)."""
-    assert isinstance(likelihood, CloudImages)
+    assert isinstance(likelihood, CloudLikelihood)
     total = 0.0
     camera = jax.tree.map(lambda leaf: leaf[0], likelihood.cameras)
     for frame in range(2):
-        cloud = unprojected(rendered(likelihood, scene, frame), camera).reshape(-1, 3)
+        cloud = unproject(rendered(likelihood, scene, frame), camera).reshape(-1, 3)
         points_m = np.asarray(likelihood.points_m[frame])
         points_m = points_m[points_m[:, 2] > 0]
         counts = KDTree(cloud).query_ball_point(points_m, CLOUD.radius_m, return_length=True)
@@ -154,8 +154,8 @@ def test_every_way_to_a_scene_has_its_likelihood(
     seed: int,
     boxes: list[SceneObject],
     poses: jax.Array,
-    compared: Callable[[list[SceneObject], np.ndarray], DepthImages],
-    whole: Callable[[DepthImages, np.ndarray, SceneGraph], float],
+    compared: Callable[[list[SceneObject], np.ndarray], DepthLikelihood],
+    whole: Callable[[DepthLikelihood, np.ndarray, SceneGraph], float],
 ) -> None:
     """From scratch, beside others or after them, one object moved or both: that of whole images or clouds."""
     observed_m = np.random.default_rng(seed).uniform(0.45, 0.85, (2, HEIGHT, WIDTH)).astype(np.float32)
@@ -190,7 +190,7 @@ def test_the_likelihood_of_frames_is_their_product(
     both, scene = images(boxes, observed_m), floating_scene(poses)
     tiles = len(both.observed_m) // 2
 
-    def alone(frame: int) -> DepthImages:
+    def alone(frame: int) -> DepthLikelihood:
         mine = slice(frame * tiles, (frame + 1) * tiles)
         one = slice(frame, frame + 1)
         return replace(

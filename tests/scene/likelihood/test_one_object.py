@@ -11,7 +11,7 @@ from scipy import stats
 from recordings.types import DepthNoise
 from scene.likelihood.one_object import depth_evidence, gain_over_rest, log_likelihood_ratio
 from shapes.rendering.depth_rendering import render_layers
-from shapes.rendering.object_library import ObjectLibrary, joined, library_of_mesh
+from shapes.rendering.object_library import ObjectLibrary, join, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views
 
 HEIGHT, WIDTH = INTRINSICS.height, INTRINSICS.width
@@ -121,7 +121,7 @@ def test_one_trace_serves_all_poses_and_objects_of_a_bucket(library: ObjectLibra
     """Other poses, another object, another lens and another image of the same sizes compile nothing anew."""
     rng = np.random.default_rng(seed)
     observed, rest = (jnp.asarray(image)[None] for image in scene(rng))
-    both = joined([library, library])
+    both = join([library, library])
     poses = np.tile(np.eye(4), (4, 1, 1))
     poses[:, 2, 3] = [0.4, 0.6, 0.8, 2.0]
 

@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial import KDTree
 
 from scene.likelihood.point_clouds import CloudNoise, log_density, window_half_width
-from scene.observation.depth_view import unprojected
+from scene.observation.depth_view import unproject
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views
@@ -20,7 +20,7 @@ def reference(points_m: np.ndarray, rendered_m: np.ndarray) -> float:
     """Main paper, section 3.3, by counting in a tree."""
     camera = cameras()
     one = type(camera)(*(jnp.asarray(leaf[0], jnp.float32) for leaf in vars(camera).values()))
-    cloud = unprojected(rendered_m.astype(np.float32), one)
+    cloud = unproject(rendered_m.astype(np.float32), one)
     cloud = cloud[np.isfinite(rendered_m)]
     if not len(cloud):
         return len(points_m) * float(np.log(1 / NOISE.outlier_volume_m3))
@@ -46,7 +46,7 @@ def test_differences_agree_with_a_tree(seed: int) -> None:
     layers = np.asarray(render_layers(library, posed(poses), cameras(), HEIGHT, WIDTH))
     camera = cameras()
     one = type(camera)(*(jnp.asarray(leaf[0], jnp.float32) for leaf in vars(camera).values()))
-    seen = unprojected(layers[0], one)[np.isfinite(layers[0])]
+    seen = unproject(layers[0], one)[np.isfinite(layers[0])]
     points = seen[rng.choice(len(seen), 200)] + rng.normal(0, 0.001, (200, 3))
     half_image = max(WIDTH, HEIGHT)
     half_width = window_half_width(RADIUS_M, float(points[:, 2].min()), 145.0, half_image)

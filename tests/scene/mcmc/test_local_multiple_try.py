@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains
-from scene.mcmc.local_multiple_try import stepped
-from scene.mcmc.random_variates import Dice
+from scene.mcmc.local_multiple_try import take_steps
+from scene.mcmc.random_variates import Variates
 from scene.mcmc.symmetry_arrays import SpinLines
 
 LINE = SpinLines(jnp.array([0.48, 0.6, -0.64]), jnp.array([0.1, -0.2, 0.3]))
@@ -27,8 +27,8 @@ def test_a_step_and_its_opposite_lead_back(key: jax.Array, line: SpinLines) -> N
     pose_key, step_key = jax.random.split(key)
     pose, step = a_pose(pose_key), 2 * jax.random.normal(step_key, (7,))
 
-    there = stepped(line, pose, step)
-    back = stepped(line, there, -step)
+    there = take_steps(line, pose, step)
+    back = take_steps(line, there, -step)
 
     assert float(jnp.linalg.norm(there - pose)) > 0.1
     sign = jnp.where(jnp.arange(7) < 4, jnp.sign(back[:4] @ pose[:4]), 1.0)
@@ -40,11 +40,11 @@ def test_a_step_preserves_volume(key: jax.Array, line: SpinLines) -> None:
     """Of rotations by Haar's measure and places: the Jacobian between tangents is 1 to 1e-10."""
     pose_key, step_key = jax.random.split(key)
     pose, step = a_pose(pose_key), jax.random.normal(step_key, (7,))
-    there = stepped(line, pose, step)
+    there = take_steps(line, pose, step)
 
     def tangent(xi: jax.Array) -> jax.Array:
         turned = jaxlie.SO3(pose[:4]) @ jaxlie.SO3.exp(xi[3:])
-        moved = stepped(line, jnp.concatenate([turned.wxyz, pose[4:] + xi[:3]]), step)
+        moved = take_steps(line, jnp.concatenate([turned.wxyz, pose[4:] + xi[:3]]), step)
         turn = jaxlie.SO3(there[:4]).inverse() @ jaxlie.SO3(moved[:4])
         return jnp.concatenate([moved[4:] - there[4:], turn.log()])
 
@@ -55,7 +55,7 @@ def test_a_step_preserves_volume(key: jax.Array, line: SpinLines) -> None:
 def test_a_spin_leaves_the_line_in_place(key: jax.Array) -> None:
     """Both points of it that are asked, while what is beside it moves."""
     pose = a_pose(key)
-    there = stepped(LINE, pose, jnp.zeros(7).at[6].set(0.9))
+    there = take_steps(LINE, pose, jnp.zeros(7).at[6].set(0.9))
 
     def at(point: jax.Array, pose: jax.Array) -> jax.Array:
         return jaxlie.SO3(pose[:4]).as_matrix() @ point + pose[4:]
@@ -73,7 +73,7 @@ def test_poses_without_an_edge_are_out_of_use(key: jax.Array) -> None:
     state = jax.tree.map(lambda leaf: leaf[0], start_chains(start_key, model, 1))
 
     def offered(key: jax.Array) -> jax.Array:
-        dice = Dice.thrown(key, (), move.uniforms, move.normals, state.log_prior.dtype)
+        dice = Variates.draw(key, (), move.uniforms, move.normals, state.log_prior.dtype)
         return move.propose(dice, model, state).log_offered
 
     log_offered = np.asarray(jax.jit(jax.vmap(offered))(jax.random.split(dice_key, 256)))

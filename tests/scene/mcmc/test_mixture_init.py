@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from scene.mcmc import pose_mixture
-from scene.mcmc.mixture_adaptation import adapted
+from scene.mcmc.mixture_adaptation import adapt_mixture
 from scene.mcmc.mixture_init import own_components, round_axis, spin
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.objects.scene_object import scene_object
@@ -100,9 +100,9 @@ def test_the_burn_in_teaches_mean_and_covariance(key: jax.Array, seed: int, axis
     states = samples(key, narrow, 4000)
     first = of_one_mode(MEAN + np.array([0, 0, 0, 0, 0.003, 0.003, 0]), 1e-5 * jnp.eye(6), axis)
 
-    taught = adapted(jax.tree.map(lambda leaf: leaf[None], first), jnp.asarray([axis]), states[:, None]).of(
-        jnp.asarray(0)
-    )
+    taught = adapt_mixture(
+        jax.tree.map(lambda leaf: leaf[None], first), jnp.asarray([axis]), states[:, None]
+    ).of(jnp.asarray(0))
 
     assert np.median(differences(taught, expected, states[:400])) < nats
 
@@ -129,6 +129,6 @@ def test_the_burn_in_teaches_every_mode(key: jax.Array, seed: int) -> None:
     states = samples(key, both, 8000)
     seen = states[jnp.abs(states[:, :4] @ MEAN[:4]) > 0.7]
 
-    taught = adapted(jax.tree.map(lambda leaf: leaf[None], first), jnp.asarray([-1]), seen[:, None])
+    taught = adapt_mixture(jax.tree.map(lambda leaf: leaf[None], first), jnp.asarray([-1]), seen[:, None])
 
     assert np.median(differences(taught.of(jnp.asarray(0)), expected, states[:400])) < 0.15

@@ -12,10 +12,10 @@ import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, floating_draw, start_chains
 from scene.mcmc.kernel import Kernel, run_block
-from scene.mcmc.local_multiple_try import NearCandidates
+from scene.mcmc.local_multiple_try import LocalMultipleTry
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
 from scene.model.contact import TOP_FACE
-from scene.model.posterior import Apart, ChainState, Estimate, SceneModel
+from scene.model.posterior import ChainState, Estimate, SceneModel, SeparateLikelihoods
 from scene.model.prior import sample_pose
 from scene.model.scene_graph import ROOT, SceneGraph
 from tests.statistical import assert_mean
@@ -28,7 +28,7 @@ SIGMA_M, CONCENTRATION = 0.25, 3.0
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Seen(Apart):
+class Seen(SeparateLikelihoods):
     """Of body 0: its place, Gaussian, and the direction of its third axis, von Mises-Fisher."""
 
     depends_on_graph: ClassVar[bool] = False
@@ -112,7 +112,7 @@ def far_only(kernel: Kernel) -> Kernel:
 def near_only(kernel: Kernel) -> Kernel:
     """Candidates round the present pose, some spun or turned."""
     near = kernel.candidates[1]
-    assert isinstance(near, NearCandidates)
+    assert isinstance(near, LocalMultipleTry)
     return replace(kernel, candidates=(replace(near, lines=LINES, symmetries=TURNS),))
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains
-from scene.likelihood.shape_draws import drawn, redrawn
+from scene.likelihood.shape_draws import draw_shapes, redraw_shapes
 from scene.mcmc.kernel import run_block
-from scene.model.posterior import Apart, ChainState, Estimate
+from scene.model.posterior import ChainState, Estimate, SeparateLikelihoods
 from scene.model.scene_graph import SceneGraph
 from tests.statistical import assert_mean
 
@@ -28,7 +28,7 @@ RIGHT = 1 / (1 + np.exp(SIDES[0]).mean() / np.exp(SIDES[1]).mean())
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ThreeVoxels(Apart):
+class ThreeVoxels(SeparateLikelihoods):
     """The estimate over R shapes, or one of two that are wrong."""
 
     depends_on_graph: ClassVar[bool] = False
@@ -44,7 +44,7 @@ class ThreeVoxels(Apart):
 
     def start(self, key: jax.Array, scene: SceneGraph) -> Estimate:
         """From fresh shapes."""
-        return self.estimate(scene.poses[0], drawn(key, (self.draws,), SHAPES))
+        return self.estimate(scene.poses[0], draw_shapes(key, (self.draws,), SHAPES))
 
     def offered(
         self, keys: jax.Array, scenes: SceneGraph, moved: jax.Array, current: Estimate, *, anew: jax.Array
@@ -53,7 +53,7 @@ class ThreeVoxels(Apart):
         del anew
 
         def one(place: jax.Array, keys: jax.Array, pose: jax.Array, moved: jax.Array) -> Estimate:
-            fresh = redrawn(keys, current.draws, SHAPES, self.fresh_share)
+            fresh = redraw_shapes(keys, current.draws, SHAPES, self.fresh_share)
             stays = ~moved & ((place > 0) | (self.wrong != "recomputed"))
             return self.estimate(pose, jnp.where(stays, current.draws, fresh))
 

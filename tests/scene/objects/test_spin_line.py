@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from scene.objects.scene_object import scene_object
-from scene.objects.symmetry import APART, better, spun
+from scene.objects.symmetry import APART, better_restarts, symmetric_restarts
 
 RADIUS_M, HEIGHT_M = 0.04, 0.09
 
@@ -53,7 +53,7 @@ def test_a_spin_leaves_the_line_where_it_is(seed: int) -> None:
     lines = rng.normal(size=(3, 2, 3))
     lines[:, 0] /= np.linalg.norm(lines[:, 0], axis=1, keepdims=True)
 
-    turned = spun(poses, lines, 8)
+    turned = symmetric_restarts(poses, lines, 8)
 
     def seen(point: np.ndarray, one: int) -> np.ndarray:
         return Rotation.from_quat(turned[one][:, [1, 2, 3, 0]]).apply(point) + turned[one][:, 4:]
@@ -80,7 +80,10 @@ def test_the_best_turns_are_apart_and_better_than_none() -> None:
         return height - np.minimum(steps, 96 - steps)
 
     peaks = peak(0, 5.0), peak(60, 30.0)
-    assert better(np.max([*peaks, peak(30, 20.0), peak(96 - apart, 25.0)], axis=0)) == [60, 96 - apart]
-    assert better(np.max([*peaks, peak(30, 5.5), peak(96 - close, 6.0)], axis=0)) == [60, 30]
-    assert better(np.max([peak(0, 5.0), peak(30, 20.0)], axis=0))[0] == 30
-    assert better(-np.abs(places - 0.0)) == []
+    assert better_restarts(np.max([*peaks, peak(30, 20.0), peak(96 - apart, 25.0)], axis=0)) == [
+        60,
+        96 - apart,
+    ]
+    assert better_restarts(np.max([*peaks, peak(30, 5.5), peak(96 - close, 6.0)], axis=0)) == [60, 30]
+    assert better_restarts(np.max([peak(0, 5.0), peak(30, 20.0)], axis=0))[0] == 30
+    assert better_restarts(-np.abs(places - 0.0)) == []

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from scene.mcmc.symmetry_arrays import Symmetries, part_of_turn
+from scene.mcmc.symmetry_arrays import Symmetries, symmetry_angle
 from scene.objects.scene_object import SceneObject, scene_object
 from tests.statistical import assert_mean
 
@@ -67,11 +67,11 @@ def test_an_l_has_no_line() -> None:
 
 def test_turns_are_drawn_as_often_either_way(key: jax.Array) -> None:
     """Half of them stay; of order 4 an eighth is a quarter each way: within 1e-6 false alarms."""
-    angles = part_of_turn(jnp.array(4), jax.random.normal(key, (100_000,)))
+    angles = symmetry_angle(jnp.array(4), jax.random.normal(key, (100_000,)))
     quarters = np.asarray(angles / (jnp.pi / 2))
     kinds = np.stack([quarters == 0, quarters == 1, quarters == -1, quarters == 2], axis=1).astype(float)
     assert_mean(kinds, np.array([0.5, 0.125, 0.125, 0.25]), detectable=0.02)
-    assert set(np.unique(part_of_turn(jnp.array(2), jnp.array([0.1, -0.9, 2.0])))) == {
+    assert set(np.unique(symmetry_angle(jnp.array(2), jnp.array([0.1, -0.9, 2.0])))) == {
         0.0,
         float(jnp.pi),
     }
@@ -80,4 +80,4 @@ def test_turns_are_drawn_as_often_either_way(key: jax.Array) -> None:
 def test_a_body_without_lines_does_not_turn() -> None:
     """Its order is 0, and no angle is drawn."""
     order = Symmetries.none(2).drawn(jnp.array(1), jnp.array(0.7))[2]
-    assert not np.asarray(part_of_turn(order, jnp.array([-3.0, 0.0, 1.0]))).any()
+    assert not np.asarray(symmetry_angle(order, jnp.array([-3.0, 0.0, 1.0]))).any()

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from scene.search.assignment import PoseLayers, improve_pairs, log_conditional, log_density_of_choice
-from scene.search.support_table import Rests
+from scene.search.support_table import SupportTable
 
 
 def _layers(objects: int, poses: int, pixels: int, seed: int = 0) -> PoseLayers:
@@ -27,7 +27,7 @@ def _layers(objects: int, poses: int, pixels: int, seed: int = 0) -> PoseLayers:
     )
 
 
-def _rests(rng: np.random.Generator, objects: int, poses: int) -> Rests:
+def _rests(rng: np.random.Generator, objects: int, poses: int) -> SupportTable:
     """Random ones; of the poses a third is over another's, the absent object over and under none."""
     alone = -rng.exponential(2.0, (objects, poses))
     on = np.where(
@@ -38,7 +38,7 @@ def _rests(rng: np.random.Generator, objects: int, poses: int) -> Rests:
     alone[:, -1] = 0
     on[:, -1] = on[..., -1] = -np.inf
     on[np.arange(objects), :, np.arange(objects)] = -np.inf
-    return Rests(jnp.asarray(alone, jnp.float32), jnp.asarray(on, jnp.float32))
+    return SupportTable(jnp.asarray(alone, jnp.float32), jnp.asarray(on, jnp.float32))
 
 
 def _rest(rng: np.random.Generator, pixels: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import scene_object
 from scene.observation.segmentation import scene_data
 from scene.search.competing_scenes import RIVALS, best_of, decided
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from shapes.geometry.poses import poses_of
 
 INTRINSICS = CameraIntrinsics(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
@@ -43,7 +43,7 @@ def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Arra
         data = scene_data(depth_m.astype(np.float32), INTRINSICS, seed)
         noise = DepthNoise(outlier_probability=0.01)
         config, rng = ParseConfig(), np.random.default_rng(seed)
-        pools = Pools.of(data, objects, ObjectRenderer.of(objects), noise, config, 2 + RIVALS, rng)
+        pools = PosePools.of(data, objects, ObjectRenderer.of(objects), noise, config, 2 + RIVALS, rng)
         pools = pools.with_poses(searched, 0)
         absent = pools.absent
         of_search = best_of(pools, np.array([absent, 0]))

@@ -13,7 +13,7 @@ from scene.config import ParseConfig
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import scene_object
 from scene.observation.segmentation import scene_data
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from shapes.geometry.poses import poses_of
 
 INTRINSICS = CameraIntrinsics(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
@@ -40,7 +40,7 @@ def test_only_graphs_in_which_things_rest_make_floating_costly(
     poses = poses_of(np.linalg.inv(DOWNWARD) @ np.stack(places))[None].astype(np.float32)
 
     with jax.enable_x64(False):  # as the program starts it
-        pools = Pools.of(
+        pools = PosePools.of(
             data,
             [box],
             ObjectRenderer.of([box]),

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recordings.types import CameraIntrinsics
-from scene.observation.depth_view import pooled_view, unprojected
+from scene.observation.depth_view import pooled_view, unproject
 from scene.search.icp import ViewTable, align
 from shapes.geometry.poses import matrices_of
 
@@ -19,7 +19,7 @@ def wavy_surface() -> tuple[np.ndarray, np.ndarray]:
     """Depth (H, W) of a smooth bumpy surface, and its visible points with their normals, every fourth."""
     rows, columns = np.mgrid[:120, :160]
     depth = 0.8 + 0.04 * np.sin(columns / 17) * np.cos(rows / 13) + 0.0004 * columns
-    points = unprojected(depth.astype(np.float32), INTRINSICS)
+    points = unproject(depth.astype(np.float32), INTRINSICS)
     across, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
     normals = np.cross(down, across)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -46,9 +46,7 @@ def test_it_finds_the_pose_that_open3d_finds(turn: tuple[float, float, float]) -
         ours = align(view, jnp.asarray(model), outward, visible, pose, 0.01, 0.003, 20)
     ours = matrices_of(np.asarray(ours))[0]
 
-    target = o3d.geometry.PointCloud(
-        o3d.utility.Vector3dVector(unprojected(depth, INTRINSICS).reshape(-1, 3))
-    )
+    target = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(unproject(depth, INTRINSICS).reshape(-1, 3)))
     target.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(0.03, 30))
     source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(model.astype(np.float64)))
     theirs = o3d.pipelines.registration.registration_icp(

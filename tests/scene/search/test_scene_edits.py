@@ -12,7 +12,7 @@ from scipy.special import betaln, expit, logit
 from scene.model.presence import SHAPES, log_odds_of_presence, log_prior_odds
 from scene.search.assignment import PoseLayers, log_density_of_choice
 from scene.search.scene_edits import best_scene, filled, rivals
-from scene.search.support_table import Rests
+from scene.search.support_table import SupportTable
 
 PIXELS = 24
 
@@ -28,7 +28,7 @@ def _layers(covers: np.ndarray, gain: float, log_odds: float) -> PoseLayers:
         depth_m=jnp.asarray(depth),
         log_density=jnp.full(depth.shape, gain, jnp.float32),
         log_alone=jnp.asarray(alone),
-        rests=Rests.sure(count, 2),
+        rests=SupportTable.sure(count, 2),
         rest_m=jnp.ones(PIXELS, jnp.float32),
         rest_log_density=jnp.zeros(PIXELS, jnp.float32),
     )
@@ -97,7 +97,7 @@ def test_two_objects_are_found_as_well_as_by_enumeration() -> None:
             depth_m=jnp.asarray(depth, jnp.float32),
             log_density=jnp.asarray(rng.standard_normal((2, 6, PIXELS)), jnp.float32),
             log_alone=jnp.asarray(np.where(np.arange(6) < 5, -2.0, 0.0) * np.ones((2, 1)), jnp.float32),
-            rests=Rests.sure(2, 6),
+            rests=SupportTable.sure(2, 6),
         )
         scenes = jnp.asarray(list(itertools.product(range(6), repeat=2)))
         densities = jax.vmap(lambda scene, layers=layers: log_density_of_choice(layers, scene))(scenes)
@@ -114,6 +114,6 @@ def test_rounding_is_no_object_to_add(seed: int) -> None:
     alone, on = rng.uniform(-900, 0, (21, 2)), np.full((21, 2, 21, 2), -np.inf)
     alone[:, -1] = 0
     on[:, 0, :, 0] = np.where(rng.random((21, 21)) < 0.5, rng.uniform(-900, 0, (21, 21)), -np.inf)
-    layers = replace(layers, rests=Rests(jnp.float32(alone), jnp.float32(on)))
+    layers = replace(layers, rests=SupportTable(jnp.float32(alone), jnp.float32(on)))
     scene = jnp.asarray(rng.integers(0, 2, 21))
     np.testing.assert_array_equal(filled(layers, scene, jnp.zeros(21, bool)), scene)

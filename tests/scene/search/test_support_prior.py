@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from scene.model.prior import FLOATING_HEIGHT_M
 from scene.objects.scene_object import scene_object
-from scene.observation.depth_view import DepthView
+from scene.observation.depth_view import PooledView
 from scene.observation.detection import SupportPlane
 from scene.search.support_prior import UNKNOWN_CARRIER, Gravity
 from shapes.geometry.poses import poses_of
@@ -35,7 +35,7 @@ def expected(gap_m: float) -> float:
 
 
 def log_rests(
-    table: SupportPlane | None, *bottoms_m: tuple[float, float], view: DepthView = BARE
+    table: SupportPlane | None, *bottoms_m: tuple[float, float], view: PooledView = BARE
 ) -> list[float]:
     """Of boxes, alike, with places along x and heights of their bottoms; the last one is absent."""
     mesh = trimesh.creation.box(2 * HALF_M)

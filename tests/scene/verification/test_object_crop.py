@@ -11,7 +11,7 @@ from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import scene_object
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.segmentation import scene_data
-from scene.search.hypotheses import Pools
+from scene.search.hypotheses import PosePools
 from scene.verification.object_crop import close_views
 from shapes.geometry.poses import poses_of
 
@@ -38,7 +38,9 @@ def test_every_object_in_sight_is_seen_closely(seed: int) -> None:
 
     with jax.enable_x64(False):  # as the program starts it
         rng, renderer = np.random.default_rng(seed), ObjectRenderer.of(objects)
-        pools = Pools.of(data, objects, renderer, DepthNoise(), ParseConfig(), 1, rng).with_poses(poses, 0)
+        pools = PosePools.of(data, objects, renderer, DepthNoise(), ParseConfig(), 1, rng).with_poses(
+            poses, 0
+        )
         views = close_views(pools, np.array([0, 0, 0]), DepthNoise())
         alone = close_views(pools, np.array([0, pools.absent, 0]), DepthNoise())
 

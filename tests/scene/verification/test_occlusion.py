@@ -8,7 +8,7 @@ from scipy.special import expit
 
 from scene.model.presence import log_odds_of_presence, log_prior_odds
 from scene.objects.scene_object import SceneObject, scene_object
-from scene.observation.depth_view import DepthView
+from scene.observation.depth_view import PooledView
 from scene.observation.detection import SupportPlane
 from scene.verification.occlusion import DRAWS, PlacedObject, unseen_share
 from shapes.geometry.camera import Camera
@@ -41,11 +41,11 @@ def depth_of(boxes: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     return depth.astype(np.float32)
 
 
-def view_of(depth_m: np.ndarray) -> DepthView:
+def view_of(depth_m: np.ndarray) -> PooledView:
     """The image as the search sees it."""
     camera = Camera(*(jnp.asarray(value) for value in (FOCAL, FOCAL, *MIDDLE_PX)))
     nothing = jnp.zeros(depth_m.shape, bool)
-    return DepthView(camera, jnp.asarray(depth_m), jnp.zeros((*depth_m.shape, 3)), nothing)
+    return PooledView(camera, jnp.asarray(depth_m), jnp.zeros((*depth_m.shape, 3)), nothing)
 
 
 def test_a_cube_is_unseen_where_the_image_is_the_same_without_it(seed: int) -> None:

@@ -14,7 +14,7 @@ IDENTITY = jnp.asarray([1.0, 0, 0, 0, 0, 0, 0], jnp.float32)
 
 
 def _pose(xi: list[float]) -> jax.Array:
-    return pose_gaussian.displaced(IDENTITY, jnp.asarray(xi, jnp.float32))
+    return pose_gaussian.displace(IDENTITY, jnp.asarray(xi, jnp.float32))
 
 
 def _scale(metres: float, radians: float) -> jax.Array:
@@ -26,7 +26,7 @@ def test_coordinates_undo_displacements(key):
     xi = 0.5 * jax.random.normal(key, (50, 6))
     centre = _pose([1.0, 2.0, 3.0, 0.5, -0.4, 0.3])
 
-    poses = jax.vmap(pose_gaussian.displaced, (None, 0))(centre, xi)
+    poses = jax.vmap(pose_gaussian.displace, (None, 0))(centre, xi)
     back = jax.vmap(pose_gaussian.coordinates, (None, 0))(centre, poses)
 
     np.testing.assert_allclose(back, xi, atol=2e-5)

@@ -24,10 +24,10 @@ def test_operations_are_those_of_jaxlie(key: jax.Array) -> None:
     def product(one: jax.Array, other: jax.Array) -> jax.Array:
         return (jaxlie.SO3(one) @ jaxlie.SO3(other)).wxyz
 
-    same(jax.vmap(quaternions.times)(first, second), jax.vmap(product)(first, second))
+    same(jax.vmap(quaternions.multiply)(first, second), jax.vmap(product)(first, second))
     same(jax.vmap(quaternions.inverse)(first), jax.vmap(lambda q: jaxlie.SO3(q).inverse().wxyz)(first))
     turned = jax.vmap(lambda wxyz, vector: jaxlie.SO3(wxyz).apply(vector))(second, vectors)
-    same(jax.vmap(quaternions.rotated)(second, vectors), turned)
+    same(jax.vmap(quaternions.rotate)(second, vectors), turned)
     turns = jax.vmap(quaternions.exp)(vectors)
     same(turns, jax.vmap(lambda vector: jaxlie.SO3.exp(vector).wxyz)(vectors))
     same(jax.vmap(quaternions.log)(turns), vectors)

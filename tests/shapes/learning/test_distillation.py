@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shapes.learning.distillation import distilled
+from shapes.learning.distillation import distil
 
 PARTICLES, VOXELS = 5, 8
 
@@ -34,13 +34,13 @@ def test_gradient_ascent_reaches_the_same(particles: tuple[jax.Array, jax.Array]
         log_weights -= jax.nn.logsumexp(log_weights)
         slope = jax.grad(lambda logits: divergence(jax.nn.sigmoid(logits), phi, log_weights))
         logits = jax.lax.fori_loop(0, 500, lambda _, at: at - 3.0 * slope(at), jnp.zeros(VOXELS))
-        np.testing.assert_allclose(jax.nn.sigmoid(logits), distilled(phi, log_weights), atol=1e-6)
+        np.testing.assert_allclose(jax.nn.sigmoid(logits), distil(phi, log_weights), atol=1e-6)
 
 
 def test_nothing_random_is_nearer(particles: tuple[jax.Array, jax.Array], seed: int) -> None:
     """KL at phi* is not above KL at 1,000 random phi."""
     phi, log_weights = particles
-    best = divergence(jnp.asarray(distilled(phi, log_weights), jnp.float32), phi, log_weights)
+    best = divergence(jnp.asarray(distil(phi, log_weights), jnp.float32), phi, log_weights)
     tried = jnp.asarray(np.random.default_rng(seed + 1).uniform(0.01, 0.99, (1000, VOXELS)), jnp.float32)
     others = jax.vmap(lambda one: divergence(one, phi, log_weights))(tried)
     assert float(best) <= float(others.min())

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from shapes.rendering.depth_rendering import render_layers
-from shapes.rendering.object_library import ObjectLibrary, joined, library_of_mesh
+from shapes.rendering.object_library import ObjectLibrary, join, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views, ray_cast
 
 MESHES = {
@@ -93,7 +93,7 @@ def test_an_object_larger_than_the_image_fills_it() -> None:
 def test_objects_of_a_library_render_as_alone() -> None:
     """Joining moves tables, not shapes."""
     libraries = [library_of_mesh(MESHES[name].vertices, MESHES[name].faces, 0.003) for name in ("box", "can")]
-    library = joined(libraries)
+    library = join(libraries)
     pose = np.eye(4)[None].copy()
     pose[:, 2, 3] = 0.5
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.filter import smc
-from slam.filter.smc import effective_sample_size, normalised, systematic
+from slam.filter.smc import effective_sample_size, normalise, resample_systematically
 from tests.slam.toy_models import Corridor, RandomWalk, UnknownCorridor
 from tests.statistical import assert_mean, assert_uniform
 
@@ -93,11 +93,11 @@ def test_weighted_ranks_of_the_truth_are_uniform(key):
 
 def test_systematic_draws_every_particle_floor_or_ceil_of_its_share(key):
     """Offspring counts differ from K w by less than one, and by nothing in the mean."""
-    log_weights, _ = normalised(jax.random.normal(jax.random.fold_in(key, 0), (40,)) * 2)
+    log_weights, _ = normalise(jax.random.normal(jax.random.fold_in(key, 0), (40,)) * 2)
     expected = 40 * np.exp(np.asarray(log_weights, np.float64))
     keys = jax.random.split(jax.random.fold_in(key, 1), 4000)
 
-    ancestors = jax.vmap(systematic, (0, None))(keys, log_weights)
+    ancestors = jax.vmap(resample_systematically, (0, None))(keys, log_weights)
     counts = np.asarray(jax.vmap(lambda drawn: jnp.bincount(drawn, length=40))(ancestors))
 
     assert (np.abs(counts - expected) < 1 + 1e-4).all()
@@ -109,7 +109,9 @@ def test_systematic_never_draws_a_particle_without_weight(key):
     """Weights of zero at either end, and a cumulative sum that rounds below one, draw no dead particle."""
     log_weights = jnp.full(1001, -jnp.inf).at[300:700].set(-jnp.log(400.0))
 
-    ancestors = np.asarray(jax.vmap(systematic, (0, None))(jax.random.split(key, 100), log_weights))
+    ancestors = np.asarray(
+        jax.vmap(resample_systematically, (0, None))(jax.random.split(key, 100), log_weights)
+    )
 
     assert ancestors.min() >= 300
     assert ancestors.max() < 700
@@ -117,8 +119,8 @@ def test_systematic_never_draws_a_particle_without_weight(key):
 
 def test_effective_sample_size_of_equal_and_of_one_hot_weights():
     """K for equal weights, one where a single particle has everything."""
-    equal, _ = normalised(jnp.zeros(50))
-    one_hot, _ = normalised(jnp.full(50, -jnp.inf).at[3].set(0.0))
+    equal, _ = normalise(jnp.zeros(50))
+    one_hot, _ = normalise(jnp.full(50, -jnp.inf).at[3].set(0.0))
 
     assert float(effective_sample_size(equal)) == pytest.approx(50, rel=1e-5)
     assert float(effective_sample_size(one_hot)) == pytest.approx(1, rel=1e-5)
@@ -126,7 +128,7 @@ def test_effective_sample_size_of_equal_and_of_one_hot_weights():
 
 def test_weights_that_all_vanish_become_uniform():
     """A frame that no particle can explain keeps the population usable and reports no evidence."""
-    log_weights, log_sum = normalised(jnp.full(8, -jnp.inf))
+    log_weights, log_sum = normalise(jnp.full(8, -jnp.inf))
 
     np.testing.assert_allclose(np.exp(log_weights), 1 / 8, rtol=1e-6)
     assert log_sum == -jnp.inf
@@ -134,7 +136,7 @@ def test_weights_that_all_vanish_become_uniform():
 
 def test_info_says_what_the_step_did(key):
     """Ancestors and `resampled` describe the drawing before the proposal, evidence the weighting after."""
-    population = smc.Population(jnp.arange(4.0), normalised(jnp.asarray([0.0, -50.0, -50.0, -50.0]))[0])
+    population = smc.Population(jnp.arange(4.0), normalise(jnp.asarray([0.0, -50.0, -50.0, -50.0]))[0])
 
     stepped, info = smc.step(key, population, lambda _, x: (x, jnp.full(4, -2.0)), 0.5)
 

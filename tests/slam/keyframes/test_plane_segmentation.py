@@ -4,7 +4,7 @@ import numpy as np
 
 from recordings.types import DepthNoise, Frame
 from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
-from slam.keyframes.plane_segmentation import with_whole_planes
+from slam.keyframes.plane_segmentation import with_plane_segments
 from slam.keyframes.planes import region_planes
 from tests.slam import box_room
 
@@ -19,7 +19,7 @@ def test_walls_are_one_plane_each() -> None:
     view = view_of_frame(Frame(time_ns=0, depth_m=depth), box_room.INTRINSICS, FINE_CANVAS)
     planes, sizes = (np.asarray(leaf) for leaf in region_planes(view, NOISE))
 
-    whole = with_whole_planes(planes, sizes, view, NOISE)
+    whole = with_plane_segments(planes, sizes, view, NOISE)
 
     assert ((whole != 0).any(axis=0) == (planes != 0).any(axis=0)).all()
     found, count = np.unique(whole.reshape(3, -1), axis=1, return_counts=True)
@@ -46,4 +46,4 @@ def test_small_and_curved_surfaces_keep_their_own() -> None:
     view = view_of_frame(Frame(time_ns=0, depth_m=depth), intrinsics, FINE_CANVAS)
     planes, sizes = (np.asarray(leaf) for leaf in region_planes(view, NOISE))
 
-    np.testing.assert_array_equal(with_whole_planes(planes, sizes, view, NOISE), planes)
+    np.testing.assert_array_equal(with_plane_segments(planes, sizes, view, NOISE), planes)

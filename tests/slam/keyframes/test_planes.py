@@ -7,7 +7,7 @@ from recordings.types import DepthNoise, Frame
 from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
 from slam.keyframes.planes import region_planes
 from slam.keyframes.rendering import depth_on_rays
-from slam.keyframes.surfels import LEAST_VARIANCE_SHARE, surface_of
+from slam.keyframes.surfels import LEAST_VARIANCE_SHARE, surfel_image
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -62,7 +62,7 @@ def test_a_wall_is_known_as_well_as_its_variance_says():
     noisy = (true + sigma * rng.normal(size=true.shape)).astype(np.float32)
     view = view_of_frame(Frame(time_ns=0, depth_m=noisy), box_room.INTRINSICS, FINE_CANVAS)
 
-    surface = surface_of(view, NOISE)
+    surface = surfel_image(view, NOISE)
 
     inner = np.s_[40 : true.shape[0] - 40, 40 : true.shape[1] - 40]
     depth = np.asarray(depth_on_rays(surface.planes, surface.rays))[: true.shape[0], : true.shape[1]]

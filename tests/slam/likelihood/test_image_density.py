@@ -14,14 +14,14 @@ from shapes.geometry.poses import single_precision_poses
 from slam.keyframes.depth_view import block_reduce, view_of_frame
 from slam.keyframes.planes import region_planes
 from slam.keyframes.rendering import depth_on_rays, fused_planes, planes_in_frame, render
-from slam.keyframes.surfels import surface_of
+from slam.keyframes.surfels import surfel_image
 from slam.likelihood.image_density import (
-    log_density_of_shown,
+    log_density_of_mapped,
     log_image_density,
     rendered_depth,
     scored_pixels,
 )
-from slam.likelihood.unmapped_depth import Foreseen, foreseen_from_before, log_density_of_unknown
+from slam.likelihood.unmapped_depth import PredictedDepth, log_density_of_unknown, predict_from_neighbours
 from slam.registration.alignment import depth_and_jacobian, pixel_terms
 from slam.registration.local_search import LocalMap, optimum_at
 from tests.slam import box_room
@@ -31,7 +31,7 @@ IDENTITY = jnp.asarray([1.0, 0, 0, 0, 0, 0, 0], jnp.float32)
 
 
 def _displaced(xi: list[float]) -> jax.Array:
-    return pose_gaussian.displaced(IDENTITY, jnp.asarray(xi, jnp.float32))
+    return pose_gaussian.displace(IDENTITY, jnp.asarray(xi, jnp.float32))
 
 
 @pytest.mark.parametrize("expected", [(0.0, 0.0, 0.0), (1.52, 1.5, 1.4), (0.0, 0.0, 2.0), (0.6, 0.6, 0.6)])
@@ -43,12 +43,12 @@ def test_returns_have_a_normalised_density(expected, depth, in_front):
         z = jnp.linspace(-0.5, 10.5, 400_001)
         known = expected[0] > 0
         share, uncertainty = jnp.full(1, 0.9 if known else 0.0), jnp.full(1, 0.3 if known else 0.0)
-        foreseen = Foreseen(jnp.asarray(expected)[:, None], share, uncertainty, jnp.full(1, 0.1))
+        foreseen = PredictedDepth(jnp.asarray(expected)[:, None], share, uncertainty, jnp.full(1, 0.1))
         if depth is None:
             density = log_density_of_unknown(z, foreseen, NOISE)
         else:
             surface = (jnp.asarray(depth), jnp.asarray(0.004))
-            density = log_density_of_shown(z, foreseen, jnp.asarray([in_front]), *surface, NOISE)
+            density = log_density_of_mapped(z, foreseen, jnp.asarray([in_front]), *surface, NOISE)
 
         total = trapezoid(np.exp(np.asarray(density)), np.asarray(z))
 
@@ -60,7 +60,7 @@ def test_a_hole_is_foreseen_by_its_neighbours_and_says_nothing_of_the_place():
     depth = jnp.asarray(box_room.depth_image(box_room.pose(0, 0, 0, 0.2)))
     view = view_of_frame(box_room.frames(box_room.pose(0, 0, 0, 0.2)[None])[0], box_room.INTRINSICS)
     holed = replace(view, depth_m=view.depth_m.at[40:60, 40:60].set(0.0))
-    none = np.asarray(foreseen_from_before(depth.at[40:60, 40:60].set(0.0)[::2, ::2], NOISE).none)
+    none = np.asarray(predict_from_neighbours(depth.at[40:60, 40:60].set(0.0)[::2, ::2], NOISE).none)
     here = single_precision_poses(box_room.pose(0, 0, 0, 0.2))
     pixels = _scored(_local_map(box_room.pose(0, 0, 0, 0.2)[None]), here, holed)
 
@@ -82,7 +82,7 @@ def test_unknown_pixels_look_at_those_before_alone():
     depth = jnp.asarray(box_room.depth_image(box_room.pose(0, 0, 0, 0.2)))[::2, ::2]
     changed = depth.at[20, 30].add(0.3)
 
-    before, after = (foreseen_from_before(image, NOISE) for image in (depth, changed))
+    before, after = (predict_from_neighbours(image, NOISE) for image in (depth, changed))
     changes = [
         np.asarray(one != other).reshape(-1, *before.share.shape).any(axis=0)
         for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
@@ -109,9 +109,9 @@ def test_an_unknown_wall_is_foreseen_almost_as_well_as_a_known_one():
     seen = jnp.asarray(box_room.frames(pose[None], seed=11)[0].depth_m)[::2, ::2]
     sigma = NOISE.sigma_base_m + NOISE.sigma_growth_per_m * (true - 0.4) ** 2
 
-    foreseen = foreseen_from_before(seen, NOISE)
+    foreseen = predict_from_neighbours(seen, NOISE)
     unknown = log_density_of_unknown(seen, foreseen, NOISE)
-    known = log_density_of_shown(seen, foreseen, jnp.zeros(seen.shape, bool), true, 0.1 * sigma, NOISE)
+    known = log_density_of_mapped(seen, foreseen, jnp.zeros(seen.shape, bool), true, 0.1 * sigma, NOISE)
 
     inner = np.s_[4:, 4:-4]
     difference = np.asarray(known - unknown)[inner][np.asarray(seen)[inner] > 0]
@@ -121,11 +121,11 @@ def test_an_unknown_wall_is_foreseen_almost_as_well_as_a_known_one():
 def test_something_in_front_is_foreseen_where_no_keyframe_could_see_it():
     """An object's back costs what the unknown costs, its end log 5; seen-through space still contradicts."""
     behind, sigma = jnp.asarray([2.0]), jnp.asarray(0.004)
-    foreseen = Foreseen(jnp.full((3, 1), 1.0), jnp.asarray([0.9]), jnp.zeros(1), jnp.full(1, 0.02))
+    foreseen = PredictedDepth(jnp.full((3, 1), 1.0), jnp.asarray([0.9]), jnp.zeros(1), jnp.full(1, 0.02))
 
     def factor(observed: float, in_front: bool) -> float:
         seen = jnp.asarray([observed])
-        return float(log_density_of_shown(seen, foreseen, jnp.asarray([in_front]), behind, sigma, NOISE)[0])
+        return float(log_density_of_mapped(seen, foreseen, jnp.asarray([in_front]), behind, sigma, NOISE)[0])
 
     unknown = float(log_density_of_unknown(jnp.asarray([1.0]), foreseen, NOISE)[0])
 
@@ -184,11 +184,11 @@ def test_jacobian_of_rendered_depth_is_that_of_autodiff(key):
     with jax.enable_x64(True):
         planes = jnp.asarray([[0.05, 0.1, 0.5], [-0.2, 0.1, 0.8], [0.3, -0.3, 0.4]]).T
         rays = jnp.asarray([[0.1, -0.2, 1.0], [0.4, 0.1, 1.0], [-0.3, 0.2, 1.0]]).T
-        pose = pose_gaussian.displaced(IDENTITY.astype(jnp.float64), 0.1 * jax.random.normal(key, (6,)))
+        pose = pose_gaussian.displace(IDENTITY.astype(jnp.float64), 0.1 * jax.random.normal(key, (6,)))
 
         _, jacobian = depth_and_jacobian(planes, rays, pose)
         expected = jax.jacfwd(
-            lambda xi: depth_and_jacobian(planes, rays, pose_gaussian.displaced(pose, xi))[0]
+            lambda xi: depth_and_jacobian(planes, rays, pose_gaussian.displace(pose, xi))[0]
         )(jnp.zeros(6))
 
     np.testing.assert_allclose(jacobian, expected.T, rtol=1e-6, atol=1e-9)
@@ -201,19 +201,19 @@ def test_gradient_and_curvature_are_those_of_the_log_density(key):
     """
     noise = DepthNoise(sigma_base_m=0.01, sigma_growth_per_m=0.0)
     view = view_of_frame(box_room.frames(box_room.pose(0, 0, 0)[None])[0], box_room.INTRINSICS)
-    surface = surface_of(view, noise)
+    surface = surfel_image(view, noise)
     with jax.enable_x64(True):
         planes = jnp.asarray(surface.planes, jnp.float64).reshape(3, -1)[:, ::7]
         rays = jnp.asarray(view.rays, jnp.float64).reshape(3, -1)[:, ::7]
         truth = depth_on_rays(planes, rays)
         observed = truth + 0.01 * jax.random.normal(key, truth.shape)
-        pose = pose_gaussian.displaced(IDENTITY.astype(jnp.float64), jnp.full(6, 1e-3))
+        pose = pose_gaussian.displace(IDENTITY.astype(jnp.float64), jnp.full(6, 1e-3))
         variance = jnp.full(truth.shape, 1e-6)
 
         def log_density(xi: jax.Array) -> jax.Array:
             from shapes import depth_noise
 
-            depth, _ = depth_and_jacobian(planes, rays, pose_gaussian.displaced(pose, xi))
+            depth, _ = depth_and_jacobian(planes, rays, pose_gaussian.displace(pose, xi))
             return depth_noise.log_density_of_hit(noise, observed, depth, jnp.sqrt(variance)).sum()
 
         terms = jax.jit(pixel_terms)(planes, variance, observed, rays, pose, noise)
@@ -240,7 +240,7 @@ def _scored(local_map, camera_pose, view):
 
 def _local_map(keyframe_poses: np.ndarray) -> LocalMap:
     views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(keyframe_poses, seed=1)]
-    surfaces = [surface_of(view, NOISE) for view in views]
+    surfaces = [surfel_image(view, NOISE) for view in views]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *surfaces)
     return LocalMap(stacked, jnp.ones(len(views), bool), single_precision_poses(keyframe_poses))
 
@@ -287,7 +287,7 @@ def test_candidates_compare_alike_under_either_of_two_renderings():
     optimum = jax.jit(optimum_at)(local_map, view, NOISE, single_precision_poses(truth))
     exponent = 0.05
     spread = jnp.linalg.cholesky(jnp.linalg.inv(exponent * optimum.layer_precisions.sum(0)))
-    candidates = [pose_gaussian.displaced(optimum.pose, spread[:, i]) for i in range(6)]
+    candidates = [pose_gaussian.displace(optimum.pose, spread[:, i]) for i in range(6)]
 
     def tempered(centre: jax.Array) -> np.ndarray:
         pixels = _scored(local_map, centre, view)
@@ -308,7 +308,7 @@ def test_a_pose_that_turns_away_from_the_rendering_gains_nothing():
     view = view_of_frame(frame, box_room.INTRINSICS)
     pixels = _scored(local_map, truth, view)
     nowhere = replace(pixels, weights=jnp.zeros_like(pixels.weights))
-    turned = pose_gaussian.displaced(truth, jnp.asarray([0, 0, 0, 0, 3.0, 0], jnp.float32))
+    turned = pose_gaussian.displace(truth, jnp.asarray([0, 0, 0, 0, 3.0, 0], jnp.float32))
 
     def density(pixels, pose):
         return float(log_image_density(pixels, local_map.keyframes_from_camera(pose), NOISE, 1.0))

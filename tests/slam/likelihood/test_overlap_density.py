@@ -16,7 +16,7 @@ from slam.likelihood.overlap_density import (
     PlaneImage,
     PointSample,
     overlap_terms,
-    sampled,
+    sample_points,
 )
 from tests.slam import box_room
 
@@ -31,7 +31,7 @@ def _keyframe(pose: np.ndarray, seed: int) -> tuple[PlaneImage, PointSample]:
     view = view_of_frame(box_room.frames(pose[None], seed=seed)[0], box_room.INTRINSICS, FINE_CANVAS)
     planes, sizes = region_planes(view, NOISE)
     planes = jnp.where((sizes > 0)[None], planes, 0.0)
-    return PlaneImage.of(view, planes), sampled(view, planes, sizes)
+    return PlaneImage.of(view, planes), sample_points(view, planes, sizes)
 
 
 def _sigma(depth: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_terms_of_an_overlap_are_those_of_autodiff():
     """Gradient of minus the log density and weighed curvature, in both keyframes' displacements."""
     surface, _ = _keyframe(SURFACE, 1)
     _, sample = _keyframe(IMAGE, 2)
-    off = pose_gaussian.displaced(
+    off = pose_gaussian.displace(
         single_precision_poses((np.linalg.inv(SURFACE) @ IMAGE)[None])[0], jnp.asarray(OFF, jnp.float32)
     )
 
@@ -79,8 +79,8 @@ def test_terms_of_an_overlap_are_those_of_autodiff():
         points, planes, variance = map(jnp.asarray, _met(surface, sample, np.asarray(relative.as_matrix())))
 
         def gaps(xi: jax.Array) -> jax.Array:
-            of_surface = jaxlie.SE3(pose_gaussian.displaced(jaxlie.SE3.identity().wxyz_xyz, xi[6:]))
-            moved = jaxlie.SE3(pose_gaussian.displaced(relative.wxyz_xyz, xi[:6]))
+            of_surface = jaxlie.SE3(pose_gaussian.displace(jaxlie.SE3.identity().wxyz_xyz, xi[6:]))
+            moved = jaxlie.SE3(pose_gaussian.displace(relative.wxyz_xyz, xi[:6]))
             there = jax.vmap((of_surface.inverse() @ moved).apply)(points)
             return ((there * planes).sum(1) - 1.0) / jnp.linalg.norm(planes, axis=1)
 

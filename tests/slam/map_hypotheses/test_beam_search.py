@@ -18,9 +18,9 @@ from slam.map_hypotheses.beam_search import (
     _best,
     _improved_singly,
     _PartialMap,
-    placed_surest_first,
+    place_best_first,
 )
-from slam.map_hypotheses.cross_registration import Jury
+from slam.map_hypotheses.cross_registration import KeyframeRegistrar
 
 RING = (0, 3, 1, 4, 2, 5)
 """The keyframes as they stand on a ring; neighbours see the same."""
@@ -52,14 +52,16 @@ class RingJury:
     def __len__(self) -> int:
         return len(RING)
 
-    def sought(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> list[_Place]:
+    def register_globally(
+        self, poses: NDArray[np.float64], index: int, others: Sequence[int]
+    ) -> list[_Place]:
         """The right place with 100 nats for every neighbour that stands right, a wrong one with 30."""
         at = RING.index(index)
         beside = {RING[at - 1], RING[(at + 1) % len(RING)]}
         right = sum(other in beside and abs(poses[other, 0, 3] - other) < 1e-6 for other in others)
         return [*([_Place(index, 100.0 * right)] if right else []), _Place(-5.0 - index, 30.0)]
 
-    def located(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> _Place:
+    def register_locally(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> _Place:
         """Where it is."""
         del others
         return _Place(float(poses[index, 0, 3]), 0.0)
@@ -77,7 +79,7 @@ def test_the_surest_comes_next(monkeypatch: pytest.MonkeyPatch) -> None:
     """In their own order most keyframes would stand wrong: their neighbours come after them."""
     monkeypatch.setattr(beam_search, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
 
-    placed = placed_surest_first(cast("Jury", RingJury()))
+    placed = place_best_first(cast("KeyframeRegistrar", RingJury()))
 
     assert placed is not None
     np.testing.assert_allclose(placed[:, 0, 3], np.arange(len(RING)), atol=1e-6)
@@ -89,7 +91,7 @@ def test_what_stands_wrong_alone_is_moved() -> None:
     poses[:, 0, 3] = np.arange(len(RING))
     poses[2, 0, 3] = -7.0
 
-    improved = _improved_singly(cast("Jury", RingJury()), poses)
+    improved = _improved_singly(cast("KeyframeRegistrar", RingJury()), poses)
 
     np.testing.assert_allclose(improved[:, 0, 3], np.arange(len(RING)), atol=1e-6)
 

@@ -12,10 +12,10 @@ from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian, pose_sets
 from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.keyframes.surfels import surface_of
+from slam.keyframes.surfels import surfel_image
 from slam.map_hypotheses.beam_search import _log_evidence
-from slam.map_hypotheses.cross_registration import Jury, agreeing, placed_anew
-from slam.map_hypotheses.modes import carried
+from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
+from slam.map_hypotheses.modes import transport
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -31,14 +31,14 @@ def seen_from_all_sides() -> NDArray[np.float64]:
     return np.linalg.inv(world[0]) @ world
 
 
-def jury(seed: int) -> Jury:
+def jury(seed: int) -> KeyframeRegistrar:
     """Noisy keyframes at those poses."""
     keyframe_map = KeyframeMap()
     world = box_room.pose(0.3 - 2.2 * np.sin(YAWS[0]) * 0.7, -0.2, 1.3 - 2.2 * np.cos(YAWS[0]), YAWS[0])
     for frame in box_room.frames(world @ seen_from_all_sides(), seed):
         view = view_of_frame(frame, box_room.INTRINSICS)
-        keyframe_map = keyframe_map.with_keyframe(surface_of(view, NOISE))
-    return Jury(keyframe_map, NOISE, compared=4)
+        keyframe_map = keyframe_map.with_keyframe(surfel_image(view, NOISE))
+    return KeyframeRegistrar(keyframe_map, NOISE, compared=4)
 
 
 def with_a_turned_cluster() -> NDArray[np.float64]:
@@ -56,8 +56,8 @@ def test_what_agrees_is_left_alone():
     """At true poses no keyframe contradicts; turned ones do, and are told."""
     of_all = jury(seed=1)
 
-    assert agreeing(of_all, seen_from_all_sides()) == [0, 1, 2, 3, 4]
-    assert agreeing(of_all, with_a_turned_cluster()) == [0, 1, 2]
+    assert consistent_set(of_all, seen_from_all_sides()) == [0, 1, 2, 3, 4]
+    assert consistent_set(of_all, with_a_turned_cluster()) == [0, 1, 2]
     assert of_all.log_composite(seen_from_all_sides()) > of_all.log_composite(with_a_turned_cluster())
 
 
@@ -68,14 +68,16 @@ def test_what_two_images_share_counts_once():
     composite twice or half as large would be off by half at least.
     """
     of_all = jury(seed=5).keyframe_map
-    of_two = Jury(KeyframeMap(surfaces=of_all.surfaces[:2], samples=of_all.samples[:2]), NOISE, compared=4)
+    of_two = KeyframeRegistrar(
+        KeyframeMap(surfaces=of_all.surfaces[:2], samples=of_all.samples[:2]), NOISE, compared=4
+    )
     together = seen_from_all_sides()[:2]
     apart = together.copy()
     apart[1, :3, 3] += (0.0, 0.0, 50.0)
 
     gained = of_two.log_composite(together) - of_two.log_composite(apart)
 
-    by_chain_rule = _log_evidence(of_two.located(together, 1, [0]), NOISE)
+    by_chain_rule = _log_evidence(of_two.register_locally(together, 1, [0]), NOISE)
     assert by_chain_rule > 300.0
     np.testing.assert_allclose(gained, by_chain_rule, rtol=0.2)
 
@@ -83,7 +85,7 @@ def test_what_two_images_share_counts_once():
 @pytest.mark.slow
 def test_a_turned_cluster_is_put_right():
     """A cluster 20 degrees off comes back to within a centimetre and half a degree."""
-    placed = placed_anew(jury(seed=2), with_a_turned_cluster(), [0, 1, 2])
+    placed = register_inconsistent(jury(seed=2), with_a_turned_cluster(), [0, 1, 2])
 
     relative = np.linalg.inv(seen_from_all_sides()) @ placed
     assert np.linalg.norm(relative[:, :3, 3], axis=1).max() < 0.01
@@ -97,9 +99,9 @@ def test_particles_keep_their_displacements(key: jax.Array):
         for k in jax.random.split(key)
     )
     spread = 0.05 * jnp.sin(jnp.arange(2 * 3 * 6.0)).reshape(2, 3, 6)
-    own = jax.vmap(jax.vmap(pose_gaussian.displaced), (None, 0))(before, spread)
+    own = jax.vmap(jax.vmap(pose_gaussian.displace), (None, 0))(before, spread)
 
-    moved = carried(own, jnp.stack([before] * 2), jnp.stack([after] * 2))
+    moved = transport(own, jnp.stack([before] * 2), jnp.stack([after] * 2))
 
     found = jax.vmap(jax.vmap(pose_gaussian.coordinates), (None, 0))(after, moved)
     np.testing.assert_allclose(found, spread, atol=1e-5)
@@ -109,5 +111,5 @@ def test_narrow_steps_are_no_reason_to_look_again():
     """A fifth of a circle is a wide step, twelve degrees are not."""
     here, near, far = (box_room.pose(0.0, 0.0, 0.0, np.radians(angle)) for angle in (0, 12, 72))
 
-    assert not pose_sets.is_wide(here, near)
-    assert pose_sets.is_wide(here, far)
+    assert not pose_sets.turns_wide(here, near)
+    assert pose_sets.turns_wide(here, far)

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from slam.map_hypotheses.modes import Modes, dealt
+from slam.map_hypotheses.modes import Modes, assign_modes
 
 
 def _map(shift_m: float) -> np.ndarray:
@@ -28,7 +28,7 @@ def test_particles_are_dealt_by_the_shares(key: jax.Array, uneven: bool) -> None
     weights = np.arange(1.0, count + 1) if uneven else np.ones(count)
     before = np.log(weights / weights.sum())
 
-    modes, after = dealt(key, shares, before)
+    modes, after = assign_modes(key, shares, before)
 
     assert (np.abs(np.bincount(modes) - count * shares) < 1).all()
     np.testing.assert_allclose(np.bincount(modes, np.exp(after)), shares)
@@ -40,7 +40,7 @@ def test_one_mode_changes_nothing(key: jax.Array) -> None:
     """Weights stay where there is nothing to choose."""
     before = np.log(np.asarray([0.5, 0.3, 0.2]))
 
-    modes, after = dealt(key, np.ones(1), before)
+    modes, after = assign_modes(key, np.ones(1), before)
 
     assert not modes.any()
     np.testing.assert_allclose(after, before)

@@ -14,8 +14,8 @@ from slam.filter.init import init
 from slam.filter.state import FilterState
 from slam.filter.step import step
 from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
-from slam.pose_graph.overlaps import detail_of
-from slam.pose_graph.refinement import refined
+from slam.pose_graph.overlaps import keyframe_detail
+from slam.pose_graph.refinement import refine_keyframes
 from tests.slam import box_room
 
 CONFIG = SlamConfig(particles=8)
@@ -28,7 +28,7 @@ POSES = np.stack([box_room.pose(0.12 * i, 0.05 * i, -0.5, 0.21 * i) for i in ran
 
 
 FRAMES = box_room.frames(POSES, seed=3)
-DETAILS = [detail_of(view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS), NOISE) for frame in FRAMES]
+DETAILS = [keyframe_detail(view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS), NOISE) for frame in FRAMES]
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_drift_is_undone(key, tracked):
     assert len(tracked.keyframe_map) == len(POSES)
     drifted = _drifted(tracked)
 
-    after, _ = refined(key, drifted, DETAILS, NOISE)
+    after, _ = refine_keyframes(key, drifted, DETAILS, NOISE)
 
     assert _errors_m(after)[0] == 0.0
     assert _errors_m(after).max() < 0.65 * _errors_m(drifted).max()
@@ -76,7 +76,7 @@ def test_drift_is_undone(key, tracked):
 
 def test_equal_keys_give_equal_poses(key, tracked):
     """Repair draws from its key alone."""
-    first, second = (refined(jax.random.clone(key), tracked, DETAILS, NOISE)[0] for _ in range(2))
+    first, second = (refine_keyframes(jax.random.clone(key), tracked, DETAILS, NOISE)[0] for _ in range(2))
     np.testing.assert_array_equal(
         np.asarray(first.population.particles.keyframe_poses),
         np.asarray(second.population.particles.keyframe_poses),
@@ -87,7 +87,7 @@ def test_a_lone_keyframe_stays(key):
     """Without overlaps there is nothing to repair."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     state, _ = init(view, 0, CONFIG)
-    after, placed = refined(key, state, DETAILS[:1], NOISE)
+    after, placed = refine_keyframes(key, state, DETAILS[:1], NOISE)
 
     assert placed is None
     assert jnp.array_equal(

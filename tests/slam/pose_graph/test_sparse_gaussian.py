@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from slam.pose_graph import sparse_gaussian
-from slam.pose_graph.sparse_gaussian import JointTerm, PoseGraph, damped_step, draws, marginals, tied_to_first
+from slam.pose_graph.sparse_gaussian import (
+    JointTerm,
+    PoseGraph,
+    connected_to_first,
+    damped_step,
+    draws,
+    marginals,
+)
 from slam.registration.alignment import STIFFNESS
 from tests.statistical import assert_mean
 
@@ -87,6 +94,6 @@ def test_keyframes_apart_are_not_tied_to_the_first(seed):
     graph = replace(_graph(np.random.default_rng(seed)), keyframes=8)
     split = replace(graph, pairs=np.asarray([(0, 1), (1, 2), (0, 2), (5, 6), (6, 5), (2, 1)]))
 
-    assert tied_to_first(graph).tolist() == [True] * 5 + [False] * 3
-    assert tied_to_first(split).tolist() == [True] * 3 + [False] * 5
-    assert tied_to_first(_graph(np.random.default_rng(seed), jointly=True)).all()
+    assert connected_to_first(graph).tolist() == [True] * 5 + [False] * 3
+    assert connected_to_first(split).tolist() == [True] * 3 + [False] * 5
+    assert connected_to_first(_graph(np.random.default_rng(seed), jointly=True)).all()

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import single_precision_poses
 from slam.filter.motion import FreeMotion, MotionHistory, OrbitMotion
-from slam.map_hypotheses.circular_paths import repeated
-from slam.pose_graph.trajectory_prior import KeyframeMotion
+from slam.map_hypotheses.circular_paths import repeat_step
+from slam.pose_graph.trajectory_prior import TrajectoryPrior
 from slam.registration.pose_grids import orbit_steps
 from tests.statistical import assert_mean
 
@@ -23,15 +23,15 @@ STEP = orbit_steps(np.asarray([1.5]))[62]
 
 def test_steps_add_up() -> None:
     """Against the parts, at times that are not even."""
-    motion, poses = FreeMotion.default(), repeated(STEP, 4)
+    motion, poses = FreeMotion.default(), repeat_step(STEP, 4)
     first, second, third, fourth = single_precision_poses(poses)
     pivot = jnp.asarray(PIVOT, jnp.float32)
     expected = motion.log_density(MotionHistory(first, first, pivot), second)
     for before, last, pose, ratio in ((first, second, third, 2.0), (second, third, fourth, 0.5)):
-        predicted = pose_gaussian.displaced(last, ratio * pose_gaussian.coordinates(before, last))
+        predicted = pose_gaussian.displace(last, ratio * pose_gaussian.coordinates(before, last))
         expected += motion.log_density(MotionHistory(last, predicted, pivot), pose)
 
-    found = KeyframeMotion(motion, PIVOT, SIGMA, (0, 10, 30, 40)).log_density(poses)
+    found = TrajectoryPrior(motion, PIVOT, SIGMA, (0, 10, 30, 40)).log_density(poses)
 
     assert found == pytest.approx(float(expected), rel=1e-4)
 
@@ -40,8 +40,8 @@ def test_steps_add_up() -> None:
 def test_a_joint_term_is_the_slope_of_the_density(motion: FreeMotion | OrbitMotion) -> None:
     """Differences of the density over 2 mm and 2 mrad each way, near an even circle, within a twentieth."""
     rng = np.random.default_rng(3)
-    prior = KeyframeMotion(motion, PIVOT, SIGMA, EVEN)
-    poses = _displaced(repeated(STEP, 5), 0.01 * rng.normal(size=(5, 6)))
+    prior = TrajectoryPrior(motion, PIVOT, SIGMA, EVEN)
+    poses = _displaced(repeat_step(STEP, 5), 0.01 * rng.normal(size=(5, 6)))
     term = prior.bent(poses)
 
     for direction in rng.normal(size=(6, 5, 6)):
@@ -61,7 +61,7 @@ def test_residuals_bend_as_the_density_does() -> None:
     xi = jnp.asarray([0.01, -0.02, 0.0, 0.005, 0.01, -0.01])
 
     def at(xi: jax.Array) -> jax.Array:
-        return pose_gaussian.displaced(here, xi)
+        return pose_gaussian.displace(here, xi)
 
     residual = motion.expected_residual(history, at(xi))
     jacobian = jax.jit(jax.jacfwd(lambda xi: motion.expected_residual(history, at(xi))))(xi)
@@ -74,8 +74,8 @@ def test_residuals_bend_as_the_density_does() -> None:
 
 def test_the_pivot_is_integrated_out(key: jax.Array) -> None:
     """Against the mean of the density at pivots drawn from their prior, for two cameras."""
-    prior = KeyframeMotion(OrbitMotion.default(), PIVOT, SIGMA, EVEN[:2])
-    poses = repeated(STEP, 2)
+    prior = TrajectoryPrior(OrbitMotion.default(), PIVOT, SIGMA, EVEN[:2])
+    poses = repeat_step(STEP, 2)
     first, second = single_precision_poses(poses)
     pivots = jnp.asarray(PIVOT + SIGMA * np.asarray(jax.random.normal(key, (20_000, 3))), jnp.float32)
 
@@ -89,8 +89,8 @@ def test_the_pivot_is_integrated_out(key: jax.Array) -> None:
 
 def test_an_orbit_keeps_to_its_circle() -> None:
     """Ten centimetres off the known radius cost dozens of nats, an unsure aim of the first camera few."""
-    prior = KeyframeMotion(OrbitMotion.default(), PIVOT, SIGMA, EVEN)
-    right, wide = (repeated(orbit_steps(np.asarray([radius]))[62], 5) for radius in (1.5, 1.6))
+    prior = TrajectoryPrior(OrbitMotion.default(), PIVOT, SIGMA, EVEN)
+    right, wide = (repeat_step(orbit_steps(np.asarray([radius]))[62], 5) for radius in (1.5, 1.6))
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_rotvec([0.0, 0.01, 0.0]).as_matrix()
     askew = np.linalg.inv(turn) @ right

@@ -8,8 +8,8 @@ from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import single_precision_poses
 from slam.keyframes.depth_view import view_of_frame
-from slam.keyframes.surfels import surface_of
-from slam.registration.global_search import climbed, log_map_scores
+from slam.keyframes.surfels import surfel_image
+from slam.registration.global_search import ascend, log_map_scores
 from slam.registration.local_search import LocalMap
 from tests.slam import box_room
 
@@ -21,7 +21,7 @@ OFFSETS = [[0.1, -0.05, 0.08, 0, 0, 0], [0, 0, 0, 0.1, -0.1, 0.08], [-0.08, 0.06
 
 def _local_map() -> LocalMap:
     views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(KEYFRAMES, seed=1)]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(surface_of(view, NOISE) for view in views))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(surfel_image(view, NOISE) for view in views))
     return LocalMap(stacked, jnp.ones(len(views), bool), single_precision_poses(KEYFRAMES))
 
 
@@ -29,10 +29,10 @@ def test_neighbours_climb_to_the_mode_and_score_as_it_does():
     """From a tenth of a metre and of a radian away to a fifth of that, where a rendering goes on."""
     view = view_of_frame(box_room.frames(TRUTH[None], seed=2)[0], box_room.INTRINSICS)
     true = single_precision_poses(TRUTH[None])[0]
-    starts = jax.vmap(lambda xi: pose_gaussian.displaced(true, xi))(jnp.asarray(OFFSETS, jnp.float32))
+    starts = jax.vmap(lambda xi: pose_gaussian.displace(true, xi))(jnp.asarray(OFFSETS, jnp.float32))
     local_map = _local_map()
 
-    found = climbed(local_map, view, NOISE, starts)
+    found = ascend(local_map, view, NOISE, starts)
 
     errors = np.asarray(jax.vmap(lambda pose: pose_gaussian.coordinates(true, pose))(found))
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.02

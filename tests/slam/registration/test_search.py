@@ -10,7 +10,7 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import IDENTITY
 from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.keyframes.surfels import surface_of
+from slam.keyframes.surfels import surfel_image
 from slam.registration import search
 from slam.registration.search import GroupMap, Searcher
 from tests.slam import box_room
@@ -22,7 +22,7 @@ HERE = jnp.asarray(IDENTITY, jnp.float32)
 def test_climbs_that_leave_the_numbers_find_nothing(monkeypatch: pytest.MonkeyPatch):
     """No place, and no error."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
-    keyframe_map = KeyframeMap().with_keyframe(surface_of(view, NOISE))
+    keyframe_map = KeyframeMap().with_keyframe(surfel_image(view, NOISE))
     searcher = Searcher(keyframe_map, view, NOISE, compared=4)
     group = GroupMap(HERE[None, None], jnp.ones(1), np.eye(4)[None], 0)
     monkeypatch.setattr(search, "climbed", Mock(side_effect=lambda *given: jnp.full_like(given[-1], jnp.nan)))
