@@ -1,16 +1,14 @@
-"""Stage K of the supplement: a search for the most probable scene, which gives chains their start.
+"""One round of the search: hypotheses of poses for unexplained pixels, then the best scene over all of them.
 
 Hypotheses come from observed points and from DBSCAN clusters of points that the scene without the object
-leaves unexplained, in resting, cube and spread orientations, refined by ICP; whole scenes are annealed
-over the pools; then the search is repeated on what is left unexplained. Scenes that are about as good are
-refined before they are told apart. Where lookalikes were taken out, what stood behind their names is sought
-once more. The result is a maximum and a set of hypotheses, never samples (MATH.md section K).
+leaves unexplained, in resting, cube and spread orientations, refined by ICP. Whole scenes are annealed over
+the pools of hypotheses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +44,49 @@ PARTICLES, GROUPS = 4, 2
 """Annealed together, and how many groups of them."""
 
 
+@dataclass(frozen=True, eq=False)
+class SearchRound:
+    """A round of the search: hypotheses for what is unexplained, then the best scene over all pools.
+
+    Attributes:
+        rotations: of each object, camera_from_box (O, 3, 3) to be tried.
+        rng: random numbers of points and places.
+    """
+
+    rotations: Sequence[NDArray[np.float32]]
+    rng: np.random.Generator
+
+    @classmethod
+    def of(
+        cls, objects: Sequence[SceneObject], table: SupportPlane | None, rng: np.random.Generator
+    ) -> SearchRound:
+        """The round for these objects, in resting orientations first where there is a table."""
+        return cls([_orientations(one, table) for one in objects], rng)
+
+    def __call__(
+        self,
+        key: jax.Array,
+        pools: PosePools,
+        scene: NDArray[np.integer],
+        masks: Mapping[int, NDArray[np.bool_]],
+        index: int,
+    ) -> tuple[PosePools, NDArray[np.integer]]:
+        """Pools with new poses of the objects that have a mask, and the best scene (N,).
+
+        Args:
+            key: random key.
+            pools: of poses.
+            scene: (N,) the best one so far.
+            masks: (H, W) pixels that may show the object, by object.
+            index: of the round, whose part of the pools is replaced.
+        """
+        size = pools.config.pool
+        poses = pools.poses[:, index * size : (index + 1) * size].copy()
+        poses[list(masks)] = _hypotheses(pools, self.rotations, masks, self.rng)
+        pools = pools.with_poses(poses, index * size)
+        return pools, best_of(pools, _annealed(key, pools.layers), scene)
+
+
 def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
     """Camera_from_box rotations (O, 3, 3): resting, the cube's 24, and an even spread."""
     if table is None:
@@ -53,23 +94,6 @@ def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.fl
     fixed = np.concatenate([resting_rotations(one.rests, YAWS), cube_rotations()])
     fixed = table.camera_from_table[:3, :3] @ fixed
     return np.concatenate([fixed, spread_rotations(ORIENTATIONS - len(fixed))]).astype(np.float32)
-
-
-def _sought(
-    rng: np.random.Generator,
-    rotations: Sequence[NDArray[np.float32]],
-    key: jax.Array,
-    pools: PosePools,
-    scene: NDArray[np.integer],
-    masks: Mapping[int, NDArray[np.bool_]],
-    turn: int,
-) -> tuple[PosePools, NDArray[np.int32]]:
-    """`scene.gaps.Seek`, with the orientations of every object."""
-    size = pools.config.pool
-    poses = pools.poses[:, turn * size : (turn + 1) * size].copy()
-    poses[list(masks)] = _hypotheses(pools, rotations, masks, rng)
-    pools = pools.with_poses(poses, turn * size)
-    return pools, best_of(pools, _annealed(key, pools.layers), scene)
 
 
 def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
@@ -130,6 +154,7 @@ def _one_a_cell(points_m: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 @jax.jit
-def _gains(layers: PoseLayers, chosen: jax.Array) -> jax.Array:
+def log_gains(layers: PoseLayers, chosen: jax.Array) -> jax.Array:
+    """Log density (N, K) of the scene (N,) with each pose for the chosen one, less the scene's own."""
     conditionals = jax.vmap(lambda index: log_conditional(layers, chosen, index))(jnp.arange(len(chosen)))
     return conditionals - conditionals[jnp.arange(len(chosen)), chosen][:, None]

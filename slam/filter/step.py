@@ -80,11 +80,11 @@ def step(
     return replace(moved, steps_were_wide=turned), report
 
 
-def _components(found: list[Registration], state: FilterState, predict: jax.Array) -> Component:
+def _components(found: list[Registration], state: FilterState, predictions: jax.Array) -> Component:
     """The optima as components, stacked (J, ...), J padded to a bucket with components for nobody."""
     particles: CameraParticles = state.population.particles
     heaviest = int(jnp.argmax(state.population.log_weights))
-    history = MotionHistory(particles.pose[heaviest], predict[heaviest], particles.pivot[heaviest])
+    history = MotionHistory(particles.pose[heaviest], predictions[heaviest], particles.pivot[heaviest])
     components = [
         component_at(
             located.optimum,
@@ -107,7 +107,7 @@ def _components(found: list[Registration], state: FilterState, predict: jax.Arra
 def _advance(
     key: jax.Array,
     population: smc.Population,
-    predict: jax.Array,
+    predictions: jax.Array,
     groups: jax.Array,
     components: Component,
     motion: MotionPrior,
@@ -130,7 +130,7 @@ def _advance(
         moved = replace(particles, pose=proposed.pose, previous_pose=particles.pose)
         return (moved, proposed), log_increments
 
-    extended = smc.Population((population.particles, predict, groups), population.log_weights)
+    extended = smc.Population((population.particles, predictions, groups), population.log_weights)
     extended, info = smc.step(key, extended, propose, ess_threshold)
     particles, proposed = extended.particles
     return smc.Population(particles, extended.log_weights), info, proposed

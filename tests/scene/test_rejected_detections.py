@@ -1,6 +1,7 @@
 """What lookalikes hid is found: what stands on them stays, and the missing are sought once more."""
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 import jax
 import numpy as np
@@ -11,12 +12,13 @@ from numpy.typing import NDArray
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise
 from scene.config import ParseConfig
-from scene.initialisation import Settled, told, without_gaps
+from scene.initialisation import compare_refined, search_rejected, verify
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import scene_object
 from scene.observation.segmentation import scene_data
 from scene.search.competing_scenes import RIVALS, best_of
 from scene.search.hypotheses import PosePools
+from scene.search.search_round import SearchRound
 from scene.verification.reassignment import CONVINCING, without_lookalikes
 from shapes.geometry.poses import poses_of
 from tests.scene.verification.test_appearance_test import camera, moved
@@ -84,12 +86,12 @@ def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Arr
     found_at = beside_the_drum() if can_beside else moved(0.0, 0.004, 0.05)
     asked = []
 
-    def seek(
+    def search_round(
         key: jax.Array,  # noqa: ARG001
         pools: PosePools,
         scene: NDArray[np.integer],
         masks: Mapping[int, NDArray[np.bool_]],
-        turn: int,  # noqa: ARG001
+        index: int,  # noqa: ARG001
     ) -> tuple[PosePools, NDArray[np.integer]]:
         asked.append({one: bool(mask.any()) for one, mask in masks.items()})
         pools = pools.with_poses(in_camera(found_at, on_the_drum())[:, None], SECOND)
@@ -97,11 +99,11 @@ def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Arr
 
     with jax.enable_x64(False):
         both = pools(seed, [moved(0, 0, 0.05), on_the_drum()], can_beside=can_beside)
-        first = Settled.of(*told(key, both, np.array([FIRST, FIRST]), NOISE), NOISE)
-        best = without_gaps(key, seek, first, NOISE)
+        first = verify(*compare_refined(key, both, np.array([FIRST, FIRST]), NOISE), NOISE)
+        best = search_rejected(key, cast("SearchRound", search_round), first, NOISE)
 
     assert first.found.tolist() == [False, True]
-    assert first.gaps
+    assert first.rejected
     assert asked == [{CAN: True}]
     assert best.found.tolist() == [can_beside, True]
     if can_beside:
