@@ -1,1 +1,5 @@
-"""Which learned objects stand where in a recording, what rests on what, and how sure we are."""
+"""Scene-graph inference (stages K to O): which known objects stand where, what rests on what, how surely.
+
+Call `scene.parsing.parse_scene`. Stages in the order of the method: objects and observation, model,
+likelihood, search, verification and mcmc, then initialisation and summary, then parsing.
+"""

@@ -1,4 +1,4 @@
-"""Whether chains agree: split R-hat and the effective number of samples (Vehtari et al. 2021)."""
+"""Convergence of the chains: split R-hat and effective sample size (Vehtari et al. 2021)."""
 
 from __future__ import annotations
 

@@ -1,12 +1,9 @@
-"""Kernels compiled beside other work: a first parse waits for its compiler more than for anything else.
+"""Use of the processor's cores: kernels compiled in the background, batches shared among threads.
 
-JAX compiles a kernel once: whoever calls one that is being compiled waits for it. Threads must not differ in
+JAX compiles a kernel once; whoever calls one that is being compiled waits for it. Threads must not differ in
 `jax.enable_x64` meanwhile: JAX 0.10 then hands host arrays of one precision to kernels of the other.
 
-####
-Batches of hypotheses shared among the processor's cores.
-
-A kernel's own threads meet after every operation, and its loops wait for them; kernels that run side by side,
+A kernel's own threads meet after every operation, and its loops wait for them. Kernels that run in parallel,
 each on its share of the batch, do not. Accelerators get the batch whole.
 """
 

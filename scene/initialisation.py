@@ -97,7 +97,7 @@ def initialise(
 def compare_refined(
     key: jax.Array, pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise
 ) -> tuple[PosePools, NDArray[np.integer]]:
-    """PosePools with refined poses of a scene (N,) and of those of about equal density, and the best scene."""
+    """Pools with refined poses of a scene (N,) and its closest alternatives, and the best scene."""
     last = pools.absent - 1 - RIVALS
     pools = pools.with_poses(polished_rivals(pools, scene), last)
     scene = np.where((last <= scene) & (scene < pools.absent), last, scene)

@@ -1,4 +1,4 @@
-"""What samples of a scene say: means, covariances, modes, edges, presence."""
+"""Summary of the samples: means, covariances, modes, edge probabilities, presence."""
 
 from __future__ import annotations
 

@@ -1,1 +1,4 @@
-"""Geometry that all the mathematics shares, the sensor density, and the learning of shapes."""
+"""Shapes: geometry and rendering that slam and scene share, the sensor density, and shape learning.
+
+Call `shapes.learning.distillation.learn_shape`; the result is a `shapes.prior.ShapePrior`.
+"""

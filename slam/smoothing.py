@@ -1,4 +1,4 @@
-"""The filter's past, frame by frame, and the smoothed trajectories that the last particles imply."""
+"""The filter's history, and the smoothed trajectories that the surviving particles imply."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a pixel shows that shows none of the objects: the background, or a thing that nobody asked for."""
+"""Density of a pixel that shows none of the objects: background, or an unmodelled object."""
 
 from __future__ import annotations
 

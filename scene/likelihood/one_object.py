@@ -1,7 +1,6 @@
-"""How probable the observed depth images are when one object of the scene, or all of them, are placed anew.
+"""Density of the observed depth when one object moves and everything else is held fixed.
 
-Everything else in the scene, other objects and background alike, is held fixed in the evidence, so that a
-hypothesis of one object costs only the pixels that this object covers.
+A hypothesis of one object then costs only the pixels that this object covers.
 """
 
 from __future__ import annotations

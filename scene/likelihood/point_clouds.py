@@ -1,6 +1,4 @@
-"""The likelihood of whole scenes in chains by point clouds, as the main paper has it (section 3.3).
-####
-How probable an observed point cloud is given a rendered depth image (main paper, section 3.3).
+"""The likelihood of whole scenes by point clouds (Gothoskar et al. 2021, section 3.3).
 
 p(Y | Y~) = prod_i ( C / B + (1 - C) / K~ sum_j 1[|y_i - y~_j| <= r] / (4/3 pi r^3) ): every observed point
 is an outlier in the volume B or lies uniformly in a ball round one of the K~ rendered points. Base measure:

@@ -1,4 +1,4 @@
-"""What scenes show in the tiles of depth images, as a chain keeps it and as candidates change it."""
+"""Rendered tiles of the current scene of a chain, and of the candidate scenes that change some of them."""
 
 from __future__ import annotations
 

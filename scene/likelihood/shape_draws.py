@@ -1,7 +1,7 @@
-"""Which of its known shapes an object has: the random numbers of the likelihood's estimate (supplement N).
+"""Draws of uncertain shapes: the random numbers of the pseudo-marginal likelihood (supplement N).
 
-They are uniform over the known shapes. A new estimate takes new ones, all of them (Andrieu and Roberts 2009)
-or only a share (Deligiannidis, Doucet and Pitt 2018, the correlated form): either kernel is reversible with
+They are uniform over the known shapes. A new estimate draws new ones, all of them (Andrieu and Roberts 2009)
+or a share (Deligiannidis, Doucet and Pitt 2018, the correlated form): either kernel is reversible with
 respect to the uniform distribution, so that the chains are exact. They are redrawn twice, through choices
 that all candidates of a move have in common: the joint density of all choices is then symmetric in the
 candidates, the present one among them.

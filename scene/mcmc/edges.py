@@ -1,10 +1,9 @@
-"""The move on the edges of two objects at once: a stack can be read the other way round.
+"""Moves on the edges of two objects at once, and the table of an object's possible edges.
 
-That the lower of two boxes rests on the upper is as likely as the reverse where both touch flush, and what
-lies between them, an edge less, is not.
-
-####
-An object's edge as a place in a table: the root first, then every parent with each pair of faces."""
+Edges are indexed with the root first, then every parent with each pair of faces. Two edges change together
+since a stack read the other way round is as probable where both faces touch flush, while the state between,
+with one edge less, is not.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Contacts that outlive a turn: faces are named by where they point while the object is placed anew.
+"""Relabels box faces when an object is rotated, so that its contacts keep the faces that touch.
 
-A box turned upside down rests on its other face: with the old name of the face its contact would be
-impossible, and no chain would ever turn it. A reference orientation and the nearest of a cube's 24
-rotations to the turn from it tell which face points where. Names given so are a bijection for every pose,
-and do not depend on the pose that was left, so that they compose: the density of the renamed scene is that
-of the same state in other names, without a Jacobian.
+A box turned upside down rests on its other face: under the old label its contact would be impossible, and no
+chain would ever turn it. A reference orientation and the nearest of a cube's 24 rotations to the rotation
+from it tell which face points where. These labels are a bijection for every pose and do not depend on the
+pose that was left, so that they compose: the density of the relabelled scene is that of the same state,
+without a Jacobian.
 """
 
 from __future__ import annotations

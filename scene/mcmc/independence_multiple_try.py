@@ -1,6 +1,7 @@
-"""Moves of one object to one of several poses that it might have, wherever it is now.
-####
-Where an object might be, wherever it is now: its mixture of poses, and its prior."""
+"""Multiple-try moves with an independence proposal: one of several poses anywhere, from a mixture.
+
+The proposal of an object's pose is its mixture of Gaussians plus its prior, whatever its present pose.
+"""
 
 from __future__ import annotations
 

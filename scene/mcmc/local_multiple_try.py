@@ -1,4 +1,4 @@
-"""Moves of one object to one of several poses that are weighed side by side.
+"""Multiple-try moves of one object to one of several poses near its present one.
 
 The likelihood of a pose is rugged: a pixel at an outline that changes sides costs some nats, several times
 a millimetre. Most single proposals are refused; of several, one is about as good as the present pose.

@@ -1,4 +1,4 @@
-"""Proposals learned from the first part of the chains, which is then dropped.
+"""Adaptation of the proposal mixtures to the first part of the chains, which is then dropped.
 
 Once samples are kept the proposals stay as they are, so that the chains are exact (Roberts and Rosenthal
 2009, Examples of Adaptive MCMC: adaptation that ends).

@@ -1,4 +1,4 @@
-"""Where the chains look: a mixture for every object, of its refined Gaussians and the pool's best poses."""
+"""Initial proposal mixtures: for each object its refined Gaussians and the best poses of the search."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mixtures of Gaussians on poses, as proposals: they see the other modes that a walk cannot reach."""
+"""Mixtures of Gaussians on poses, as independence proposals between modes."""
 
 from __future__ import annotations
 

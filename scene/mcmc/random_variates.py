@@ -1,4 +1,4 @@
-"""Random numbers thrown all at once: one large draw compiles and runs sooner than many small ones."""
+"""Random variates of a sweep, drawn at once: one large draw compiles and runs sooner than many small ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TO BE WRITTEN."""
+"""Kept samples of chains over scene graphs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The lines about which objects spin by themselves, for moves of their poses.
-####
-The lines about which parts of a turn leave objects nearly as they are, for moves of their poses."""
+"""Symmetry lines of objects as arrays: continuous rotations, and half or quarter turns, for pose moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TO BE WRITTEN."""
+"""Prior and posterior odds of presence: beta-binomial over the shapes that are asked for."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A scene graph as fixed-capacity arrays: who rests on whom, by which faces, and where everything is.
 
 The state keeps absolute poses. The parameters theta of supplement O (a pose for a floating object, a
-contact for a supported one) are the image of this state under the chart of `scene.contact`, which is a
+contact for a supported one) are the image of this state under the chart of `scene.model.contact`, which is a
 bijection for every graph; densities are those of theta. A structure move therefore leaves the poses
 alone, bit for bit, and an error of the chart never accumulates.
 

@@ -1,4 +1,4 @@
-"""Grids of orientations to start a search from."""
+"""Grids of orientations for the search: resting, cubic and evenly spread."""
 
 from __future__ import annotations
 

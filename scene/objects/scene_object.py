@@ -34,7 +34,7 @@ class SceneObject:
         rests: (R, 3) directions in the box frame that point down when the object lies still.
         spin_line: (2, 3) direction and point, in the box frame, of the line about which most of its surface
             is round; zeros where there is none.
-        symmetry_lines, symmetry_orders: (3, 2, 3) and (3,) as `scene.symmetry_lines`, in the box frame.
+        symmetry_lines, symmetry_orders: (3, 2, 3) and (3,) as `scene.objects.symmetry`, in the box frame.
         library: its distance field, in the object's frame.
         draws: libraries of as likely shapes, as many for each object of a scene; none where it is certain.
     """

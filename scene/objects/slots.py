@@ -1,4 +1,4 @@
-"""The objects that were found: chains carry them and no others."""
+"""Slots of detected objects: chains carry these and no others."""
 
 from __future__ import annotations
 

@@ -1,23 +1,18 @@
-"""The line about which most of an object's surface is round: a can's axis, and a mug's for all its handle.
+"""Symmetry lines of objects: continuous (a can's axis), of order two and of order four (a box's).
 
-Of a turn about a line with direction a, through p, a point x of the surface moves along a x (x - p). The
-surface is round where that is across the normal n: n . (a x (x - p)) = 0 is linear in (a, -a x p), and the
-line of least squares the eigenvector of a 3 x 3 matrix (Pottmann and Wallner 2001, Computational Line
-Geometry, chapter 6). Weights that fall with the angle between motion and surface leave out the handle.
+**Continuous.** Of a rotation about a line with direction a, through p, a surface point x moves along
+a x (x - p). The surface is round where that is across the normal n: n . (a x (x - p)) = 0 is linear in
+(a, -a x p), and the least-squares line is the eigenvector of a 3 x 3 matrix (Pottmann and Wallner 2001,
+Computational Line Geometry, chapter 6). Weights that fall with the angle between motion and surface leave out
+handles.
 
-####
-The lines about which half or quarter of a turn leaves an object's surface nearly as it is.
+**Order two and four.** A box of which two faces are seen fits as well the other way round, but not in the
+same place: its middle is not the bounding box's to a tenth of a millimetre. Each line is the least-squares
+one: the rotated surface is registered to itself (iterated closest points, to planes), with weights that leave
+out what the rotation does not repeat.
 
-A box of which only two faces are seen stands as well the other way round, but not in the same place: its
-middle is not the bounding box's to the tenth of a millimetre that depth images tell. Each line is that of
-least squares: the surface, turned, is laid on itself (iterated closest points, to planes), with weights that
-leave out what the turn does not repeat.
-
-####
-Other turns of an object about the line about which most of it is round, that look better.
-
-A mug whose handle was thought to be hidden may well show it: a narrow mode, which a search on a coarse grid
-of turns misses while the body looks right.
+**Restarts.** A mug whose handle was taken to be hidden may show it: a narrow mode that a coarse grid of
+rotations misses. Poses rotated about the continuous line are compared and the better ones kept.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A depth image as the search sees it: fewer pixels, fewer holes, surface normals."""
+"""A depth image at the search's resolution: pooled pixels, filled holes, surface normals."""
 
 from __future__ import annotations
 

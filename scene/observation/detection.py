@@ -1,4 +1,4 @@
-"""What is found on the host: the plane on which things stand, and clusters of points."""
+"""Detection by Open3D on the host: the support plane, and clusters of points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one frame gives to the search for a scene."""
+"""What one frame gives to the search: view, masks, windows, background, support plane."""
 
 from __future__ import annotations
 

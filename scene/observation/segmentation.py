@@ -1,4 +1,4 @@
-"""Which pixels may show an object, and what is behind them."""
+"""Segmentation of a frame: pixels that may show an object, and the background behind them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The joint choice of one pose for every object, from a finite pool: annealed Gibbs sampling of scenes.
+"""Joint assignment of one pose to every object from finite pools: annealed Gibbs sampling of scenes.
 
 The particles are whole scenes. The conditional of one object given the others is exact over its pool: a
 pixel shows the nearest of its pose, the others and the background, and each layer's log density there was

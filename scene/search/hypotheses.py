@@ -1,4 +1,4 @@
-"""The poses that the search chooses from, and what the image and the prior say of each."""
+"""Pools of pose hypotheses, each with its log density in the image and its prior."""
 
 from __future__ import annotations
 

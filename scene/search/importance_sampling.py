@@ -1,9 +1,9 @@
-"""How well an object's poses are known given the rest of the scene, in each of the modes that there are.
+"""Gaussians round the modes of each object's pose given the rest of the scene, with their masses.
 
-Adaptive importance sampling (population Monte Carlo, Cappe et al. 2004): a Gaussian round each pose of the
-best scene, and round those of the pools that look as good from elsewhere, is drawn from, weighted by the
-likelihood at a temperature that keeps enough draws alive, and fitted anew, for all side by side. The mean
-weight is the mode's mass. It gives the chains' starts and proposals.
+Adaptive importance sampling (population Monte Carlo, Cappe et al. 2004): Gaussians round the poses of the
+best scene and round distant poses of similar density are sampled, weighted by the likelihood at a temperature
+that keeps enough draws alive, and fitted again, all modes in parallel. The mean weight is the mode's mass.
+Gives starts and proposals of the chains.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The last step of the search: ICP of the rendered visible clouds of a whole scene."""
+"""ICP of the rendered visible clouds of a whole scene: the last step of the search."""
 
 from __future__ import annotations
 

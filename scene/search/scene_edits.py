@@ -3,7 +3,7 @@
 Every object costs the log odds of being there at all, in one pose of the many that it might have had (part of
 the layers), and earns what it explains better than the others and what is unknown do. An object's posterior
 odds compare the scene with the best one without it, in which others may have taken its place. Poses that no
-pixel shows (`scene.unseen`) leave the prior odds as they are.
+pixel shows (`scene.verification.occlusion`) leave the prior odds as they are.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the search finds: the scene that chains start from, and what else it looked at."""
+"""The result of the search: the best scene, and the pools that it was chosen from."""
 
 from __future__ import annotations
 

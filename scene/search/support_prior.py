@@ -1,17 +1,10 @@
-"""What hangs in the air is improbable, as the graph's prior has it: where things rest, by their lowest point.
+"""Support prior of the search: density of the gap between an object's lowest point and what is below it.
 
-A gap between an object's lowest point and what is below it has the density of gaps in contact; an object
-that rests on nothing is anywhere above the table, with the odds of floating. What the image shows below it
-may carry it though it be none of the objects, or not be found: else an object on such a thing would be
-sought elsewhere. The odds are small enough that what stands on an object still speaks for it.
-
-####
-What the image shows below a pose that hangs in the air: nothing, or a thing that may carry it.
-
-Nobody may have asked for that thing, or the search not have found it yet.
-
-####
-Nothing is inside the table: what no camera sees of an object below its top has a prior all the same."""
+A gap to the table, to another box or to observed clutter has the density of gaps in contact; an object that
+rests on nothing is anywhere above the table, with the odds of floating. Observed clutter below an object may
+support it, though it be none of the objects; its odds are small. An object has a prior against being below
+the table's top, where no camera sees it.
+"""
 
 from __future__ import annotations
 

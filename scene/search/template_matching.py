@@ -1,4 +1,4 @@
-"""Where in a depth view might an object be: surface points matched by projection, then ICP.
+"""Template matching by projection: surface points against observed depth, then ICP of the best.
 
 Every hypothesis puts one visible point of the object on one observed point (so that depth is given), or
 the box's centre on the centre of a cluster. A few surface points tell most hypotheses apart, all points

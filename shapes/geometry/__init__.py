@@ -1,1 +1,4 @@
-"""TO BE WRITTEN."""
+"""Cameras, rigid transforms, densities on them in one base measure, and sets of poses.
+
+Imports recordings alone.
+"""

@@ -1,4 +1,4 @@
-"""TO BE WRITTEN."""
+"""Sets of poses: distance tests, clusters, suppression of duplicates, weighted mean and covariance."""
 
 from __future__ import annotations
 

@@ -1,12 +1,9 @@
 """Rigid motions: jaxlie's SE(3) in kernels, 4x4 matrices between stages, `target_from_source` in names.
 
-Quaternions are wxyz everywhere in voxscene; ROS, TUM and SciPy write xyzw, and the two functions here
-are the only crossing. Tangent vectors put translation first, then rotation (jaxlie's order).
-
-####
-Poses as arrays wxyz_xyz (7,), the way scene states hold them.
-####
-Poses for kernels, wxyz_xyz float32."""
+Quaternions are wxyz everywhere in voxscene; ROS, TUM and SciPy write xyzw, and the two functions here are the
+only conversion. Kernels hold poses as arrays wxyz_xyz (7,). Tangent vectors put translation first, then
+rotation (jaxlie's order).
+"""
 
 from __future__ import annotations
 

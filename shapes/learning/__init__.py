@@ -1,1 +1,4 @@
-"""Learning a shape from depth images: occupancy for one trajectory, and the mixture over trajectories."""
+"""Shape learning (stage I): occupancy of voxels by expectation propagation, distilled over particles.
+
+Call `distillation.learn_shape`. Imports the rest of shapes.
+"""

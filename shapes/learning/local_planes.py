@@ -1,4 +1,4 @@
-"""The surface round every pixel: a plane fitted robustly to its neighbours, with its covariance.
+"""Local planes: round every pixel a plane fitted robustly to its neighbours, with its covariance.
 
 A plane in space is linear in inverse depth over the image: 1/z = w + g_u du + g_v dv. Neighbours across an
 edge are gated out, so that a plane never bridges two surfaces.

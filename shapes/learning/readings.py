@@ -1,4 +1,4 @@
-"""What one depth image says on the ray through each voxel's centre: how far the surface is before it.
+"""Readings of one depth image at each voxel centre: signed distance to the surface along the ray.
 
 Between four pixels that see two surfaces, the ray sees the nearer one or the farther one; both readings
 are kept, each with the probability that the ray is on it.

@@ -1,4 +1,4 @@
-"""Where the object is: the support plane removed, the cluster nearest to what the cameras looked at.
+"""Region of the object: the support plane removed, the cluster nearest to what the cameras observed.
 
 All views are fused first, so the cluster has grown over the views when it is chosen.
 """

@@ -1,4 +1,4 @@
-"""How the filter begins: with the first frame that shows anything, and those before it."""
+"""The filter's `init`: the first frame with enough returns is the reference and the first keyframe."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slam.config import SlamConfig
 from slam.filter.map_update import CAPACITY_STEP
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
 from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_particles
-from slam.filter.step import smc
+from slam.filter import smc
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image

@@ -1,4 +1,4 @@
-"""What a found frame does to the map: it teaches the sensor and refines a keyframe, or becomes one."""
+"""Map update by a registered frame: noise calibration, then fusion into a keyframe, or a new keyframe."""
 
 from __future__ import annotations
 

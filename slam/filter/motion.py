@@ -1,6 +1,7 @@
 """Motion priors p(x_t | past): a free hand, and an orbit that keeps its distance from an object.
 
-Every density is in the base measure of `slam.pose_gaussian`; every prior samples in its own coordinates.
+Every density is in the base measure of `shapes.geometry.pose_gaussian`; every prior samples in its own
+coordinates.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""What the particles expect of the next frame, before it is looked at.
-####
-Where the filter looks for the camera: near what each group of particles predicts, and everywhere."""
+"""Pose hypotheses for the next frame: near each particle group's prediction, or anywhere in the map."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
 from slam.filter.motion import LONGEST_RATIO, velocity_ratio
 from slam.filter.state import CameraParticles, FilterState
-from slam.filter.step import smc
+from slam.filter import smc
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.registration import pose_grids
 from slam.registration.search import GroupMap, Registration, Searcher, prune_improbable, suppress_duplicates

@@ -1,8 +1,8 @@
-"""One step of sequential Monte Carlo for any model: the same code in exact toys and behind the camera.
-####
-Importance weights of particles: normalising, effective number, evidence.
-####
-Systematic resampling (Kitagawa 1996): one uniform draw places K equally spaced points on the weights."""
+"""One step of sequential Monte Carlo for any model: weights, effective sample size, resampling, evidence.
+
+Resampling is systematic (Kitagawa 1996): one uniform draw places K equally spaced points on the weights. The
+same code runs in exact toy models and behind the camera.
+"""
 
 from __future__ import annotations
 

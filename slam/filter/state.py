@@ -1,6 +1,4 @@
-"""What the camera filter carries from frame to frame, and what it tells of each.
-####
-What a camera particle owns, and how a group of them is averaged."""
+"""State of the camera filter: particles, map, calibration; and what it reports of each frame."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 
 from shapes.geometry.pose_sets import IDENTITY
 from slam.filter.motion import MotionPrior
-from slam.filter.step import smc
+from slam.filter import smc
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.likelihood.noise_calibration import NoiseCalibration
 

@@ -1,11 +1,10 @@
-"""The camera filter: `step`, one frame further (how it begins: `slam.beginning`).
+"""The filter's `step`, one frame further (`slam.filter.init` begins it), and its report of the frame.
 
-A step finds local optima of the frame's density (`slam.finding`), turns them into a mixture proposal
-(`slam.proposal`), runs the generic step of sequential Monte Carlo on it (`slam.smc`), and lets the
-frame refine the map or become a keyframe of it.
-
-####
-What the filter tells of a frame: poses beside a keyframe, which later refinement carries along."""
+A step finds local optima of the frame's density (`slam.filter.pose_hypotheses`), makes them a mixture
+proposal (`slam.filter.proposal`), runs the generic sequential Monte Carlo step (`slam.filter.smc`), and fuses
+the frame into the map or adds it as a keyframe (`slam.filter.map_update`). Reported poses are relative to a
+keyframe, so that later refinement of the keyframe carries them along.
+"""
 
 from __future__ import annotations
 
@@ -153,7 +152,7 @@ def frame_info(
         info: of the generic step.
         proposed: the draws.
         components: of the proposal.
-        found: optima, as by `slam.finding.found_places`.
+        found: optima, as by `slam.filter.pose_hypotheses.found_places`.
         lost: whether there was none.
     """
     particles: CameraParticles = state.population.particles

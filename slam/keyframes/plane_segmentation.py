@@ -1,8 +1,8 @@
-"""Walls, floors and table tops as one plane each, over all of an image that they cover.
+"""Segmentation of walls, floors and table tops: one plane over all of an image that it covers.
 
-Planes of windows and of their surroundings (`slam.plane_fitting`) turn by degrees from pixel to pixel of a
-far wall. To a view that sees more of a room's corners that is nothing; but where all that two views share
-is one wall, the turns pass for information on motion along it, a centimetre's worth, all of it wrong.
+Planes of small windows (`slam.keyframes.planes`) rotate by degrees from pixel to pixel of a far wall. Where
+all that two views share is one wall, these rotations look like information on motion along it, a centimetre's
+worth, all of it wrong.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def with_plane_segments(
     least squares of inverse depth, 1/z = N . d, again and again.
 
     Args:
-        planes: of `slam.plane_fitting.region_planes`.
+        planes: of `slam.keyframes.planes.region_planes`.
         region_sizes: (H, W) from the same.
         view: that they were fitted in.
         noise: the sensor.

@@ -2,8 +2,8 @@
 
 A surface element is a plane vector N (3,) in some camera frame: the points P with N . P = 1. It renders
 along a ray d (scaled to z = 1) as the depth 1 / (N . d), moves between frames by a matrix product
-(`slam.rendering`), and a vector of zeros is the plane at infinity: the pixel that meets nothing. In a
-pinhole image of a plane, inverse depth is affine in the pixel, 1/z = N . d, so that N is a linear
+(`slam.keyframes.rendering`), and a vector of zeros is the plane at infinity: the pixel that meets nothing. In
+a pinhole image of a plane, inverse depth is affine in the pixel, 1/z = N . d, so that N is a linear
 least-squares fit over the window's pixels that lie on the same surface.
 
 Every round is a kernel of its own: compiled as one they run five times as long (measured, XLA's CPU backend).

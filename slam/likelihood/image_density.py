@@ -1,17 +1,17 @@
 """p(I_t | x_t, map): the whole image as seen from a candidate pose, one normalised factor per pixel.
 
-The map is rendered once, near the candidates (`slam.rendering`): each pixel then knows which surface
-elements it sees. A candidate intersects its own rays with the tangent planes of those elements, so the
-rendered depth never depends on the observed one.
+The map is rendered once, near the candidates (`slam.keyframes.rendering`); each pixel then knows which
+surface elements it sees. A candidate intersects its own rays with the tangent planes of those elements, so
+that the rendered depth never depends on the observed one.
 
-Where the map shows nothing the world is not empty but unknown, and what is seen of it is foreseen from the
-pixels before (`slam.foreseen`). The same density, cut off at the map's surface, stands for things in front of
-it that no keyframe has seen. They are rare but not alone: where the pixels before lie in front, in space that
-no keyframe saw through, the next one probably does too. (Counted one by one, the back of an object that stood
-in the way of the map cost the right place, 72 degrees round it, hundreds of nats, and wrong ones won.)
+Where the map is empty the world is unknown, and depth has the predictive density of
+`slam.likelihood.unmapped_depth`. The same density, truncated at the map's surface, holds for occluders that
+no keyframe has seen. They are rare but coherent: where the neighbouring pixels are occluded the next one
+probably is too. (With independent pixels the back of an object that occludes the map cost the right pose, 72
+degrees round it, hundreds of nats.)
 
-Approximations, tested against rendering at the candidate itself: which element a pixel sees is that of
-the nearby rendering, and a surface is its tangent plane over the few pixels that candidates differ by.
+Approximations, tested against rendering at the candidate itself: which element a pixel sees is that of the
+nearby rendering, and a surface is its tangent plane over the few pixels by which candidates differ.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def scored_pixels(
     keyframes_from_camera: jax.Array,
     noise: DepthNoise,
 ) -> ScoredPixels:
-    """The lattice of a view against the map's image from nearby, rendered as by `slam.rendering.render`."""
+    """The lattice of a view against the map's image from nearby, by `slam.keyframes.rendering`."""
     every = slice(None, None, STRIDE_PX)
     layers = len(image.planes)
     foreseen = jax.tree.map(

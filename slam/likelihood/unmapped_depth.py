@@ -1,13 +1,12 @@
-"""What the pixels before one suggest of it: surfaces are smooth, also those that no map shows.
+"""Autoregressive density of depth where the map is empty: p(z_i | pixels above and to the left).
 
-Read line by line, the density of each pixel given those above and to its left multiplies to a normalised
-density of an image of the unknown: whether there is a return at all, and its depth, Normal around the plane
-fitted to them, Laplace around the plane through the two to the left and around the nearest one's depth, mixed
-with the uniform. The less well the unknown is foreseen, the more a wrong place gains that covers more of the
-image with a map.
+In raster order the factors multiply to a normalised density of an image of unknown, piecewise smooth
+surfaces: whether there is a return, and its depth, a mixture of a Normal round the plane fitted to the
+neighbours, Laplace densities round the plane of the two to the left and round the nearest depth, and a
+uniform. A pose that covers more of the image with the map gains only what this density leaves unpredicted.
 
-All constants by maximum likelihood on 26 images: kitchen, shelf, bare and furnished room, views of an object
-(development seed 101), each image with the noise of its own sensor.
+All constants by maximum likelihood on 26 images of five kinds, each with the noise of its own sensor
+(docs/model.md, constants).
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
-"""A handful of keyframes placed without regard to their order: the surest place of any comes next.
+"""Best-first search over partial maps: keyframes are placed in order of evidence, not of time.
 
-Views a third of a circle apart tell little of each other; those of two rings, one above the other, tell much,
-but stand far apart in the recording. So a search extends partial maps, from the first keyframe alone, by any
-keyframe at any place where it is found, and keeps those maps that explain most: by the evidence that each
-image gives for its place, log p(image | map, place) - log p(image | no map), which compares maps of other
-keyframes too. The few best are kept at every size (a beam), for the surest place may still be a wrong one.
-Not every keyframe is sought in every map: those that were surest in the smaller map are, the others wait.
+Views a third of a circle apart share little; views of two rings, one above the other, share much but are far
+apart in the recording. The search extends partial maps, from the first keyframe alone, by any keyframe at any
+pose where it registers, and keeps the maps of highest evidence sum of log p(image | map, pose) -
+log p(image | no map), which compares maps of different keyframes. A few are kept at every size (a beam). Only
+the keyframes with the highest evidence in the smaller map are registered again in the larger one.
 """
 
 from __future__ import annotations

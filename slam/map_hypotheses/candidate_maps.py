@@ -1,16 +1,12 @@
-"""All likely maps of a handful of keyframes: sought without regard to what the filter found, and weighed.
+"""Candidate maps of few keyframes, proposed independently of the filter, jointly optimised and weighed.
 
-Views far apart are explained by more than one map: a corner of a bare room by each other one, an object on a
-pedestal from the wrong side. So several maps are proposed, brought to the optimum next to them, and weighed
-by the composite likelihood of all images, tempered, times the motion prior of the keyframes. All that are not
-negligible remain, and particles stand for them in proportion (`slam.modes`).
+Views far apart are explained by more than one map: a corner of a bare room by any other, an object on a
+pedestal from the wrong side. Several maps are proposed, brought to the nearest optimum of the overlap graph
+(`slam.pose_graph.gauss_newton`), and weighed by the tempered composite likelihood of all images times the
+trajectory prior. Those of non-negligible weight are kept (`slam.map_hypotheses.modes`).
 
-####
-Whole maps of keyframes brought to the optimum next to them, all keyframes at once.
-
-What a search leaves is centimetres off. Along bare walls each view is held by others that are off as well:
-one by one, each in the map of the others, they need dozens of rounds, the graph of their overlaps
-(`slam.keyframe_optimum`) needs few.
+The joint optimum is needed since searched poses are centimetres off. Keyframe by keyframe, each against the
+map of the others, a bare wall takes dozens of rounds; the graph takes few.
 """
 
 from __future__ import annotations
@@ -35,10 +31,11 @@ from slam.pose_graph.overlaps import KeyframeDetail, keyframes_at
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 MODES_EXPONENT = 0.01
-"""Tempering of the composite likelihood between maps. What tempers one map's optimum (`slam.calibration`: .25
-to 1 here) does not know that maps are wrong at creases, and how much: right maps were ahead of the filter's
-wrong ones by 1056, 155 and 274 nats (5 views of objects, 7010000, 7010001, 7010003), by 1988 and -365 in bare
-rooms (circles of 5, 7010000, 7010001). So few films tell no more than the order of magnitude."""
+"""Tempering of the composite likelihood between maps. What tempers one map's optimum
+(`slam.likelihood.noise_calibration`: .25 to 1 here) does not know that maps are wrong at creases, and how
+much: right maps were ahead of the filter's wrong ones by 1056, 155 and 274 nats (5 views of objects, 7010000,
+7010001, 7010003), by 1988 and -365 in bare rooms (circles of 5, 7010000, 7010001). So few films tell no more
+than the order of magnitude."""
 
 REGULAR_DISTANCES = (0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.25)
 """To the pivot of a circle, in depths at the image centre: the object there, or halfway to a far wall."""

@@ -1,9 +1,8 @@
-"""Whole maps of keyframes that one motion, repeated, leads through: a turntable's circle, or an orbit's.
+"""Candidate maps from one repeated step: the constant-velocity path of a turntable or an orbit.
 
-Two views a fifth of a circle apart share so little that wrong places which cover more explain them better;
-all views together tell one step of the circle well. Constant velocity is what the motion priors expect most,
-so its few coordinates are enumerated over the whole circle, coarse to fine. A step is judged as a whole map
-is, each image in the map of all the others.
+Neighbouring views of few on a circle share little, while all views together determine the step well. The few
+coordinates of the step are enumerated over the whole circle, coarse to fine, and each is scored as a whole
+map: every image against the map of all others.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Keyframes that judge each other's places: each is seen, or sought anywhere, in the map of chosen others.
-####
-Keyframes that contradict the others: which they are, and where else they may stand."""
+"""Cross-registration of keyframes: each against the map of chosen others, locally or globally.
+
+Keyframes whose inlier ratio against the map of all others stays low are inconsistent. They are removed one by
+one and registered again, globally, the one of highest inlier ratio first.
+"""
 
 from __future__ import annotations
 

@@ -1,18 +1,16 @@
-"""Keyframes that contradict each other are placed anew, once all of them are known.
+"""Mode jumps of the whole map after the last frame, for views far apart.
 
-With views far apart the filter may have to choose between places of which none of the earlier keyframes can
-tell; later ones could, but by then its particles agree on a wrong place, or on two clusters of views that are
-right in themselves and wrong to each other. Here every keyframe is compared with all the others. Where some
-contradict (what is seen should lie on the map wherever the map is met), those that contradict most are left
-out until the rest is of one mind, and are then sought anywhere in the map of the rest, the surest first.
+The filter may have chosen a wrong pose for lack of later keyframes. Here every keyframe is registered against
+the map of all others. Those whose inlier ratio is below `CONSISTENT_INLIER_RATIO` are removed one by one and
+registered again, globally, in the map of the rest, best first (`slam.map_hypotheses.cross_registration`).
 
 It is a mode-jumping Metropolis-Hastings step (Tjelmeland and Hegland 2001): a deterministic search proposes
-another mode, particles keep their displacements from the mean, so that volumes stay, and the ratio of the
-composite likelihood of all images decides (`Jury.log_composite`). An approximation: the way back is not
-proposed, for from the better mode nothing contradicts and no search begins.
+another mode, particles keep their displacements from the mean, so that volumes are preserved, and the ratio
+of the composite likelihood of all images decides (`KeyframeRegistrar.log_composite`). An approximation: the
+reverse move is not proposed, since a consistent map starts no search.
 
-Of a handful, none may stand right though all agree: maps of them are proposed without regard to what the
-filter found, and all that are likely remain (`slam.rivals`).
+Of few keyframes all may agree on wrong poses. Candidate maps are then proposed independently of the filter
+(`slam.map_hypotheses.candidate_maps`) and all of non-negligible weight are kept.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
 from slam.filter.state import CameraParticles, FilterState
-from slam.filter.step import smc
+from slam.filter import smc
 from slam.map_hypotheses.candidate_maps import candidate_maps
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
 from slam.map_hypotheses.modes import assign_modes, transport

@@ -1,4 +1,4 @@
-"""Several maps of the same keyframes, and particles that stand for them by their weights."""
+"""Several maps of the same keyframes with their probabilities, and particles assigned to them."""
 
 from __future__ import annotations
 

@@ -1,13 +1,8 @@
-"""The optimum of keyframes' overlaps by Gauss-Newton, each overlap linearised anew in every round.
+"""Gauss-Newton optimum of the keyframe overlap graph; every overlap is linearised anew in each round.
 
-The target is the overlap density (`slam.overlap`), tempered so that a pixel which several surfaces explain
-counts once.
-
-####
-Kernels over all keyframes of a map, on the host's arrays.
-
-How many there are differs from recording to recording: arrays are padded to a multiple, or every recording
-would compile them anew (measured: as long as a dozen frames take).
+The target is the overlap density (`slam.likelihood.overlap_density`), tempered so that a pixel explained by
+several surfaces counts once. Arrays over keyframes are padded to a multiple, since their number differs from
+recording to recording and each new shape would be compiled (as long as a dozen frames take).
 """
 
 from __future__ import annotations
@@ -151,7 +146,8 @@ def _exponents(linearised: _Linearised) -> NDArray[np.float64]:
     """Exponent (N,) of each image's densities: its pixels count once, and as many as are independent.
 
     An image's inliers over those of its largest overlap tell by how many surfaces a pixel is explained; the
-    spread of the blocks' scores, how much of the curvature is repetition (`slam.calibration`).
+    spread of the blocks' scores, how much of the curvature is repetition
+    (`slam.likelihood.noise_calibration`).
     """
     graph, images = linearised.graph, linearised.graph.pairs[:, 0]
     total, largest = np.zeros(graph.keyframes), np.ones(graph.keyframes)

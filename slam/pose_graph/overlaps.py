@@ -1,4 +1,4 @@
-"""Keyframes at full detail, and which of them overlap: what joint refinement compares."""
+"""Keyframes at full detail, and the pairs of them that overlap."""
 
 from __future__ import annotations
 

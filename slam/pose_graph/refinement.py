@@ -1,15 +1,14 @@
 """Joint refinement of all keyframes: the optimum of their overlaps as a Metropolis-Hastings proposal.
 
-The filter places a keyframe once, by the few it sees at that moment and at working resolution; errors add up
-along the way. Here every keyframe's image at full detail is compared with the surfaces of all keyframes that
-it overlaps, and the graph of these overlaps is brought to its optimum (`slam.keyframe_optimum`). Particles
-that have the keyframes in the same places are one mode, and each mode has an optimum of its own. The proposal
-carries the mode's mean over to the optimum, which is its own inverse and keeps volumes, so that the density
-ratio alone decides. (Asked particle by particle it was refused at random: densities at single draws differ by
-tens of nats.) Moved or not, a mode's particles then forget the filter's drift: they draw their displacement
-from the mean by the graph's Gaussian, the Laplace approximation of the same density (MATH.md J). What is told
-of keyframes is that Gaussian itself (`RefinedKeyframes`): a few dozen draws, of which the weights may leave two or
-three, have no spread in most directions.
+The filter places a keyframe once, at working resolution; errors accumulate along the path. Here every
+keyframe's image at full detail is compared with the surfaces of all keyframes that it overlaps, and the graph
+of overlaps is brought to its optimum (`slam.pose_graph.gauss_newton`). Particles with the same keyframe poses
+form one mode with an optimum of its own. The proposal transports the mode's mean to the optimum; it is its
+own inverse and preserves volume, so that the density ratio alone decides. (Decided particle by particle it
+was refused at random: densities at single draws differ by tens of nats.) Accepted or not, particles then draw
+their displacement from the graph's Gaussian, the Laplace approximation of the same density (docs/model.md,
+section J). Reported spreads are that Gaussian's (`RefinedKeyframes`), since a few dozen weighted draws have
+no spread in most directions.
 """
 
 from __future__ import annotations

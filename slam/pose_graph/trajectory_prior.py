@@ -1,7 +1,7 @@
-"""The motion prior of whole maps: log p of every keyframe's pose given those before it, and its curvature.
+"""The motion prior of whole maps: log p of every keyframe pose given those before it, and its curvature.
 
-An orbit's pivot is as unsure as the first camera's aim at it: it is integrated out, by Laplace's
-approximation at the likeliest pivot of each map.
+The pivot of an orbit is as uncertain as the first camera's aim at it. It is integrated out by Laplace's
+approximation at the most probable pivot of each map.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class TrajectoryPrior:
         return cls(motion, pivot, sigma, state.keyframe_times_ns)
 
     def log_density(self, poses: NDArray[np.float64]) -> float:
-        """sum_t log p(x_t | x_t-1, x_t-2) of poses (N, 4, 4); base measure of `slam.pose_gaussian`, each.
+        """sum_t log p(x_t | x_t-1, x_t-2) of poses (N, 4, 4), in the base measure of pose_gaussian.
 
         Frames between keyframes are as if there were none: the prior's steps are as long as any.
         """

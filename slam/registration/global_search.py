@@ -1,8 +1,8 @@
-"""Candidates anywhere in the map, compared with all of it at once: their scores, and steps uphill.
+"""Global search: scores of candidate poses against all keyframes at once, and ascent from the best.
 
 The reverse projection: a point of the frame lies on the surface of some keyframe, or in space that a keyframe
-saw through, or where no keyframe looked. Nothing is rendered for a candidate; the proposal may use this, the
-weights never do.
+observed as free, or where no keyframe looked. Nothing is rendered for a candidate; the proposal may use this,
+the weights never do.
 """
 
 from __future__ import annotations

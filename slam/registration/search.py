@@ -1,4 +1,4 @@
-"""Where to look for the camera: near each group's prediction, and anywhere in the map where that fails."""
+"""The order of search for a camera: near each group's prediction, then anywhere in the map."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ WIDE_KEYFRAMES = 8
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
 
 WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
-"""Relative to depth, as in `slam.map_scores`."""
+"""Relative to depth, as in `slam.registration.global_search`."""
 
 WIDE_CLIMBED = 256
 """Candidates that climb: the grid is coarser than the modes, the right place may be the three hundredth on it

@@ -1,4 +1,4 @@
-"""State-space models whose filters are known exactly, behind the interface of `slam.smc`."""
+"""State-space models whose filters are known exactly, behind the interface of `slam.filter.smc`."""
 
 from __future__ import annotations
 
