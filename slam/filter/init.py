@@ -10,10 +10,10 @@ import numpy as np
 
 from shapes.geometry.pose_sets import IDENTITY, spread_around
 from slam.config import SlamConfig
+from slam.filter import smc
 from slam.filter.map_update import CAPACITY_STEP
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
 from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_particles
-from slam.filter import smc
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image

@@ -13,9 +13,9 @@ from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import cluster, mean_and_covariance, turns_wide
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
+from slam.filter import smc
 from slam.filter.motion import LONGEST_RATIO, velocity_ratio
 from slam.filter.state import CameraParticles, FilterState
-from slam.filter import smc
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.registration import pose_grids
 from slam.registration.search import GroupMap, Registration, Searcher, prune_improbable, suppress_duplicates

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry.pose_sets import IDENTITY
-from slam.filter.motion import MotionPrior
 from slam.filter import smc
+from slam.filter.motion import MotionPrior
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.likelihood.noise_calibration import NoiseCalibration
 

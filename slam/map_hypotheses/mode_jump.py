@@ -27,8 +27,8 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
-from slam.filter.state import CameraParticles, FilterState
 from slam.filter import smc
+from slam.filter.state import CameraParticles, FilterState
 from slam.map_hypotheses.candidate_maps import candidate_maps
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
 from slam.map_hypotheses.modes import assign_modes, transport
