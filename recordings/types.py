@@ -62,7 +62,7 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True, kw_only=True)
 class DepthNoise:
-    """Parameters of the one sensor density (MATH.md section 0); `shapes.depth_noise` evaluates it.
+    """Parameters of the one sensor density (docs/model.md, section 0); `shapes.depth_noise` evaluates it.
 
     The standard deviation is sigma(z) = sigma_base_m + sigma_growth_per_m (z - 0.4 m)^2. The
     defaults are those of structured light.

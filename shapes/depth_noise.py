@@ -1,4 +1,4 @@
-"""The one sensor density (MATH.md section 0), shared by slam, shapes and scene.
+"""The one sensor density (docs/model.md, section 0), shared by slam, shapes and scene.
 
 A pixel is a real depth z or the atom "no return". Base measure: Lebesgue in metres on the reals, plus
 a point mass on `NO_RETURN`. All functions are elementwise and broadcast.

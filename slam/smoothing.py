@@ -21,7 +21,8 @@ UNDERSTATED, DEGREES_OF_FREEDOM = 1.5, 13.0
 """By how much the curvature, tempered as the spread of the blocks' scores says, understates the variance of
 poses in all directions, and how surely that is known: blocks differ from image to image and room to room, and
 a Gaussian whose scale is only known to a chi-square is a Student-t. The F distribution of greatest likelihood
-for the squared distances of all frames of 411 short walks (`bench slam --only coverage`, from 7014000)."""
+for the squared distances of all frames of 411 short walks (`bench slam --only coverage`; docs/model.md,
+development films)."""
 
 
 @dataclass(kw_only=True)

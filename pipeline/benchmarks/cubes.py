@@ -1,4 +1,4 @@
-"""MATH.md's special configuration: cubes of 1 m in (1.5 m)^3, where chains change the graph all the time."""
+"""The special configuration: cubes of 1 m in (1.5 m)^3, where chains change the graph all the time."""
 
 from collections.abc import Callable
 from functools import partial

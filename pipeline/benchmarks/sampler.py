@@ -1,8 +1,8 @@
 """The structure sampler against enumeration: total variation after a given number of moves.
 
-The model is MATH.md O's special configuration with a number for every tree in place of the renderer: the
-same for all (no data), and at random (data). The kernel is the one that parses scenes. Independent draws
-from the exact distribution set the floor.
+The model is the special configuration of docs/model.md, section O, with a number for every tree in place of
+the renderer: the same for all (no data), and at random (data). The kernel is the one that parses scenes.
+Independent draws from the exact distribution set the floor.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether probabilities of voxels mean what they say (MATH.md C)."""
+"""Whether probabilities of voxels mean what they say (docs/model.md, section C)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of estimated object poses, as the pose benchmarks define them (MATH.md D to H)."""
+"""Errors of estimated object poses, as the pose benchmarks define them (docs/model.md, sections D to H)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Agreement of a learned shape with the true mesh (MATH.md C): three intersections over unions."""
+"""Agreement of a learned shape with the true mesh (docs/model.md, section C): three intersections over
+unions."""
 
 from __future__ import annotations
 

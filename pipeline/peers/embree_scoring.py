@@ -1,8 +1,8 @@
 """The peer of rendering and scoring: Open3D's Embree ray casting, and the depth density in NumPy.
 
 Two settings: every pixel of the image, or only those under the object's bounding sphere, many hypotheses in
-one call. The density is that of MATH.md section 0 in float32; a pixel that the object does not cover keeps
-the density of the background, computed once.
+one call. The density is that of docs/model.md, section 0 in float32; a pixel that the object does not cover
+keeps the density of the background, computed once.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ class DepthSensor:
     """A structured-light camera; every parameter may be set.
 
     Attributes:
-        noise: standard deviation over distance, outliers, missing returns (MATH.md section 0).
+        noise: standard deviation over distance, outliers, missing returns (docs/model.md, section 0).
         noise_free: measure exactly, everywhere that a ray hits within the range.
         quantisation_m: depth is a multiple of it; 0 leaves it continuous.
         min_range_m: nothing nearer returns.

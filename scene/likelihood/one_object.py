@@ -89,7 +89,7 @@ def log_likelihood_ratio(
 ) -> NDArray[np.float32]:
     """Log likelihood (N,) of each hypothesis's image when its object joins the rest, less that of the rest.
 
-    The product over the image's pixels of the density of MATH.md section 0; base measure: Lebesgue in
+    The product over the image's pixels of the density of docs/model.md, section 0; base measure: Lebesgue in
     metres plus the atom of no return. For several frames or cameras, sum over a hypothesis's images.
     """
     return score_on_all_cores(partial(gain_over_rest, library, noise, evidence), posed)

@@ -5,7 +5,7 @@ the outward normal as third axis. In
 
     X_child F(f) = X_parent F(f') [FLIP hopf(eta, phi), (a, b, z)],    FLIP = diag(1, -1, -1),
 
-the flip puts flush contact at eta = (0, 0, 1), far from the chart's singular pole (MATH.md section O).
+the flip puts flush contact at eta = (0, 0, 1), far from the chart's singular pole (docs/model.md, section O).
 Poses are wxyz_xyz (7,) of objects whose frames are centred on their boxes.
 """
 

@@ -77,7 +77,7 @@ def subtree(parents: jax.Array, top: jax.Array) -> jax.Array:
 def all_trees(free: int, *, table: bool = False) -> NDArray[np.int32]:
     """Parents (T, C) of every tree over `free` objects and the root, the last of C the table if there is one.
 
-    T is (N+1)^(N-1), with the table 2 (N+2)^(N-1) (supplement, proposition O.2.1; MATH.md section O).
+    T is (N+1)^(N-1), with the table 2 (N+2)^(N-1) (supplement, proposition O.2.1; docs/model.md, section O).
     """
     count = free + table
     choices = np.array(np.meshgrid(*[np.arange(ROOT, count)] * free, indexing="ij")).reshape(free, -1).T

@@ -28,9 +28,9 @@ from scene.search.support_table import SupportTable
 from shapes.geometry.poses import matrices_of
 
 UNKNOWN_CARRIER = 0.1
-"""Odds of resting on something that is seen but not known against resting on what is. Chosen on synthetic
-tables (seeds 92000, 92003, 95018, 95030, 95037) without the shapes of some carriers: 0.5 lost an object that
-was only found for what it carries, 0.03 one on something unknown."""
+"""Odds of resting on something that is seen but not known against resting on what is. Chosen on five
+synthetic tables (docs/model.md, development films) without the shapes of some carriers: 0.5 lost an object
+that was only found for what it carries, 0.03 one on something unknown."""
 
 
 @jax.tree_util.register_dataclass

@@ -97,7 +97,7 @@ QUESTIONS: dict[Callable[[CloseView], NDArray[np.intp]], tuple[tuple[float, floa
 lookalike's.
 
 Fitted to 91 right fits, those in real frames counted forty times, and 216 wrong ones: 14 synthetic tables
-(seeds 91000 to 91007, 92000 to 92005), YCB-Video's 0002 (frames 0, 10 and 19, asked for all shapes and for
+(docs/model.md, development films), YCB-Video's 0002 (frames 0, 10 and 19, asked for all shapes and for
 absent ones) and every other of its synthetic frames, 7-Scenes' kitchen from frame 240 on, Redwood's room.
 """
 

@@ -2,7 +2,7 @@
 
 The chart at a centre c is the right tangent with translation first: a pose x has coordinates
 xi = (R_c^T (t - t_c), Log(R_c^T R)), metres and radians in the camera's own axes. The base measure is
-Lebesgue on translations times the Haar measure of mass pi^2 on rotations (MATH.md O), so that
+Lebesgue on translations times the Haar measure of mass pi^2 on rotations (docs/model.md, section O), so that
 components with different centres can be added: density = N(xi) 8 / (sin(a/2) / (a/2))^2, a = |Log|.
 Poses are wxyz_xyz (7,).
 """

@@ -32,7 +32,7 @@ def hopf_coordinates(wxyz: jax.Array) -> tuple[jax.Array, jax.Array]:
 def rotation_from_hopf(eta: jax.Array, phi: jax.Array) -> jax.Array:
     """The rotation, wxyz (4,), with these Hopf coordinates; undefined at the south pole.
 
-    The halves of the angle are missing in the supplement's printed inverse (MATH.md section O).
+    The halves of the angle are missing in the supplement's printed inverse (docs/model.md, section O).
     """
     a, b, c = eta
     cos, sin = jnp.cos(phi / 2), jnp.sin(phi / 2)
@@ -70,7 +70,7 @@ def log_gaussian_pose(whitening: jax.Array, offset_m: jax.Array, wxyz: jax.Array
     """Log density of an offset (3,) and a rotation whose 6-D tangent is Gaussian, mean zero.
 
     The rotation vector's Normal is wrapped round the group: the density sums over the windings
-    |xi| + 2 pi k, each with its Jacobian 8 / (sin(t/2) / (t/2))^2 (MATH.md section O). Three windings
+    |xi| + 2 pi k, each with its Jacobian 8 / (sin(t/2) / (t/2))^2 (docs/model.md, section O). Three windings
     are exact to 1e-9 for standard deviations up to 1 rad.
 
     Args:

@@ -1,6 +1,6 @@
 """States of voxels given many rays, by expectation propagation with one categorical site per (ray, voxel).
 
-The noisy forward model of one ray (MATH.md I): it ends at the first voxel that stops it,
+The noisy forward model of one ray (docs/model.md, section I): it ends at the first voxel that stops it,
 
     p(z | O) = s_before(z) + sum_i [prod_(j<i) (1 - o_j)] o_i s(z | z_i) + [prod_j (1 - o_j)] s_miss(z),
 

@@ -152,7 +152,7 @@ def frame_info(
         info: of the generic step.
         proposed: the draws.
         components: of the proposal.
-        found: optima, as by `slam.filter.pose_hypotheses.found_places`.
+        found: optima, as by `slam.filter.pose_hypotheses.find_pose_hypotheses`.
         lost: whether there was none.
     """
     particles: CameraParticles = state.population.particles

@@ -15,7 +15,8 @@ from slam.keyframes.planes import region_planes
 
 LEAST_VARIANCE_SHARE = 0.1
 """Of a pixel's variance: planes of flat regions are known better (2 to 4% on walls, 27% by creases;
-development seed 101), but errors that views share (calibration, distortion) do not average out."""
+docs/model.md, development films), but errors that views share (calibration, distortion) do not average
+out."""
 
 
 @jax.tree_util.register_dataclass

@@ -53,7 +53,8 @@ SEEN_THROUGH_BAND = 0.03
 
 ENDS_BEFORE = 0.2
 """Probability that the map's surface ends before the last pixel that is rendered of it: at true poses a fifth
-of those pixels saw past it, and hardly any others (views of an object, development seed 101)."""
+of those pixels saw past it, and hardly any others (views of an object; docs/model.md,
+development films)."""
 
 
 @jax.tree_util.register_dataclass

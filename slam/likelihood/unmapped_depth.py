@@ -6,7 +6,7 @@ neighbours, Laplace densities round the plane of the two to the left and round t
 uniform. A pose that covers more of the image with the map gains only what this density leaves unpredicted.
 
 All constants by maximum likelihood on 26 images of five kinds, each with the noise of its own sensor
-(docs/model.md, constants).
+(docs/model.md, development films).
 """
 
 from __future__ import annotations

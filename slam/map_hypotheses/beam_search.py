@@ -53,39 +53,39 @@ class _PartialMap:
         )
 
 
-def place_best_first(jury: KeyframeRegistrar) -> NDArray[np.float64] | None:
+def place_best_first(registrar: KeyframeRegistrar) -> NDArray[np.float64] | None:
     """Poses (N, 4, 4) of all keyframes, or None where one is found in no map.
 
     Of the maps kept it is the one that all images agree with most, improved keyframe by keyframe.
     """
     maps = [_PartialMap({0: np.eye(4)}, 0.0, {})]
-    for _ in range(len(jury) - 1):
-        maps = _best([extended for each in maps for extended in _extended(jury, each)])
-    complete = [np.stack([each.poses[index] for index in range(len(jury))]) for each in maps]
-    settled = [_settled(jury, poses) for poses in complete]
-    return _improved_singly(jury, max(settled, key=jury.log_composite)) if settled else None
+    for _ in range(len(registrar) - 1):
+        maps = _best([extended for each in maps for extended in _extended(registrar, each)])
+    complete = [np.stack([each.poses[index] for index in range(len(registrar))]) for each in maps]
+    settled = [_settled(registrar, poses) for poses in complete]
+    return _improved_singly(registrar, max(settled, key=registrar.log_composite)) if settled else None
 
 
-def _settled(jury: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _settled(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each keyframe in turn at the optimum next to it in the map of all the others, a few times.
 
     In partial maps they were placed by few, millimetres off, which costs as much as modes differ by.
     """
-    for index in list(range(1, len(jury))) * SETTLING_SWEEPS:
-        poses = _with(poses, index, jury.register_locally(poses, index, jury.all_but(index)))
+    for index in list(range(1, len(registrar))) * SETTLING_SWEEPS:
+        poses = _with(poses, index, registrar.register_locally(poses, index, registrar.all_but(index)))
     return poses
 
 
-def _improved_singly(jury: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _improved_singly(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each keyframe in turn sought in the map of all the others; a map that all agree with more is taken.
 
     What was placed first was placed by least.
     """
-    log_composite = jury.log_composite(poses)
-    for index in range(1, len(jury)):
-        for place in jury.register_globally(poses, index, jury.all_but(index))[:PLACES]:
-            other = _settled(jury, _with(poses, index, place))
-            if (log_other := jury.log_composite(other)) > log_composite:
+    log_composite = registrar.log_composite(poses)
+    for index in range(1, len(registrar)):
+        for place in registrar.register_globally(poses, index, registrar.all_but(index))[:PLACES]:
+            other = _settled(registrar, _with(poses, index, place))
+            if (log_other := registrar.log_composite(other)) > log_composite:
                 poses, log_composite = other, log_other
     return poses
 
@@ -99,15 +99,15 @@ def _with(poses: NDArray[np.float64], index: int, place: Registration) -> NDArra
     return poses
 
 
-def _extended(jury: KeyframeRegistrar, partial: _PartialMap) -> list[_PartialMap]:
+def _extended(registrar: KeyframeRegistrar, partial: _PartialMap) -> list[_PartialMap]:
     """The maps with one keyframe more."""
     core = sorted(partial.poses)
-    poses = np.stack([partial.poses.get(index, np.eye(4)) for index in range(len(jury))])
-    new = [index for index in range(len(jury)) if index not in partial.poses | partial.foretold]
+    poses = np.stack([partial.poses.get(index, np.eye(4)) for index in range(len(registrar))])
+    new = [index for index in range(len(registrar)) if index not in partial.poses | partial.foretold]
     surest = sorted(partial.foretold, key=lambda index: -partial.foretold[index])[:SOUGHT]
-    places = {index: jury.register_globally(poses, index, core)[:PLACES] for index in new or surest}
+    places = {index: registrar.register_globally(poses, index, core)[:PLACES] for index in new or surest}
     evidence = {
-        index: [_log_evidence(place, jury.noise) for place in found] for index, found in places.items()
+        index: [_log_evidence(place, registrar.noise) for place in found] for index, found in places.items()
     }
     foretold = partial.foretold | {index: max(found, default=-np.inf) for index, found in evidence.items()}
     return [

@@ -33,23 +33,23 @@ from slam.pose_graph.trajectory_prior import TrajectoryPrior
 MODES_EXPONENT = 0.01
 """Tempering of the composite likelihood between maps. What tempers one map's optimum
 (`slam.likelihood.noise_calibration`: .25 to 1 here) does not know that maps are wrong at creases, and how
-much: right maps were ahead of the filter's wrong ones by 1056, 155 and 274 nats (5 views of objects, 7010000,
-7010001, 7010003), by 1988 and -365 in bare rooms (circles of 5, 7010000, 7010001). So few films tell no more
-than the order of magnitude."""
+much: right maps were ahead of the filter's wrong ones by 1056, 155 and 274 nats (three films of 5 views
+of objects), by 1988 and -365 in bare rooms (two circles of 5; docs/model.md, development films). So few films
+tell no more than the order of magnitude."""
 
 REGULAR_DISTANCES = (0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.25)
 """To the pivot of a circle, in depths at the image centre: the object there, or halfway to a far wall."""
 
 REGULAR_MAPS = 6
-"""Circles that are settled: in a bare room three by quarter turns, a corner each view, came before the right
-one (circles of 5, 6020000)."""
+"""Circles that are jointly optimised: in a bare room three by quarter turns, a corner each view, came before
+the right one (a circle of 5; docs/model.md, development films)."""
 
 MOST_ROUNDS = 3
 """After the first, in which keyframes are placed without regard to any map."""
 
 
 def candidate_maps(
-    jury: KeyframeRegistrar,
+    registrar: KeyframeRegistrar,
     present: Sequence[NDArray[np.float64]],
     motion: TrajectoryPrior,
     details: Sequence[KeyframeDetail],
@@ -58,39 +58,39 @@ def candidate_maps(
     """Maps of all keyframes and their probabilities.
 
     Args:
-        jury: the keyframes.
+        registrar: the keyframes.
         present: maps (N, 4, 4) of the filter.
         motion: prior of the keyframes' poses.
         details: of the keyframes.
         noise: the sensor at that detail.
     """
     settle = partial(
-        optimise_jointly, keyframe_map=jury.keyframe_map, details=details, noise=noise, motion=motion
+        optimise_jointly, keyframe_map=registrar.keyframe_map, details=details, noise=noise, motion=motion
     )
 
     def log_weight(poses: NDArray[np.float64]) -> float:
-        return MODES_EXPONENT * jury.log_composite(poses) + motion.log_density(poses)
+        return MODES_EXPONENT * registrar.log_composite(poses) + motion.log_density(poses)
 
-    maps = [settle(poses) for poses in (*present, *_regular_maps(jury, motion))]
+    maps = [settle(poses) for poses in (*present, *_regular_maps(registrar, motion))]
     log_weights = [log_weight(poses) for poses in maps]
     for round_ in range(1 + MOST_ROUNDS):
         best = maps[int(np.argmax(log_weights))]
-        core = consistent_set(jury, best)
-        if len(core) == len(jury):
+        core = consistent_set(registrar, best)
+        if len(core) == len(registrar):
             break
-        proposed = register_inconsistent(jury, best, core) if round_ else place_best_first(jury)
+        proposed = register_inconsistent(registrar, best, core) if round_ else place_best_first(registrar)
         if proposed is not None:
             maps.append(settle(proposed))
             log_weights.append(log_weight(maps[-1]))
     return Modes.of(maps, log_weights)
 
 
-def _regular_maps(jury: KeyframeRegistrar, motion: TrajectoryPrior) -> list[NDArray[np.float64]]:
+def _regular_maps(registrar: KeyframeRegistrar, motion: TrajectoryPrior) -> list[NDArray[np.float64]]:
     """Maps (N, 4, 4) on circles of the orbit's radius, where there is one, or of any."""
-    distances = np.asarray(REGULAR_DISTANCES, np.float64) * central_depth(jury.view(0))
+    distances = np.asarray(REGULAR_DISTANCES, np.float64) * central_depth(registrar.view(0))
     if isinstance(motion.motion, OrbitMotion):
         distances = np.asarray([np.linalg.norm(motion.pivot_m)], np.float64)
-    return [repeat_step(step, len(jury)) for step in circular_steps(jury, distances)[:REGULAR_MAPS]]
+    return [repeat_step(step, len(registrar)) for step in circular_steps(registrar, distances)[:REGULAR_MAPS]]
 
 
 FAR_INFLATIONS = (16.0, 8.0, *INFLATIONS)

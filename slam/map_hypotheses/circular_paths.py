@@ -25,7 +25,8 @@ JUDGING = 5
 
 STARTS, STEPS = 160, 40
 """Distinct ones whose refinement is begun and of which it is ended: the true step was up to the seventieth of
-the grid, and among the first five of the refined (circles of 5 in bare rooms, from 7010000)."""
+the grid, and among the first five of the refined (circles of 5 in bare rooms; docs/model.md,
+development films)."""
 
 STEP_SHIFT_M, STEP_ANGLE_RAD = 0.12, 0.15
 
@@ -39,16 +40,16 @@ LOG_CLOUD = 6
 BATCH = 256
 
 
-def circular_steps(jury: KeyframeRegistrar, distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def circular_steps(registrar: KeyframeRegistrar, distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Steps last_from_next (S, 4, 4) of one repeated motion, those that explain the keyframes best first.
 
     Args:
-        jury: the keyframes, at even times.
+        registrar: the keyframes, at even times.
         distances_m: (D,) to the pivots of circles that are tried.
     """
     candidates = pose_grids.orbit_steps(distances_m)
-    ranked = candidates[np.argsort(-_scores(jury, candidates, BLUR), kind="stable")]
-    return _refined(jury, _first_distinct(ranked, STARTS))
+    ranked = candidates[np.argsort(-_scores(registrar, candidates, BLUR), kind="stable")]
+    return _refined(registrar, _first_distinct(ranked, STARTS))
 
 
 def repeat_step(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
@@ -56,15 +57,15 @@ def repeat_step(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     return np.stack([np.linalg.matrix_power(step, index) for index in range(count)])
 
 
-def _scores(jury: KeyframeRegistrar, steps: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
+def _scores(registrar: KeyframeRegistrar, steps: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
     """Sums (C,) over the judging images of their approximate log densities in the map of all others."""
     total, padded = np.zeros(len(steps)), pose_sets.pad_to_multiple(steps, BATCH)
-    powers = {lag: np.linalg.matrix_power(padded, lag) for lag in range(1 - len(jury), len(jury))}
-    for index in range(0, len(jury), -(-len(jury) // JUDGING)):
-        others = jury.all_but(index)
+    powers = {lag: np.linalg.matrix_power(padded, lag) for lag in range(1 - len(registrar), len(registrar))}
+    for index in range(0, len(registrar), -(-len(registrar) // JUDGING)):
+        others = registrar.all_but(index)
         poses = single_precision_poses(np.stack([powers[other - index] for other in others], axis=1))
-        surfaces = jury.keyframe_map.stacked(np.asarray(others))
-        scores = log_scores_of_maps(surfaces, poses, jury.view(index), jury.noise, blur)
+        surfaces = registrar.keyframe_map.stacked(np.asarray(others))
+        scores = log_scores_of_maps(surfaces, poses, registrar.view(index), registrar.noise, blur)
         total += np.asarray(scores, np.float64)[: len(steps)]
     return total
 
@@ -73,11 +74,11 @@ def _first_distinct(steps: NDArray[np.float64], count: int) -> NDArray[np.float6
     return steps[pose_sets.suppress_similar(steps, count, STEP_SHIFT_M, STEP_ANGLE_RAD)]
 
 
-def _refined(jury: KeyframeRegistrar, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _refined(registrar: KeyframeRegistrar, steps: NDArray[np.float64]) -> NDArray[np.float64]:
     """The best steps near each (S, 4, 4), in clouds that grow narrower and fewer: distinct, best first."""
     for width in REFINING:
         clouds = steps[:, None] @ np.asarray(expm(width * _cloud()))
-        scores = _scores(jury, clouds.reshape(-1, 4, 4), max(width, LEAST_BLUR)).reshape(len(steps), -1)
+        scores = _scores(registrar, clouds.reshape(-1, 4, 4), max(width, LEAST_BLUR)).reshape(len(steps), -1)
         best = clouds[np.arange(len(steps)), scores.argmax(axis=1)]
         ranked = best[np.argsort(-scores.max(axis=1), kind="stable")]
         steps = _first_distinct(ranked, max(STEPS, len(steps) // 2))

@@ -61,7 +61,8 @@ class KeyframeRegistrar:
         A composite likelihood (Besag 1975); half, for each overlap counts from both sides. By the chain rule
         the first images are given little, and wrong places win by how the unknown is foreseen: of five views
         round an object, some turned by 18 and 42 degrees beat the true ones by 57 nats, and by 32 and 32
-        degrees by 285; given all the others the true ones win, by 55 and 188 (development, objects 701).
+        degrees by 285; given all the others the true ones win, by 55 and 188 (docs/model.md, development
+        films).
         """
         located = (self.register_locally(poses, index, self.all_but(index)) for index in range(len(self)))
         return 0.5 * sum(float(one.optimum.log_density) for one in located)
@@ -94,20 +95,22 @@ def inlier_ratio(located: Registration) -> float:
 
 
 CONSISTENT_INLIER_RATIO = 0.9
-"""Share of the returns that meet the map and lie on it, from which on a keyframe does not contradict: at true
-poses round objects it was .92 at least, at wrong ones .6 to .9 (development films, seeds 0 and 101)."""
+"""Share of the returns that meet the map and lie on it, from which on a keyframe is consistent: at true poses
+round objects it was .92 at least, at wrong ones .6 to .9 (docs/model.md, development films)."""
 
 LEAST_CONSISTENT = 2
 
 
 def register_inconsistent(
-    jury: KeyframeRegistrar, poses: NDArray[np.float64], core: list[int]
+    registrar: KeyframeRegistrar, poses: NDArray[np.float64], core: list[int]
 ) -> NDArray[np.float64]:
     """Poses (N, 4, 4) with those that are not of the `core` sought in its map."""
     poses = poses.copy()
-    missing = [index for index in range(len(jury)) if index not in core]
+    missing = [index for index in range(len(registrar)) if index not in core]
     while missing:
-        found = {index: next(iter(jury.register_globally(poses, index, core)), None) for index in missing}
+        found = {
+            index: next(iter(registrar.register_globally(poses, index, core)), None) for index in missing
+        }
         sure = [
             index
             for index in missing
@@ -121,12 +124,14 @@ def register_inconsistent(
     return np.linalg.inv(poses[0]) @ poses
 
 
-def consistent_set(jury: KeyframeRegistrar, poses: NDArray[np.float64]) -> list[int]:
+def consistent_set(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> list[int]:
     """Keyframes that do not contradict each other: those that do most are left out, one by one."""
-    core = list(range(len(jury)))
+    core = list(range(len(registrar)))
     while len(core) > LEAST_CONSISTENT:
         agreements = [
-            inlier_ratio(jury.register_locally(poses, index, [other for other in core if other != index]))
+            inlier_ratio(
+                registrar.register_locally(poses, index, [other for other in core if other != index])
+            )
             for index in core
         ]
         worst = int(np.argmin(agreements))

@@ -82,14 +82,14 @@ def choose_map(
     groups = cluster(matrices_of(poses), weights)
     shares = [np.where(groups == group, weights, 0.0) for group in range(groups.max() + 1)]
     means = jnp.stack([mean_keyframes(poses, jnp.asarray(share / share.sum())) for share in shares])
-    jury = KeyframeRegistrar(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
+    registrar = KeyframeRegistrar(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
     if motion is not None:
-        modes = candidate_maps(jury, list(matrices_of(means)), motion, details, noise)
+        modes = candidate_maps(registrar, list(matrices_of(means)), motion, details, noise)
         now, log_weights = assign_modes(key, modes.shares, log_weights)
         after = single_precision_poses(modes.maps)[now]
     else:
         maps = [
-            _chosen(jax.random.fold_in(key, group), jury, matrices_of(mean), state.calibration.exponent)
+            _chosen(jax.random.fold_in(key, group), registrar, matrices_of(mean), state.calibration.exponent)
             for group, mean in enumerate(means)
         ]
         after = single_precision_poses(np.stack(maps))[groups]
@@ -100,19 +100,19 @@ def choose_map(
 
 
 def _chosen(
-    key: jax.Array, jury: KeyframeRegistrar, poses: NDArray[np.float64], exponent: float
+    key: jax.Array, registrar: KeyframeRegistrar, poses: NDArray[np.float64], exponent: float
 ) -> NDArray[np.float64]:
     """Poses (N, 4, 4) after steps until all agree or one is refused."""
-    core = consistent_set(jury, poses)
+    core = consistent_set(registrar, poses)
     present = None
     for log_uniform in np.log(np.asarray(jax.random.uniform(key, (MOST_ROUNDS,)))):
-        if len(core) == len(jury):
+        if len(core) == len(registrar):
             break
-        proposed = register_inconsistent(jury, poses, core)
-        present = jury.log_composite(poses) if present is None else present
-        log_composite = jury.log_composite(proposed)
+        proposed = register_inconsistent(registrar, poses, core)
+        present = registrar.log_composite(poses) if present is None else present
+        log_composite = registrar.log_composite(proposed)
         if log_uniform >= exponent * (log_composite - present):
             break
         poses, present = proposed, log_composite
-        core = consistent_set(jury, poses)
+        core = consistent_set(registrar, poses)
     return poses

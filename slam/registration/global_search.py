@@ -48,8 +48,8 @@ LARGEST_STEP = 0.1
 LEAST_SHORTFALL = 2.0
 """Nats a point that a search grants the map over what no keyframe saw. That is foreseen from the image
 itself, bare walls as well as if they were known, while a grid's neighbours of the right place fit them less
-well: places that meet nothing of the map would come first (development: the tests' box room, seeds 3 and 4,
-and objects 701 to 704; of 1, 2 and 4 nats the middle one misses least)."""
+well: places that meet nothing of the map would come first (of 1, 2 and 4 nats the middle one misses least;
+docs/model.md, development films)."""
 
 BATCH = 64
 

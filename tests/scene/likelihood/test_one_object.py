@@ -35,7 +35,7 @@ def library(mesh: trimesh.Trimesh) -> ObjectLibrary:
 def reference_log_likelihood(
     noise: DepthNoise, observed: NDArray[np.floating], rendered: NDArray[np.floating]
 ) -> float:
-    """The sum over pixels of MATH.md section 0, in float64."""
+    """The sum over pixels of docs/model.md, section 0, in float64."""
     observed, rendered = observed.astype(np.float64), rendered.astype(np.float64)
     observed = np.where(np.isfinite(observed) & (observed > 0), observed, 0.0)
     sigma = noise.sigma_base_m + noise.sigma_growth_per_m * (rendered - 0.4) ** 2

@@ -1,4 +1,5 @@
-"""The production kernel with data that see a pose: against evidences from prior draws (MATH.md O and K)."""
+"""The production kernel with data that see a pose: against evidences from prior draws (docs/model.md, section
+O and K)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,5 @@
-"""Chains whose likelihood is estimated over random shapes have the exact posterior (MATH.md section N)."""
+"""Chains whose likelihood is estimated over random shapes have the exact posterior (docs/model.md, section
+N)."""
 
 from __future__ import annotations
 

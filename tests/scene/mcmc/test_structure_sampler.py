@@ -1,4 +1,4 @@
-"""The sampler of scene graphs against enumeration (MATH.md section O)."""
+"""The sampler of scene graphs against enumeration (docs/model.md, section O)."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Our ICP against Open3D's on the same correspondences (MATH.md section K)."""
+"""Our ICP against Open3D's on the same correspondences (docs/model.md, section K)."""
 
 import jax
 import jax.numpy as jnp

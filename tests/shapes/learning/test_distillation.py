@@ -1,4 +1,4 @@
-"""phi* against gradient ascent, the oracle of MATH.md I."""
+"""phi* against gradient ascent, the oracle of docs/model.md, section I."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Expectation propagation against exact enumeration (MATH.md I)."""
+"""Expectation propagation against exact enumeration (docs/model.md, section I)."""
 
 import itertools
 from typing import Any

@@ -31,7 +31,7 @@ def seen_from_all_sides() -> NDArray[np.float64]:
     return np.linalg.inv(world[0]) @ world
 
 
-def jury(seed: int) -> KeyframeRegistrar:
+def registrar(seed: int) -> KeyframeRegistrar:
     """Noisy keyframes at those poses."""
     keyframe_map = KeyframeMap()
     world = box_room.pose(0.3 - 2.2 * np.sin(YAWS[0]) * 0.7, -0.2, 1.3 - 2.2 * np.cos(YAWS[0]), YAWS[0])
@@ -54,7 +54,7 @@ def with_a_turned_cluster() -> NDArray[np.float64]:
 
 def test_what_agrees_is_left_alone():
     """At true poses no keyframe contradicts; turned ones do, and are told."""
-    of_all = jury(seed=1)
+    of_all = registrar(seed=1)
 
     assert consistent_set(of_all, seen_from_all_sides()) == [0, 1, 2, 3, 4]
     assert consistent_set(of_all, with_a_turned_cluster()) == [0, 1, 2]
@@ -67,7 +67,7 @@ def test_what_two_images_share_counts_once():
     p(1 | 2) / p(1) is the same number but for what each image sees alone: 1,099 and 1,224 nats here. A
     composite twice or half as large would be off by half at least.
     """
-    of_all = jury(seed=5).keyframe_map
+    of_all = registrar(seed=5).keyframe_map
     of_two = KeyframeRegistrar(
         KeyframeMap(surfaces=of_all.surfaces[:2], samples=of_all.samples[:2]), NOISE, compared=4
     )
@@ -85,7 +85,7 @@ def test_what_two_images_share_counts_once():
 @pytest.mark.slow
 def test_a_turned_cluster_is_put_right():
     """A cluster 20 degrees off comes back to within a centimetre and half a degree."""
-    placed = register_inconsistent(jury(seed=2), with_a_turned_cluster(), [0, 1, 2])
+    placed = register_inconsistent(registrar(seed=2), with_a_turned_cluster(), [0, 1, 2])
 
     relative = np.linalg.inv(seen_from_all_sides()) @ placed
     assert np.linalg.norm(relative[:, :3, 3], axis=1).max() < 0.01
