@@ -1,5 +1,7 @@
-"""Agreement of a learned shape with the true mesh (docs/model.md, section C): three intersections over
-unions."""
+"""Agreement of a learned shape with the true mesh: three intersections over unions.
+
+As docs/model.md, section C defines them.
+"""
 
 from __future__ import annotations
 

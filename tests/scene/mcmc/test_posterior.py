@@ -1,5 +1,7 @@
-"""The production kernel with data that see a pose: against evidences from prior draws (docs/model.md, section
-O and K)."""
+"""The production kernel with data that see a pose: against evidences from prior draws.
+
+As docs/model.md, sections O and K.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

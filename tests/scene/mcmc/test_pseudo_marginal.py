@@ -1,5 +1,4 @@
-"""Chains whose likelihood is estimated over random shapes have the exact posterior (docs/model.md, section
-N)."""
+"""Chains whose likelihood is estimated over random shapes have the exact posterior (supplement N)."""
 
 from __future__ import annotations
 
