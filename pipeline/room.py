@@ -19,6 +19,8 @@ FUSED_FRAMES = 60
 """Frames that are fused, evenly spread."""
 POINTS_PER_FRAME = 40_000
 MOST_POINTS = 400_000
+UNSEEN_GREY = 128
+"""Of points that no colour image shows, where others have a colour."""
 VIEW_WIDTH = 160
 """Width to which the kept views are thinned."""
 
@@ -29,7 +31,7 @@ class RoomView:
 
     Attributes:
         points_m: (N, 3) float32.
-        rgb: (N, 3) uint8, or None without colour.
+        rgb: (N, 3) uint8, `UNSEEN_GREY` where no colour image shows a point; None without colour.
         frames: (V,) int32 indices of the views in the recording.
         times_ns: (V,) int64 stamps of the views.
         depth_mm: (V, h, w) uint16 thinned depth images, 0 where nothing returned.
@@ -90,7 +92,7 @@ def view_room(
     coloured = len(colours) == len(depths)
     return RoomView(
         points_m=points,
-        rgb=rgb if coloured else None,
+        rgb=rgb,
         frames=chosen.astype(np.int32),
         times_ns=np.array(stamps, np.int64),
         depth_mm=np.stack(depths),
@@ -117,20 +119,28 @@ class _Cloud:
         self._points.append(
             (local @ reference_from_camera[:3, :3].T + reference_from_camera[:3, 3]).astype(np.float32)
         )
+        colours = np.zeros((len(u), 4), np.float32)  # red, green, blue, and whether they are known
         if frame.rgb is not None:
-            self._colours.append(frame.rgb[v, u])
+            known = np.ones(len(u), np.bool_) if frame.rgb_known is None else frame.rgb_known[v, u]
+            colours[known, :3], colours[known, 3] = frame.rgb[v, u][known], 1
+        self._colours.append(colours)
 
     def fused(self) -> tuple[NDArray[np.float32], NDArray[np.uint8] | None]:
-        """Means over voxels that more than one point fell into."""
+        """Means over voxels that more than one point fell into; no colours where no point has one."""
         points = np.concatenate(self._points)
         if not len(points):
             return points, None
-        coloured = len(self._colours) == len(self._points)
-        values = np.concatenate([points, np.concatenate(self._colours)], axis=1) if coloured else points
+        values = np.concatenate([points, np.concatenate(self._colours)], axis=1)
         cell = np.floor((points - points.min(axis=0)) / VOXEL_M).astype(np.int64)
         number = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
         _, voxel, counts = np.unique(number, return_inverse=True, return_counts=True)
         sums = np.stack([np.bincount(voxel, column) for column in values.T.astype(np.float64)], axis=-1)
-        means = (sums / counts[:, None])[counts > 1]
-        means = means[:: -(-len(means) // MOST_POINTS) or 1]
-        return means[:, :3].astype(np.float32), means[:, 3:].round().astype(np.uint8) if coloured else None
+        sums, counts = sums[counts > 1], counts[counts > 1]
+        thinned = slice(None, None, -(-len(sums) // MOST_POINTS) or 1)
+        sums, counts = sums[thinned], counts[thinned]
+        means = (sums[:, :3] / counts[:, None]).astype(np.float32)
+        seen = sums[:, 6]
+        if not seen.any():
+            return means, None
+        rgb = np.where(seen[:, None] > 0, sums[:, 3:6] / np.maximum(seen, 1)[:, None], UNSEEN_GREY)
+        return means, rgb.round().astype(np.uint8)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from recordings.cameras.matching import base_topic
 from recordings.errors import RecordingError
+from recordings.images.colour import is_colour
 from recordings.images.compressed_depth import holds_depth, image_size
 from recordings.images.depth_pixels import DEPTH_DTYPES, stored_pixels
 from recordings.images.point_clouds import points_of
@@ -28,11 +30,21 @@ class DepthTopic:
     first: DepthMessage
 
 
-def choose_depth_topic(decoded: DecodedBag, wanted: str | None) -> DepthTopic | None:
-    """The depth topic of a recording, or None where it has none.
+def depth_topics(decoded: DecodedBag) -> list[str]:
+    """The topics whose first message could be depth, in the order of the alphabet.
 
     Images of 16-bit grey values (mono16) are taken for depth only where no other image is depth, since
     infrared cameras write them too; point clouds only where no image is depth.
+    """
+    kinds = _by_kind(decoded)
+    return kinds["certain"] or kinds["grey"] or kinds["cloud"]
+
+
+def choose_depth_topic(decoded: DecodedBag, wanted: str | None) -> DepthTopic | None:
+    """The depth topic of a recording, or None where it has none.
+
+    Of several, the one that is neither another's copy in another transport nor resampled into the frame of a
+    colour camera, as `aligned_depth_to_color` is: that is what the sensor measured.
 
     Args:
         decoded: the recording.
@@ -42,23 +54,50 @@ def choose_depth_topic(decoded: DecodedBag, wanted: str | None) -> DepthTopic | 
         RecordingError: several topics could be meant, the wanted one holds no depth, or none of its
             messages can be used.
     """
+    path = decoded.bag.path
+    if wanted is not None:
+        topics = [topic for found in _by_kind(decoded).values() for topic in found]
+        if wanted not in topics:
+            known = ", ".join(topics) or "none"
+            raise RecordingError(f"{path} has no depth topic {wanted}; its depth topics: {known}")
+        return _with_first(decoded, wanted)
+    candidates = depth_topics(decoded)
+    own = _measured(decoded, candidates)
+    if len(own) > 1:
+        names = ", ".join(candidates)
+        raise RecordingError(f"{path} has {len(candidates)} depth topics: {names}; choose with --depth-topic")
+    return _with_first(decoded, own[0]) if own else None
+
+
+def is_aligned_to_colour(decoded: DecodedBag, topic: str) -> bool:
+    """Whether a topic's depth images stand in the frame of a colour camera."""
+    first = decoded.first(topic)
+    frame_id = getattr(first, "frame_id", "")
+    return bool(frame_id) and any(
+        is_colour(other) and getattr(other, "frame_id", None) == frame_id
+        for name in decoded.topic_names
+        if name != topic and (other := decoded.first(name)) is not None
+    )
+
+
+def _measured(decoded: DecodedBag, candidates: list[str]) -> list[str]:
+    """The candidates without copies in another transport, and without those that others were resampled to."""
+    plain = [
+        topic
+        for topic in candidates
+        if not any(topic != other and base_topic(topic) == other for other in candidates)
+    ]
+    own = [topic for topic in plain if not is_aligned_to_colour(decoded, topic)]
+    return own or plain
+
+
+def _by_kind(decoded: DecodedBag) -> dict[str, list[str]]:
     kinds: dict[str, list[str]] = {"certain": [], "grey": [], "cloud": []}
     for topic in decoded.topic_names:
         kind = _kind(decoded.first(topic))
         if kind is not None:
             kinds[kind].append(topic)
-    path = decoded.bag.path
-    if wanted is not None:
-        topics = [topic for found in kinds.values() for topic in found]
-        if wanted not in topics:
-            known = ", ".join(topics) or "none"
-            raise RecordingError(f"{path} has no depth topic {wanted}; its depth topics: {known}")
-        return _with_first(decoded, wanted)
-    candidates = kinds["certain"] or kinds["grey"] or kinds["cloud"]
-    if len(candidates) > 1:
-        names = ", ".join(candidates)
-        raise RecordingError(f"{path} has {len(candidates)} depth topics: {names}; choose with --depth-topic")
-    return _with_first(decoded, candidates[0]) if candidates else None
+    return kinds
 
 
 def _kind(first: DecodedMessage | None) -> str | None:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recordings.depth_topics import choose_depth_topic
+from recordings.depth_topics import DepthTopic, choose_depth_topic, depth_topics, is_aligned_to_colour
+from recordings.errors import RecordingError
 from recordings.mcap_files.attachments import Attachment
 from recordings.mcap_files.bag import Bag
 from recordings.messages.decoded_bag import DecodedBag
@@ -59,16 +60,41 @@ class DepthOverview:
     camera_topic: str | None
     camera_problem: str | None
     colour_topic: str | None
+    colour_is_projected: bool
     frame_hashes: tuple[str, ...] | None
 
 
 @dataclass(frozen=True, kw_only=True)
+class DepthCandidate:
+    """One of several depth topics.
+
+    Attributes:
+        topic: its name.
+        size: width and height of its images.
+        intrinsics: of its camera, where that is known.
+        frame_id: the frame that its images say they were taken in.
+        aligned: whether that is the frame of a colour camera, so that the images are resampled.
+    """
+
+    topic: str
+    size: tuple[int, int]
+    intrinsics: CameraIntrinsics | None
+    frame_id: str
+    aligned: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class Overview:
-    """A recording at a glance; `problems` are sentences for a person."""
+    """A recording at a glance; `problems` are sentences for a person.
+
+    `depth` is of the topic that every command takes: None where there is none, or where the user has to
+    choose among the `candidates`. Those are told where there are several.
+    """
 
     topics: tuple[TopicOverview, ...]
     attachments: tuple[Attachment, ...]
     depth: DepthOverview | None
+    candidates: tuple[DepthCandidate, ...]
     damage: Damage
     problems: tuple[str, ...]
 
@@ -77,20 +103,45 @@ def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overvie
     """Read a recording from end to end.
 
     Raises:
-        RecordingError: it cannot be read, or several depth topics could be meant.
+        RecordingError: it cannot be read, or the depth topic that the options name holds no depth.
     """
     bag = Bag(Path(path))
     topics = _survey_topics(bag)
     decoded = DecodedBag(bag)
-    topic = choose_depth_topic(decoded, options.depth_topic)
+    names = depth_topics(decoded)
+    topic = _taken(decoded, options, len(names))
     recording = None if topic is None else McapRecording(decoded, topic, options)
     depth = None if recording is None else _survey_depth(recording, hashes=hashes)
     return Overview(
         topics=topics,
         attachments=tuple(bag.attachments),
         depth=depth,
+        candidates=tuple(_candidate(decoded, name, options) for name in names) if len(names) > 1 else (),
         damage=bag.damage if recording is None else recording.damage,
         problems=tuple(bag.problems if recording is None else recording.problems),
+    )
+
+
+def _taken(decoded: DecodedBag, options: ReadOptions, count: int) -> DepthTopic | None:
+    """The topic that commands take; None where there is none or the user has to choose."""
+    try:
+        return choose_depth_topic(decoded, options.depth_topic)
+    except RecordingError:
+        if options.depth_topic is not None or count < 2:
+            raise
+        return None
+
+
+def _candidate(decoded: DecodedBag, name: str, options: ReadOptions) -> DepthCandidate:
+    topic = choose_depth_topic(decoded, name)
+    assert topic is not None
+    recording = McapRecording(decoded, topic, options)
+    return DepthCandidate(
+        topic=name,
+        size=recording.size,
+        intrinsics=None if recording.camera_problem else recording.intrinsics,
+        frame_id=recording.frame_id,
+        aligned=is_aligned_to_colour(decoded, name),
     )
 
 
@@ -127,6 +178,7 @@ def _survey_depth(recording: McapRecording, *, hashes: bool) -> DepthOverview:
         camera_topic=recording.camera_topic,
         camera_problem=recording.camera_problem,
         colour_topic=recording.colour_topic,
+        colour_is_projected=recording.colour_is_projected,
         frame_hashes=tuple(found) if hashes else None,
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.cameras.recorded import recorded_cameras
+from recordings.colour_projection import ColourCamera, projected_colour
 from recordings.colour_topics import ColourTopic, registered_colour
 from recordings.depth_clouds import DepthClouds
 from recordings.depth_images import DepthImages
@@ -20,6 +21,7 @@ from recordings.images.pairing import NearestInTime
 from recordings.mcap_files.bag import Bag
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
+    CameraMessage,
     CompressedImageMessage,
     DecodedMessage,
     ImageMessage,
@@ -55,7 +57,8 @@ class McapRecording:
     """A `Recording` of one depth topic.
 
     Frames come in the order of their stamps (header.stamp; the log time where the recorder set none).
-    Colour comes with them where a topic of the recording is registered to the depth.
+    Colour comes with them where a topic of the recording is registered to the depth, or else where both
+    cameras' calibrations and the transform between them are recorded.
 
     Raises:
         RecordingError: a point cloud shows nothing that a camera could look at.
@@ -67,20 +70,29 @@ class McapRecording:
         self.decoded = decoded
         self.options = options
         self._uses_log_time = topic.first.stamp_ns == 0
-        self._colour: ColourTopic | None = None
+        self._colour: ColourTopic | ColourCamera | None = None
         cameras = recorded_cameras(decoded)
         try:
             if isinstance(topic.first, PointCloudMessage):
                 self._depth = DepthClouds(topic, cameras, options)
             else:
                 self._depth = DepthImages(topic, cameras, options)
-                self._colour = registered_colour(decoded, self._depth, self.frame_id, cameras)
+                self._colour = self._colour_beside(self._depth, cameras)
                 if self._colour:
                     decoded.bag.keep_blocks(_KEPT_FOR_COLOUR)
         except UndecodableMessage as error:
             raise RecordingError(f"{decoded.bag.path}, {topic.name}: {error}") from error
         self._losses: Counter[str] = Counter()
         self._length: int | None = None
+
+    def _colour_beside(
+        self, depth: DepthImages, cameras: dict[str, CameraMessage]
+    ) -> ColourTopic | ColourCamera | None:
+        """The colour that is registered to the depth images, else what can be projected onto them."""
+        registered = registered_colour(self.decoded, depth, self.frame_id, cameras)
+        if registered or depth.intrinsics is None or not self.frame_id:
+            return registered
+        return projected_colour(self.decoded, self.depth_topic, self.frame_id, depth.intrinsics, cameras)
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
@@ -118,6 +130,11 @@ class McapRecording:
     def colour_topic(self) -> str | None:
         """The topic of colour images that come with the frames, if any."""
         return self._colour.name if self._colour else None
+
+    @property
+    def colour_is_projected(self) -> bool:
+        """Whether that colour was taken by another camera and is looked up point by point."""
+        return isinstance(self._colour, ColourCamera)
 
     @property
     def frame_from_camera(self) -> NDArray[np.float64]:
@@ -166,18 +183,23 @@ class McapRecording:
                 lose(error)
                 continue
             count += 1
-            rgb = self._rgb(colours.at(stamp_ns), lose)
-            yield Frame(time_ns=stamp_ns, depth_m=depth_m, rgb=rgb)
+            rgb, known = self._rgb(colours.at(stamp_ns), depth_m, lose)
+            yield Frame(time_ns=stamp_ns, depth_m=depth_m, rgb=rgb, rgb_known=known)
         self._length = count
 
-    def _rgb(self, message: ColourMessage | None, lose: Callable[[object], None]) -> NDArray[np.uint8] | None:
+    def _rgb(
+        self, message: ColourMessage | None, depth_m: NDArray[np.float32], lose: Callable[[object], None]
+    ) -> tuple[NDArray[np.uint8] | None, NDArray[np.bool_] | None]:
+        """Colours of a depth image's pixels, and which of them are known where not all are."""
         if self._colour is None or message is None:
-            return None
+            return None, None
         try:
-            return self._colour.rgb(message)
+            if isinstance(self._colour, ColourCamera):
+                return self._colour.rgb(message, depth_m)
+            return self._colour.rgb(message), None
         except UndecodableMessage as error:
             lose(error)
-            return None
+            return None, None
 
     def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DecodedMessage]]:
         for log_time_ns, message in self.decoded.messages({self.depth_topic}):

@@ -92,11 +92,14 @@ class Frame:
         time_ns: the sensor's own stamp, not the time of logging.
         depth_m: (H, W) float32, distance along the optical axis; `NO_RETURN` where none was measured.
         rgb: (H, W, 3) uint8 or None.
+        rgb_known: (H, W) pixels whose colour another camera saw, where colour is projected from there; None
+            where all are known.
     """
 
     time_ns: int
     depth_m: NDArray[np.float32]
     rgb: NDArray[np.uint8] | None = None
+    rgb_known: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

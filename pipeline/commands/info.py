@@ -10,7 +10,8 @@ from pipeline.damage import describe, report_damage
 from pipeline.options import Common, RecordingSource, common_options, recording_options
 
 if TYPE_CHECKING:
-    from recordings.overview import DepthOverview, Overview, Pace
+    from recordings.overview import DepthCandidate, DepthOverview, Overview, Pace
+    from recordings.types import CameraIntrinsics
 
 _GAPS_SHOWN = 5
 _PROBLEMS_SHOWN = 10
@@ -73,6 +74,17 @@ def _document(overview: Overview) -> dict[str, Any]:
         "lost_chunks": overview.damage.lost_chunks,
         "verified": overview.damage.verified,
     }
+    if overview.candidates:
+        document["depth_topics"] = {
+            one.topic: {
+                "width": one.size[0],
+                "height": one.size[1],
+                "frame_id": one.frame_id,
+                "aligned_to_colour": one.aligned,
+                "taken": depth is not None and one.topic == depth.topic,
+            }
+            for one in overview.candidates
+        }
     if depth and depth.frame_hashes is not None:
         document["frame_hashes"] = list(depth.frame_hashes)
     return document
@@ -81,22 +93,53 @@ def _document(overview: Overview) -> dict[str, Any]:
 def _depth_lines(overview: Overview) -> list[str]:
     depth = overview.depth
     if depth is None:
-        return ["depth   none"]
+        return [*_candidate_lines(overview), "depth   " + ("undecided" if overview.candidates else "none")]
     size = f"{depth.size[0]}x{depth.size[1]}"
     return [
+        *_candidate_lines(overview),
         f"depth   {depth.topic}: {depth.frames} frames of {size}, {_pace(depth.pace)}",
         f"camera  {_camera(depth)}",
-        f"colour  {depth.colour_topic or 'none that is registered to the depth'}",
+        f"colour  {_colour(depth)}",
         *_gap_lines(depth.pace),
     ]
 
 
+def _candidate_lines(overview: Overview) -> list[str]:
+    """Several depth topics, one a line, and which of them the commands take."""
+    if not overview.candidates:
+        return []
+    taken = overview.depth.topic if overview.depth else None
+    lines = [f"{len(overview.candidates)} depth topics:"]
+    lines += [_candidate(one, taken=one.topic == taken) for one in overview.candidates]
+    if taken is None:
+        return [*lines, "slam, learn and parse take none of them by themselves: choose with --depth-topic"]
+    return [*lines, f"slam, learn and parse take {taken}; another with --depth-topic"]
+
+
+def _candidate(one: DepthCandidate, *, taken: bool) -> str:
+    camera = _numbers(one.intrinsics) if one.intrinsics else "camera unknown"
+    aligned = ", resampled into a colour camera's view" if one.aligned else ""
+    mark = "*" if taken else " "
+    return (
+        f"  {mark} {one.topic}: {one.size[0]}x{one.size[1]}, {camera}, frame {one.frame_id or '?'}{aligned}"
+    )
+
+
+def _colour(depth: DepthOverview) -> str:
+    if depth.colour_topic is None:
+        return "none that is registered to the depth, or whose calibration and /tf_static are recorded"
+    how = ", of another camera, projected onto the depth" if depth.colour_is_projected else ""
+    return f"{depth.colour_topic}{how}"
+
+
 def _camera(depth: DepthOverview) -> str:
-    camera = depth.intrinsics
-    if camera is None:
+    if depth.intrinsics is None:
         return depth.camera_problem or "unknown"
-    numbers = f"fx {camera.fx:.3f}  fy {camera.fy:.3f}  cx {camera.cx:.3f}  cy {camera.cy:.3f}"
-    return f"{numbers}  ({depth.camera_topic or 'given or derived'})"
+    return f"{_numbers(depth.intrinsics)}  ({depth.camera_topic or 'given or derived'})"
+
+
+def _numbers(camera: CameraIntrinsics) -> str:
+    return f"fx {camera.fx:.3f}  fy {camera.fy:.3f}  cx {camera.cx:.3f}  cy {camera.cy:.3f}"
 
 
 def _pace(pace: Pace) -> str:

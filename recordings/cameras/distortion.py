@@ -31,18 +31,13 @@ class Undistortion:
     """
 
     def __init__(self, intrinsics: CameraIntrinsics, model: str, coefficients: Sequence[float]) -> None:
-        if model not in _MODELS:
-            raise UnusableCamera(
-                f"its camera has the distortion model {model!r}, known are {', '.join(sorted(_MODELS))}; "
-                "record rectified depth or give --intrinsics fx,fy,cx,cy"
-            )
+        distort = distortion_model(model)
         width, height = intrinsics.width, intrinsics.height
         u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
-        distort = _MODELS[model]
         with np.errstate(all="ignore"):  # a rational model may have poles far outside the image
             distorted_x, distorted_y = distort(x, y, coefficients)
-            limit = _unfolded_radius(distort, coefficients, float(np.hypot(x, y).max()))
+            limit = unfolded_radius(distort, coefficients, float(np.hypot(x, y).max()))
         column = np.rint(distorted_x * intrinsics.fx + intrinsics.cx)
         row = np.rint(distorted_y * intrinsics.fy + intrinsics.cy)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (np.hypot(x, y) < limit)
@@ -60,6 +55,20 @@ class Undistortion:
         undistorted = rgb.reshape(-1, 3)[self._source]
         undistorted[self._outside] = 0
         return undistorted
+
+
+def distortion_model(name: str) -> Distort:
+    """Where a lens moves points (x, y) of the plane z = 1, by the model's name in ROS.
+
+    Raises:
+        UnusableCamera: the model is not known.
+    """
+    if name not in _MODELS:
+        raise UnusableCamera(
+            f"its camera has the distortion model {name!r}, known are {', '.join(sorted(_MODELS))}; "
+            "record rectified images or give --intrinsics fx,fy,cx,cy"
+        )
+    return _MODELS[name]
 
 
 def is_distorted(coefficients: Sequence[float]) -> bool:
@@ -91,7 +100,7 @@ def _equidistant(x: Points, y: Points, coefficients: Sequence[float]) -> tuple[P
     return x * scale, y * scale
 
 
-def _unfolded_radius(distort: Distort, coefficients: Sequence[float], largest: float) -> float:
+def unfolded_radius(distort: Distort, coefficients: Sequence[float], largest: float) -> float:
     """Up to where the model pushes outer rays outwards; beyond, it folds back over the image."""
     radii = np.linspace(0.0, largest, 2048)
     reached, _ = distort(radii, np.zeros_like(radii), coefficients)

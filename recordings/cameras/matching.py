@@ -23,6 +23,12 @@ def namespace(topic: str) -> tuple[str, ...]:
     return tuple(parts[:-1])
 
 
+def base_topic(topic: str) -> str:
+    """The topic whose images a transport topic carries, by image_transport's names; else the topic itself."""
+    base, _, last = topic.rpartition("/")
+    return base if last in _TRANSPORTS else topic
+
+
 def is_rectified(topic: str) -> bool:
     """Whether the images of a topic are rectified, which ROS says in the topic's name alone (image_proc)."""
     parts = [part for part in topic.split("/") if part and part not in _TRANSPORTS]

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from recordings.cameras.matching import shared_namespace
 from recordings.errors import RecordingError
 from recordings.messages.decoded_bag import DecodedBag
-from recordings.messages.types import OdometryMessage, PoseMessage
+from recordings.messages.types import PoseMessage
 from recordings.options import ReadOptions
 from recordings.poses.track import Track
-from recordings.poses.transform_tree import TransformTree, composed
+from recordings.poses.transform_tree import composed, recorded_transforms
 from recordings.reading import McapRecording, open_recording
 from recordings.types import Trajectory
 
@@ -51,31 +51,11 @@ def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> 
 
 def _camera_pose(recording: McapRecording) -> PoseAt | None:
     """Where the frame of the depth images was at a time."""
-    way = _transform_tree(recording.decoded).way_up(recording.frame_id)
+    way = recorded_transforms(recording.decoded).way_up(recording.frame_id)
     if any(not track.is_mounting for track in way):
         return lambda time_ns: composed(way, time_ns)
     topic = _nearest_pose_topic(recording.decoded, recording.depth_topic)
     return None if topic is None else _pose_track(recording.decoded, topic).at
-
-
-def _transform_tree(decoded: DecodedBag) -> TransformTree:
-    tree = TransformTree()
-    odometry: list[tuple[int, OdometryMessage]] = []
-    for topic in decoded.topic_names:
-        # ROS says in the topic's name alone which transforms hold for good.
-        is_mounting = topic.endswith("static")
-        if isinstance(decoded.first(topic), tuple | OdometryMessage):
-            for log_time_ns, message in decoded.messages({topic}):
-                if isinstance(message, OdometryMessage):
-                    odometry.append((log_time_ns, message))
-                elif isinstance(message, tuple):
-                    for transform in message:
-                        tree.add(transform, transform.stamp_ns or log_time_ns, is_mounting=is_mounting)
-    known = {message.transform.child for _, message in odometry if tree.has_parent(message.transform.child)}
-    for log_time_ns, message in odometry:
-        if message.transform.child not in known:
-            tree.add(message.transform, message.transform.stamp_ns or log_time_ns, is_mounting=False)
-    return tree
 
 
 def _nearest_pose_topic(decoded: DecodedBag, depth_topic: str) -> str | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.messages.types import TransformMessage
+from recordings.messages.decoded_bag import DecodedBag
+from recordings.messages.types import OdometryMessage, TransformMessage
 from recordings.poses.track import Track
 
 
@@ -39,6 +40,55 @@ class TransformTree:
             seen.add(parent)
             frame = parent
         return way
+
+    def mounting(self, target: str, source: str) -> NDArray[np.float64] | None:
+        """target_from_source (4, 4) of two frames that are fixed to each other for good, else None."""
+        target_up, source_up = self._mounted_above(target), self._mounted_above(source)
+        common = next((frame for frame in source_up if frame in target_up), None)
+        if common is None:
+            return None
+        return np.linalg.inv(target_up[common]) @ source_up[common]
+
+    def _mounted_above(self, frame: str) -> dict[str, NDArray[np.float64]]:
+        """Every frame that a frame is mounted below, itself first, with its transform (4, 4) from there."""
+        above, frame_from_start = {(frame := _plain(frame)): np.eye(4)}, np.eye(4)
+        while frame in self._parents:
+            parent, track = self._parents[frame]
+            parent_from_child = track.at(0) if track.is_mounting else None
+            if parent in above or parent_from_child is None:
+                break
+            frame_from_start = parent_from_child @ frame_from_start
+            above[parent] = frame_from_start
+            frame = parent
+        return above
+
+
+def recorded_transforms(decoded: DecodedBag, *, mountings_only: bool = False) -> TransformTree:
+    """The transforms of a recording; odometry counts as one where nothing else places its body.
+
+    Args:
+        decoded: the recording.
+        mountings_only: read only the topics of transforms that never change.
+    """
+    tree = TransformTree()
+    odometry: list[tuple[int, OdometryMessage]] = []
+    for topic in decoded.topic_names:
+        # ROS says in the topic's name alone which transforms hold for good.
+        is_mounting = topic.endswith("static")
+        if mountings_only and not is_mounting:
+            continue
+        if isinstance(decoded.first(topic), tuple | OdometryMessage):
+            for log_time_ns, message in decoded.messages({topic}):
+                if isinstance(message, OdometryMessage):
+                    odometry.append((log_time_ns, message))
+                elif isinstance(message, tuple):
+                    for transform in message:
+                        tree.add(transform, transform.stamp_ns or log_time_ns, is_mounting=is_mounting)
+    known = {message.transform.child for _, message in odometry if tree.has_parent(message.transform.child)}
+    for log_time_ns, message in odometry:
+        if message.transform.child not in known:
+            tree.add(message.transform, message.transform.stamp_ns or log_time_ns, is_mounting=False)
+    return tree
 
 
 def _plain(name: str) -> str:

@@ -37,6 +37,8 @@ def voxel_colours(
         )
         depth = frame.depth_m[row[shown], column[shown]]
         at_surface = (depth != NO_RETURN) & (np.abs(depth - z[shown]) < AT_SURFACE_PITCHES * grid.pitch_m)
+        if frame.rgb_known is not None:
+            at_surface &= frame.rgb_known[row[shown], column[shown]]
         index = np.flatnonzero(shown)[at_surface]
         total[index] += frame.rgb[row[index], column[index]]
         weight[index] += 1

@@ -68,7 +68,7 @@ RECORDINGS: dict[str, tuple[Write, int, str]] = {
     "no depth": (pose, 0, "has no depth; its topics: /c/camera_info, /tf"),
     "colour only": (colour, 0, "has no depth; its topics: /c/camera_info, /c/colour"),
     "unknown schema": (unknown, 0, "has no depth; its topics: /c/camera_info, /x"),
-    "two depth topics": (both(depth(), depth("/e/depth")), 1, "2 depth topics: /c/depth, /e/depth; choose"),
+    "two depth topics": (both(depth(), depth("/e/depth")), 0, "2 depth topics: /c/depth, /e/depth; choose"),
     "size over the data": (depth(height=300), 1, "no message can be used"),
     "another camera's size": (
         depth(pixels=np.full((64, 40), 900, np.uint16)),
