@@ -101,4 +101,4 @@ def _shapes_of(folder: Path) -> Path:
 def _learned_surface(path: Path) -> SceneSurface:
     with usable(path):
         mesh = ShapePrior.load(path).surface()
-    return SceneSurface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64))
+    return SceneSurface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64), learned=True)

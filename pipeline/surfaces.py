@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bop_numbers import numbered
 from pipeline.errors import PipelineError
+from recordings.dataset_numbers import DatasetNumbers
 from shapes.archive import load_arrays, save_arrays
 
 
@@ -20,10 +22,12 @@ class SceneSurface:
     Attributes:
         vertices_m: (V, 3).
         faces: (F, 3) rows of `vertices_m`, counter-clockwise from outside.
+        learned: whether that frame is a learned shape's grid.
     """
 
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int64]
+    learned: bool = False
 
     @property
     def middle_m(self) -> NDArray[np.float64]:
@@ -33,13 +37,20 @@ class SceneSurface:
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Surfaces by name.
+    """Surfaces by name, and the numbers that BOP's files call them by.
 
     Attributes:
         by_name: in the order of the search.
+        numbers: of every surface, and of the recording's scene and images where it brings them.
     """
 
     by_name: Mapping[str, SceneSurface]
+    numbers: DatasetNumbers = field(default_factory=DatasetNumbers)
+
+    @property
+    def object_ids(self) -> dict[str, int]:
+        """An id for every surface, those of `numbers` where it has them."""
+        return numbered(self.by_name, self.numbers.object_ids)
 
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal surfaces give equal bytes."""
@@ -52,6 +63,10 @@ class Surfaces:
                 "face_counts": np.array([len(one.faces) for one in each], np.int64),
                 "vertices_m": np.concatenate([one.vertices_m for one in each]).astype(np.float64),
                 "faces": np.concatenate([one.faces for one in each]).astype(np.int64),
+                "object_ids": np.array([self.object_ids[name] for name in self.by_name], np.int64),
+                "learned": np.array([one.learned for one in each], np.bool_),
+                "scene_id": np.int64(self.numbers.scene_id),
+                "image_ids": np.array(list(self.numbers.image_ids.items()), np.int64).reshape(-1, 2),
             },
         )
 
@@ -67,7 +82,20 @@ class Surfaces:
             vertices = np.split(arrays["vertices_m"], np.cumsum(arrays["vertex_counts"])[:-1])
             faces = np.split(arrays["faces"], np.cumsum(arrays["face_counts"])[:-1])
             names = arrays["names"].tolist()
+            learned = arrays.get("learned", np.zeros(len(names), np.bool_)).tolist()
+            numbers = _numbers(names, arrays) if "object_ids" in arrays else DatasetNumbers()
         except (ValueError, KeyError) as error:
             raise PipelineError(f"{path} is damaged: {error}") from error
-        pairs = zip(names, vertices, faces, strict=True)
-        return cls({name: SceneSurface(vertices_m=points, faces=rows) for name, points, rows in pairs})
+        by_name = {
+            name: SceneSurface(vertices_m=points, faces=rows, learned=is_learned)
+            for name, points, rows, is_learned in zip(names, vertices, faces, learned, strict=True)
+        }
+        return cls(by_name, numbers)
+
+
+def _numbers(names: list[str], arrays: Mapping[str, NDArray]) -> DatasetNumbers:
+    return DatasetNumbers(
+        scene_id=int(arrays["scene_id"]),
+        image_ids=dict(arrays["image_ids"].tolist()),
+        object_ids=dict(zip(names, arrays["object_ids"].tolist(), strict=True)),
+    )

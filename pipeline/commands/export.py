@@ -3,26 +3,63 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import click
 
 from pipeline.errors import ConfigError
 from pipeline.options import Common, common_options
 
+DEFAULT_FORMATS = "ply,glb"
+
 
 @click.command(name="export")
-@click.argument("source", metavar="SHAPE.npz|RUN", type=click.Path(path_type=Path))
+@click.argument("source", metavar="SHAPE.npz|DIR|RUN", type=click.Path(path_type=Path))
 @click.option(
     "--format",
     "formats",
-    required=True,
+    default=DEFAULT_FORMATS,
+    show_default=True,
     metavar="FORMAT,...",
-    help="Of a shape: npz, ply, obj, glb, stl, bop. Of a RUN (the fused room and its objects): ply, glb.",
+    help="npz, ply, obj, glb, stl, bop (BOP data set), urdf, mjcf (simulators).",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR")
-@click.option("--units", type=click.Choice(["m", "mm"]), help="Of a shape's mesh files; m.")
+@click.option("--units", type=click.Choice(["m", "mm"]), help="Of shapes in ply, obj and stl; m.")
+@click.option(
+    "--origin",
+    type=click.Choice(["base", "middle", "grid"]),
+    default="base",
+    show_default=True,
+    help="Of learned shapes: middle of the footprint, of the bounding box, or the grid's corner.",
+)
 @click.option("--shells", is_flag=True, help="Also the surfaces where the probability is 0.1 and 0.9.")
+@click.option(
+    "--ids",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="Ids of shapes in BOP's files, {\"mug\": 14}; the run's own, or the next that are free, otherwise.",
+)
+@click.option(
+    "--density",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="KG_PER_M3",
+    help="Of shapes in urdf and mjcf; 1000, that of water.",
+)
+@click.option("--mesh", is_flag=True, help="Of a RUN: the room as coloured triangles instead of points.")
+@click.option(
+    "--pitch",
+    "pitch_m",
+    type=click.FloatRange(0.002, 0.2),
+    metavar="METRES",
+    help="Detail of the room's triangles; 0.01.",
+)
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path),
+    metavar="REC",
+    help="What RUN was made from, where --mesh does not find it by itself.",
+)
+@click.option("--force", is_flag=True, help="Replace files in DIR that say something else.")
 @common_options()
 def command(
     common: Common,
@@ -30,26 +67,48 @@ def command(
     formats: str,
     output: Path,
     units: Any,
+    origin: Any,
     shells: bool,
+    ids: Path | None,
+    density: float | None,
+    mesh: bool,
+    pitch_m: float | None,
+    recording: Path | None,
+    force: bool,
 ) -> None:
-    """Write a learned shape, or what a RUN found, for other programs.
+    """Write learned shapes, or what a RUN found, for other programs.
 
-    A manifest.json beside it says what is what. Surfaces are closed and wound outward, with enclosed voxels
-    filled. Meshes are in metres unless --units says otherwise; BOP is in millimetres and GLB in metres by
-    their own rules.
+    Of a SHAPE.npz or a DIR of them, every shape in every format. Of a RUN, the room with its objects where
+    they stand (ply, glb), and its objects one by one in the other formats; of a project's run, all of it.
+
+    A manifest.json beside them says what is what. Surfaces of shapes are closed and wound outward, with
+    enclosed voxels filled. Meshes are in metres unless --units says otherwise; BOP is in millimetres, GLB in
+    metres with y up, by their own rules. Files of earlier exports are never overwritten by others.
     """
-    from pipeline.export.run_export import RUN_FORMATS, export_run
-    from pipeline.export.shape_export import SHAPE_FORMATS, export_shape
+    from pipeline.bop_numbers import read_ids
+    from pipeline.export.model_export import MODEL_FORMATS, ExportOptions
+    from pipeline.export.room_mesh import PITCH_M
+    from pipeline.export.run_room import run_room
+    from pipeline.export.simulators import DENSITY_KG_M3
+    from pipeline.export.sources import export, is_run
 
-    is_run = source.is_dir()
-    known = RUN_FORMATS if is_run else SHAPE_FORMATS
     wanted = tuple(dict.fromkeys(part.strip() for part in formats.split(",")))
     for form in wanted:
-        if form not in known:
-            kind = "a run" if is_run else "a shape"
-            raise ConfigError(f"--format {form}: {kind} is written as {', '.join(known)}")
-    if is_run:
-        paths = export_run(source, wanted, output)
-    else:
-        paths = export_shape(source, wanted, output, units=cast(Any, units or "m"), shells=shells)
-    common.report({"files": [str(path) for path in paths]}, [str(path) for path in paths])
+        if form not in MODEL_FORMATS:
+            raise ConfigError(f"--format {form}: write some of {', '.join(MODEL_FORMATS)}")
+    if (mesh or pitch_m or recording) and not is_run(source):
+        raise ConfigError("--mesh, --pitch and --recording are for the run of one recording")
+    options = ExportOptions(
+        units=units or "m",
+        origin=origin,
+        shells=shells,
+        ids=read_ids(ids),
+        density=density or DENSITY_KG_M3,
+        force=force,
+    )
+    room = run_room(source, recording, pitch_m or PITCH_M, common) if mesh or pitch_m else None
+    paths = export(source, wanted, output, options, room)
+    lines = [str(path) for path in paths]
+    if room is not None:
+        lines.append(f"room: {len(room.faces)} triangles")
+    common.report({"files": [str(path) for path in paths]}, lines)

@@ -43,6 +43,12 @@ class FrameNumbers(click.ParamType):
     help="Learned shapes, a RUN that holds some, or meshes.",
 )
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of meshes; metres unless BOP's.")
+@click.option(
+    "--ids",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help='Ids of objects in poses.csv, {"mug": 14}; those of models_info.json or of the recording otherwise.',
+)
 @click.option("--objects", metavar="A,B|any", help="What to look for; any of the shapes by default.")
 @click.option(
     "--frames",
@@ -76,6 +82,7 @@ def command(
     force: bool,
     shapes: Path,
     units: Any,
+    ids: Path | None,
     objects: str | None,
     frames: tuple[int, ...] | None,
     graph: str | None,
@@ -87,6 +94,7 @@ def command(
 
     Each with its uncertainty. Runs slam first where several frames are used.
     """
+    from pipeline.bop_numbers import read_ids
     from pipeline.publishing.publish import stage_document
     from pipeline.session import open_session
     from pipeline.stages.parse import parse_stage
@@ -99,8 +107,9 @@ def command(
         "shape_samples": shape_samples,
         "presence": presence,
     }
+    numbers = read_ids(ids)
     with open_session(common, source, run_path, force=force) as session:
-        parse_stage(session, shapes, units, options)
+        parse_stage(session, shapes, units, options, numbers)
         damage = session.damage
     document = stage_document(session.run, "parse")
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]

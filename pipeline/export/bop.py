@@ -1,42 +1,69 @@
-"""Models as BOP keeps them: models/obj_NNNNNN.ply in millimetres, origin in the middle, models_info.json.
+"""Models as BOP keeps them: models/obj_NNNNNN.ply in millimetres with normals, and models_info.json.
 
 https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
-from pipeline.export.meshes import mesh_bytes, moved
+from pipeline.bop_numbers import numbered
+from pipeline.errors import PipelineError
+from pipeline.export.meshes import mesh_bytes
+from pipeline.export.models import ExportModel
+
+MODELS = "bop/models"
+IDS_FILE = "bop/ids.json"
+"""Which shape each model is; of our own, BOP has no names."""
 
 
 def bop_models(
-    meshes: Mapping[str, trimesh.Trimesh],
-) -> tuple[dict[str, bytes], dict[str, Any], dict[str, dict[str, Any]]]:
-    """Models of meshes in metres.
+    models: Sequence[ExportModel], out: Path, ids: Mapping[str, int]
+) -> tuple[dict[str, bytes], dict[str, dict[str, Any]]]:
+    """Models of shapes, beside those that the folder holds already.
+
+    Learned shapes have their origin in the middle of the bounding box, as BOP has it; surfaces with frames
+    of their own keep them.
+
+    Args:
+        models: the shapes.
+        out: folder of the export; what it holds of earlier ones keeps its ids.
+        ids: of shapes by name; others get the lowest ids that are left.
 
     Returns:
-        Contents by path inside the BOP folder, models_info, and for every mesh its id, file and
-        `object_from_bop`, which maps the model's coordinates in metres to the mesh's own.
+        Contents by path inside the folder, and for every shape its manifest entry: id, file and
+        `object_from_bop`, which maps the model's coordinates in metres to the shape's own.
+
+    Raises:
+        PipelineError: an id belongs to another shape of the folder.
     """
-    files, info, entries = {}, {}, {}
-    for number, (name, mesh) in enumerate(sorted(meshes.items()), start=1):
-        middle, back = np.eye(4), np.eye(4)
-        middle[:3, 3] = mesh.bounds.mean(axis=0)
-        back[:3, 3] = -middle[:3, 3]
-        model = moved(mesh, back, "mm")
-        path = f"models/obj_{number:06d}.ply"
-        files[path] = mesh_bytes(model, "ply")
-        info[str(number)] = _model_info(np.asarray(model.vertices))
-        entries[name] = {"id": number, "file": path, "object_from_bop": middle.tolist()}
-    return files, info, entries
+    held = _read(out / IDS_FILE)
+    for model in models:
+        taken = [name for name, number in held.items() if number == ids.get(model.name)]
+        if taken and taken[0] != model.name:
+            raise PipelineError(f"{out}: id {ids[model.name]} of {model.name} is that of {taken[0]} there")
+    numbers = numbered({*held, *(model.name for model in models)}, held, ids)
+    files: dict[str, bytes] = {}
+    info, entries = _read(out / MODELS / "models_info.json"), {}
+    for model in models:
+        mesh = model.in_frame("middle", "mm")
+        number = numbers[model.name]
+        path = f"{MODELS}/obj_{number:06d}.ply"
+        files[path] = mesh_bytes(mesh, "ply")
+        info[str(number)] = _model_info(np.asarray(mesh.vertices))
+        own_from_bop = model.own_from_model("middle")
+        entries[model.name] = {"id": number, "file": path, "object_from_bop": own_from_bop.tolist()}
+    files[f"{MODELS}/models_info.json"] = _json(dict(sorted(info.items(), key=lambda one: int(one[0]))))
+    files[IDS_FILE] = _json(dict(sorted(numbers.items(), key=lambda one: one[1])))
+    return files, entries
 
 
 def _model_info(vertices_mm: NDArray[np.float64]) -> dict[str, float]:
@@ -47,3 +74,19 @@ def _model_info(vertices_mm: NDArray[np.float64]) -> dict[str, float]:
         **{f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)},
         **{f"size_{axis}": float(value) for axis, value in zip("xyz", size, strict=True)},
     }
+
+
+def _json(content: Any) -> bytes:
+    return (json.dumps(content, indent=2) + "\n").encode()
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise PipelineError(f"cannot read {path}, which this export would extend: {error}") from error
+    if not isinstance(content, dict):
+        raise PipelineError(f"{path} is not voxscene's, so it is not extended; name another folder with -o")
+    return content

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from shapes.prior import ShapePrior
 from shapes.surface import SurfaceMesh
 
 PER_METRE = {"m": 1.0, "mm": 1000.0}
+
+Geometry = trimesh.Trimesh | trimesh.PointCloud
 
 
 def shape_mesh(shape: ShapePrior, name: str, level: float = 0.5) -> trimesh.Trimesh:
@@ -55,7 +58,37 @@ def moved(
     return copy
 
 
-def mesh_bytes(mesh: trimesh.Trimesh | trimesh.PointCloud | trimesh.Scene, file_type: str) -> bytes:
-    """A mesh as a file's content."""
-    content: Any = mesh.export(file_type=file_type)
+def mesh_bytes(mesh: Geometry, file_type: str) -> bytes:
+    """A mesh as the content of a ply, obj or stl file, with vertex normals where the format has them."""
+    options: dict[str, Any] = {}
+    if isinstance(mesh, trimesh.Trimesh):
+        options = {"ply": {"vertex_normal": True}, "obj": {"include_normals": True}}.get(file_type, {})
+    content: Any = mesh.export(file_type=file_type, **options)
     return content.encode() if isinstance(content, str) else bytes(content)
+
+
+def glb_bytes(parts: Mapping[str, tuple[Geometry, NDArray[np.float64]]], up: NDArray[np.float64]) -> bytes:
+    """A binary glTF scene, whose y axis is up, with a named node for each part.
+
+    Args:
+        parts: by name, a geometry in metres in its own frame and its pose (4, 4) in a common frame.
+        up: unit vector (3,) that points up in the common frame.
+    """
+    scene = trimesh.Scene()
+    for name, (geometry, pose) in parts.items():
+        scene.add_geometry(geometry, node_name=name, geom_name=name, transform=_y_up(up) @ pose)
+    content: Any = scene.export(file_type="glb", include_normals=True)
+    return bytes(content)
+
+
+def _y_up(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation (4, 4) that turns a direction to +y about the axis across both (Rodrigues)."""
+    y = np.array([0.0, 1.0, 0.0])
+    across, cosine = np.cross(up, y), float(up @ y)
+    rotation = np.eye(4)
+    if cosine < -1 + 1e-9:
+        rotation[:3, :3] = np.diag([1.0, -1.0, -1.0])
+        return rotation
+    skew = np.array([[0, -across[2], across[1]], [across[2], 0, -across[0]], [-across[1], across[0], 0]])
+    rotation[:3, :3] = np.eye(3) + skew + skew @ skew / (1 + cosine)
+    return rotation

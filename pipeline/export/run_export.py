@@ -1,4 +1,4 @@
-"""Exports a run: the fused room and the objects in it, in the run's reference frame, in metres."""
+"""Exports a run: the room and the objects in it, in the run's reference frame, in metres."""
 
 from __future__ import annotations
 
@@ -7,73 +7,124 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
-from pipeline.export.meshes import mesh_bytes, moved, shape_mesh
-from pipeline.export.shape_export import write_files
+from pipeline.export.files import write_files
+from pipeline.export.meshes import Geometry, glb_bytes, mesh_bytes, moved, shape_mesh
+from pipeline.export.model_export import ExportOptions, export_models
+from pipeline.export.models import ExportModel, learned_model, looked_for_models
+from pipeline.publishing.bop_poses import bop_lines
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 
-RUN_FORMATS = ("ply", "glb")
+SCENE_FORMATS = ("ply", "glb")
+"""Formats of the room with the objects where they stand; the others have the objects one by one."""
+POSES = "bop/poses.csv"
 FRAME = "the run's reference frame: the camera of its first depth frame, z forward, x right, y down"
+CAMERA_UP = np.array([0.0, -1.0, 0.0])
+"""Where nothing tells which way is up, it is up in the first image."""
 
 
-def export_run(run: Path, formats: Sequence[str], out: Path) -> list[Path]:
-    """Write room.ply and OBJECT.ply, or everything as scene.glb; and manifest.json.
+def export_run(
+    run: Path,
+    formats: Sequence[str],
+    out: Path,
+    options: ExportOptions,
+    room: trimesh.Trimesh | None = None,
+) -> list[Path]:
+    """Write room.ply and OBJECT.ply, everything as scene.glb, and its objects one by one in other formats.
 
     Args:
         run: run folder.
-        formats: of `RUN_FORMATS`.
+        formats: of `MODEL_FORMATS` of model_export.
         out: folder.
+        options: how the objects are written one by one.
+        room: triangles of the room, instead of the run's points.
 
     Returns:
         The files written, the manifest last.
 
     Raises:
-        PipelineError: the run holds nothing to export.
+        PipelineError: the run holds nothing to export, or a file is there that says something else.
     """
     values = RunValues.load(RunFolder(run, force=False))
-    objects = {**_learned(values), **_parsed(values)}
-    cloud = _room(values)
-    if cloud is None and not objects:
+    posed = _posed_objects(values)
+    geometry: Geometry | None = room if room is not None else _points(values)
+    if geometry is None and not posed:
         raise PipelineError(f"{run} holds neither a room nor objects; make them with slam, learn or parse")
     contents: dict[str, bytes] = {}
     if "ply" in formats:
-        if cloud is not None:
-            contents["room.ply"] = mesh_bytes(cloud, "ply")
-        contents |= {f"{name}.ply": mesh_bytes(mesh, "ply") for name, mesh in objects.items()}
+        if geometry is not None:
+            contents["room.ply"] = mesh_bytes(geometry, "ply")
+        for name, (mesh, pose) in posed.items():
+            contents[f"{name}.ply"] = mesh_bytes(moved(mesh, pose), "ply")
     if "glb" in formats:
-        scene = trimesh.Scene()
-        if cloud is not None:
-            scene.add_geometry(cloud, node_name="room", geom_name="room")
-        for name, mesh in objects.items():
-            scene.add_geometry(mesh, node_name=name, geom_name=name)
-        contents["scene.glb"] = mesh_bytes(scene, "glb")
-    files = [{"file": name, "units": "m"} for name in contents]
-    return write_files(out, contents, {"format_version": 1, "frame": FRAME, "files": files})
+        parts = dict(posed) if geometry is None else {"room": (geometry, np.eye(4)), **posed}
+        contents["scene.glb"] = glb_bytes(parts, _up(values))
+    one_by_one = [form for form in formats if form not in SCENE_FORMATS]
+    files = [{"format": Path(name).suffix[1:], "units": "m", "file": name} for name in contents]
+    entry = {run.resolve().name: {"frame": FRAME, "files": files}}
+    paths = write_files(out, contents, entry, force=options.force) if contents else []
+    if not one_by_one:
+        return paths
+    models = _models(run, values, shells=options.shells)
+    if not models:
+        raise PipelineError(f"{run} holds no objects for --format {','.join(one_by_one)}")
+    written = export_models(
+        models, one_by_one, out, _numbered(options, values), _poses(values, models, one_by_one, options)
+    )
+    return list(dict.fromkeys([*paths[:-1], *written]))
 
 
-def _room(values: RunValues) -> trimesh.PointCloud | None:
+def _models(run: Path, values: RunValues, *, shells: bool) -> list[ExportModel]:
+    """The run's learned shapes, and what its parse looked for."""
+    folder = RunFolder(run, force=False)
+    learned = [learned_model(folder.value_path(f"learn/{name}"), shells=shells) for name in values.shapes]
+    names = {model.name for model in learned}
+    return learned + [model for model in looked_for_models(values) if model.name not in names]
+
+
+def _numbered(options: ExportOptions, values: RunValues) -> ExportOptions:
+    """The options with the run's own ids where the user gives none."""
+    if options.ids or values.surfaces is None:
+        return options
+    return ExportOptions(**{**vars(options), "ids": values.surfaces.object_ids})
+
+
+def _poses(
+    values: RunValues, models: Sequence[ExportModel], formats: Sequence[str], options: ExportOptions
+) -> dict[str, bytes]:
+    """The poses of the models of BOP, by the same ids and in the same frames."""
+    if "bop" not in formats or values.scene is None:
+        return {}
+    own_from_model = {model.name: model.own_from_model("middle") for model in models}
+    ids = _numbered(options, values).ids
+    return {POSES: bop_lines(values, own_from_model, ids).encode()}
+
+
+def _points(values: RunValues) -> trimesh.PointCloud | None:
     if values.room is None or not len(values.room.points_m):
         return None
     return trimesh.PointCloud(values.room.points_m.astype(np.float64), colors=values.room.rgb)
 
 
-def _learned(values: RunValues) -> dict[str, trimesh.Trimesh]:
-    return {
-        name: moved(shape_mesh(shape, name), shape.reference_from_grid)
-        for name, shape in values.shapes.items()
+def _posed_objects(values: RunValues) -> dict[str, tuple[trimesh.Trimesh, NDArray[np.float64]]]:
+    """Meshes of what was learned and of what was found, with their poses in the reference frame."""
+    posed = {
+        name: (shape_mesh(shape, name), shape.reference_from_grid) for name, shape in values.shapes.items()
     }
-
-
-def _parsed(values: RunValues) -> dict[str, trimesh.Trimesh]:
-    """Objects that were found, posed in the reference frame."""
     scene = values.scene
-    if scene is None or values.surfaces is None:
-        return {}
-    objects: dict[str, trimesh.Trimesh] = {}
-    for name, pose in scene.found_poses:
-        surface = values.surfaces.by_name[str(name)]
-        mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
-        objects[str(name)] = moved(mesh, values.reference_from_parsed @ pose)
-    return objects
+    if scene is not None and values.surfaces is not None:
+        for name, pose in scene.found_poses:
+            surface = values.surfaces.by_name[str(name)]
+            mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
+            posed[str(name)] = (mesh, values.reference_from_parsed @ pose)
+    return posed
+
+
+def _up(values: RunValues) -> NDArray[np.float64]:
+    """Which way is up (3,) in the reference frame: away from the plane that a learned shape stood on."""
+    for shape in values.shapes.values():
+        return np.asarray(shape.reference_from_grid[:3, 2], np.float64)
+    return CAMERA_UP

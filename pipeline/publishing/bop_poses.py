@@ -2,34 +2,45 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
-from scene.result import SceneResult
+from pipeline.publishing.values import RunValues
 
 HEADER = "scene_id,im_id,obj_id,score,R,t,time"
-NUMBERED = re.compile(r"(?:obj_)?(\d+)(?:_|$)")
 UNKNOWN_TIME = -1
 """Clocks stand in timing.json alone."""
 
 
-def bop_lines(scene: SceneResult) -> str:
-    """One line for each object found: R by rows, t in millimetres; ids are those in the names, else places.
+def bop_lines(
+    values: RunValues,
+    object_from_model: Mapping[str, NDArray[np.float64]] | None = None,
+    ids: Mapping[str, int] | None = None,
+) -> str:
+    """One line for each object found: R by rows, t in millimetres.
 
-    Names such as 003_cracker_box (YCB) and obj_000003 (BOP) give the object's id.
+    Scene and image are numbered as the recording's data set does it, else 0 and the number of the frame.
+
+    Args:
+        values: of a run with a finished parse.
+        object_from_model: (4, 4) by name, where the models are in frames of their own.
+        ids: of the objects by name, over those of the run.
     """
+    scene, surfaces = values.scene, values.surfaces
+    assert scene is not None
+    assert surfaces is not None
+    numbers = surfaces.numbers
+    image = numbers.image_ids.get(values.parsed_time_ns or 0, int(scene.frames[0]))
     lines = [HEADER]
     for one in map(int, np.flatnonzero(scene.found)):
-        pose = scene.camera_from_object[one]
+        name = str(scene.names[one])
+        pose = scene.camera_from_object[one] @ (object_from_model or {}).get(name, np.eye(4))
         rotation = " ".join(f"{value:.9f}" for value in pose[:3, :3].ravel() + 0.0)
         translation = " ".join(f"{value:.6f}" for value in 1000 * pose[:3, 3] + 0.0)
         score = f"{scene.presence[one]:.6f}"
-        fields = (0, scene.frames[0], _object_id(scene, one), score, rotation, translation, UNKNOWN_TIME)
+        number = (ids or surfaces.object_ids)[name]
+        fields = (numbers.scene_id, image, number, score, rotation, translation, UNKNOWN_TIME)
         lines.append(",".join(map(str, fields)))
     return "\n".join(lines) + "\n"
-
-
-def _object_id(scene: SceneResult, one: int) -> int:
-    numbered = NUMBERED.match(str(scene.names[one]))
-    return int(numbered[1]) if numbered else one + 1

@@ -39,7 +39,7 @@ def publish(run: RunFolder) -> None:
         write_text(run.path / "trajectory.tum", tum_lines(values.slam.times_ns, values.slam.mean))
         write_text(run.path / "trajectory.kitti", kitti_lines(values.slam.mean))
     if values.scene is not None:
-        write_text(run.path / "poses.csv", bop_lines(values.scene))
+        write_text(run.path / "poses.csv", bop_lines(values))
     write_messages(run.path / "run.mcap", values, settings)
     write_rrd(run.path / "run.rrd", run.path.resolve().name, values)
     write_json(run.path / "stages" / "published.json", state)

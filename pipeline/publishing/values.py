@@ -40,6 +40,18 @@ class RunValues:
             return np.eye(4)
         return self.slam.mean[self.scene.frames[0]]
 
+    @property
+    def parsed_time_ns(self) -> int | None:
+        """Stamp of that frame, as far as the run knows it."""
+        if self.scene is None:
+            return None
+        first = int(self.scene.frames[0])
+        if self.slam is not None:
+            return int(self.slam.times_ns[first])
+        if self.room is not None and first in self.room.frames:
+            return int(self.room.times_ns[self.room.frames == first][0])
+        return None
+
     @classmethod
     def load(cls, run: RunFolder) -> RunValues:
         """Every committed value of a run."""

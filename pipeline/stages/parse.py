@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bop_numbers import ids_of_models, ids_of_names, numbered
 from pipeline.errors import PipelineError
 from pipeline.meshes import Units
 from pipeline.session import Session
@@ -18,6 +20,7 @@ from pipeline.shape_folder import chosen, drawn_surfaces, load_surfaces, surface
 from pipeline.stages.room import view_stage
 from pipeline.stages.slam import slam_stage
 from pipeline.surfaces import Surfaces
+from recordings.dataset_numbers import recorded_dataset_numbers
 from recordings.types import DepthNoise, Frame
 from scene.config import ParseConfig
 from scene.objects.scene_object import scene_object
@@ -30,7 +33,11 @@ SHAPE_DRAWS = 16
 
 
 def parse_stage(
-    session: Session, shapes: Path, units: Units | None = None, options: Mapping[str, Any] | None = None
+    session: Session,
+    shapes: Path,
+    units: Units | None = None,
+    options: Mapping[str, Any] | None = None,
+    ids: Mapping[str, int] | None = None,
 ) -> SceneResult:
     """The scene in the session's recording.
 
@@ -39,12 +46,13 @@ def parse_stage(
         shapes: folder of learned shapes or meshes.
         units: of meshes.
         options: what the command's own options say, by key of `ParseConfig`.
+        ids: of objects in poses.csv, by name; over those of the models and of the recording.
 
     Raises:
         PipelineError: a shape or frame is missing, or the first frame shows nothing.
     """
     config = session.common.settings.section("parse", ParseConfig, options)
-    surfaces = _surfaces(session, shapes, units, config.objects)
+    surfaces = _surfaces(session, shapes, units, config.objects, ids or {})
     inputs = {"objects": session.run.fingerprint("objects")}
     poses = np.eye(4)[None]
     if len(config.frames) > 1:
@@ -83,13 +91,27 @@ def parse_stage(
     return scene
 
 
-def _surfaces(session: Session, shapes: Path, units: Units | None, names: tuple[str, ...]) -> Surfaces:
-    """What is looked for, kept in the run as the stage `objects`."""
+def _surfaces(
+    session: Session,
+    shapes: Path,
+    units: Units | None,
+    names: tuple[str, ...],
+    ids: Mapping[str, int],
+) -> Surfaces:
+    """What is looked for, kept in the run as the stage `objects`.
+
+    Every shape of the folder is numbered, asked for or not, so that ids do not depend on the question.
+    """
     inputs = {f"shapes/{name}": digest for name, digest in surface_hashes(shapes).items()}
-    inputs |= {"names": ",".join(names), "units": units or ""}
-    return session.stage(
-        "objects", Surfaces.load, lambda: Surfaces(chosen(load_surfaces(shapes, units), names)), {}, inputs
-    )
+    inputs |= {"names": ",".join(names), "units": units or "", "ids": repr(sorted(ids.items()))}
+
+    def compute() -> Surfaces:
+        surfaces = load_surfaces(shapes, units)
+        recorded = recorded_dataset_numbers(session.source.path)
+        known = (ids, ids_of_models(shapes), ids_of_names(surfaces), recorded.object_ids)
+        return Surfaces(chosen(surfaces, names), replace(recorded, object_ids=numbered(surfaces, *known)))
+
+    return session.stage("objects", Surfaces.load, compute, {}, inputs)
 
 
 def _draws(

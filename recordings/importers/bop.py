@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.dataset_numbers import DatasetNumbers
 from recordings.errors import RecordingError
 from recordings.importers.dataset import (
     ALL_FRAMES,
@@ -45,6 +46,7 @@ class _Annotated:
     objects: tuple[tuple[str, NDArray[np.float64]], ...]
     camera_from_world: NDArray[np.float64] | None
     visible_fractions: tuple[float, ...] | None = None
+    object_ids: tuple[tuple[str, int], ...] = ()
 
 
 def read_bop(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
@@ -77,6 +79,17 @@ def read_bop(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
         poses=poses,
         truth=_truth(frames[0], poses[0][1]),
         assumptions=assumptions,
+        numbers=_numbers(folder, frames),
+    )
+
+
+def _numbers(folder: Path, frames: list[_Annotated]) -> DatasetNumbers:
+    """The numbers of a scene: its folder's name, its images' and those of the objects annotated in it."""
+    name = folder.resolve().name
+    return DatasetNumbers(
+        scene_id=int(name) if name.isdecimal() else 0,
+        image_ids={frame.files.time_ns: frame.number for frame in frames},
+        object_ids={name: number for frame in frames for name, number in frame.object_ids},
     )
 
 
@@ -104,6 +117,9 @@ def _bop_frames(folder: Path) -> list[_Annotated]:
                 if "cam_R_w2c" in camera
                 else None,
                 visible_fractions=tuple(float(info["visib_fract"]) for info in infos) if infos else None,
+                object_ids=tuple(
+                    (f"obj_{int(gt['obj_id']):06d}", int(gt["obj_id"])) for gt in truths.get(key, [])
+                ),
             )
         )
     return frames
@@ -128,6 +144,11 @@ def _ycb_video_frames(folder: Path) -> list[_Annotated]:
                 camera_from_world=orthonormalised(np.array(entry["T_cam_world"]).reshape(4, 4))
                 if entry.get("T_cam_world") is not None
                 else None,
+                object_ids=tuple(
+                    (str(item["name"]), int(item["cls_index"]))
+                    for item in entry["objects"]
+                    if "cls_index" in item
+                ),
             )
         )
     return sorted(frames, key=lambda frame: frame.number)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.dataset_numbers import DatasetNumbers, write_dataset_numbers
 from recordings.errors import RecordingError
 from recordings.images.colour import decode_colour
 from recordings.images.compressed_depth import decode_grey16_png
@@ -49,6 +50,7 @@ class Dataset:
         poses: stamped world_from_camera (4, 4) rigid transforms.
         truth: the objects in the world of `poses`.
         assumptions: sentences on what the folder does not say.
+        numbers: by which the data set names scene, images and objects.
     """
 
     frames: Sequence[ImageFiles]
@@ -57,6 +59,7 @@ class Dataset:
     poses: Sequence[tuple[int, NDArray[np.float64]]] = ()
     truth: SceneTruth | None = None
     assumptions: tuple[str, ...] = ()
+    numbers: DatasetNumbers | None = None
 
 
 def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], None]) -> None:
@@ -94,6 +97,8 @@ def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], No
             writer.write_depth(frame)
             if count == 0 and dataset.truth is not None:
                 write_scene_truth(writer, dataset.truth, files.time_ns)
+            if count == 0 and dataset.numbers is not None:
+                write_dataset_numbers(writer, dataset.numbers, files.time_ns)
             progress(count + 1, len(dataset.frames))
         for time_ns, pose in poses[written:]:
             writer.write_camera_pose(time_ns, pose)

@@ -1,0 +1,70 @@
+"""What can be exported: a learned shape, a folder of them, a run, or a project's run with all of these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import trimesh
+
+from pipeline.errors import PipelineError
+from pipeline.export.model_export import ExportOptions, export_models
+from pipeline.export.models import learned_model
+from pipeline.export.run_export import export_run
+
+
+def export(
+    source: Path,
+    formats: Sequence[str],
+    out: Path,
+    options: ExportOptions,
+    room: trimesh.Trimesh | None = None,
+) -> list[Path]:
+    """Write whatever `source` is, in every format asked for.
+
+    Of a project's run, the learned shapes go to OUT/shapes and each recording to OUT/STEM.
+
+    Args:
+        source: a shape's file, a folder of them, or a run.
+        formats: of `MODEL_FORMATS`.
+        out: folder.
+        options: how shapes are written.
+        room: of a run, triangles of its room instead of points.
+
+    Returns:
+        The files written.
+
+    Raises:
+        PipelineError: the source holds nothing to export, or a file is there that says something else.
+    """
+    if source.is_file() or not source.exists():
+        return export_models([learned_model(source, shells=options.shells)], formats, out, options)
+    if is_project(source):
+        written: list[Path] = []
+        if shapes := sorted((source / "shapes").glob("*.npz")):
+            models = [learned_model(path, shells=options.shells) for path in shapes]
+            written += export_models(models, formats, out / "shapes", options)
+        for run in sorted((source / "recordings").iterdir()):
+            if is_run(run):
+                written += export_run(run, formats, out / run.name, options)
+        return written
+    if is_run(source):
+        return export_run(source, formats, out, options, room)
+    if shapes := sorted(source.glob("*.npz")):
+        return export_models(
+            [learned_model(path, shells=options.shells) for path in shapes], formats, out, options
+        )
+    raise PipelineError(
+        f"{source} is neither a learned shape (NAME.npz), a folder of them, nor a run; "
+        "make a run with voxscene slam, learn, parse or run"
+    )
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder is the run of one recording."""
+    return (folder / "stages").is_dir() and not is_project(folder)
+
+
+def is_project(folder: Path) -> bool:
+    """Whether a folder is the run of a project."""
+    return (folder / "stages").is_dir() and (folder / "recordings").is_dir()

@@ -1,0 +1,90 @@
+"""What a run exports for BOP, read by a reader written from BOP's description of the format alone.
+
+bop_datasets_format.md: models/obj_NNNNNN.ply in mm; results: scene_id,im_id,obj_id,score,R,t,time with R by
+rows and t in mm, from the model's coordinates to the camera's.
+"""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import KDTree
+
+from pipeline.evaluation.object_poses import add_s_m, model_points
+from pipeline.export.model_export import ExportOptions
+from pipeline.export.run_export import export_run
+from pipeline.publishing.values import RunValues
+from pipeline.run_folder import RunFolder, open_run_folder
+from pipeline.surfaces import SceneSurface, Surfaces
+from recordings.dataset_numbers import DatasetNumbers
+
+TRUE_POSE = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3], [0.1, 0.2, 0.3])
+FOUND_POSE = trimesh.transformations.rotation_matrix(0.72, [1, 2, 3.1], [0.101, 0.2, 0.297])
+
+
+def read_models(folder: Path) -> dict[int, trimesh.Trimesh]:
+    """Models by obj_id, in metres."""
+    ids = [int(number) for number in json.loads((folder / "models_info.json").read_text())]
+    return {one: trimesh.load_mesh(folder / f"obj_{one:06d}.ply").apply_scale(1e-3) for one in ids}
+
+
+def read_poses(path: Path) -> dict[tuple[int, int, int], np.ndarray]:
+    """camera_from_model in metres by scene_id, im_id and obj_id."""
+    poses = {}
+    with path.open() as file:
+        for row in csv.DictReader(file):
+            pose = np.eye(4)
+            pose[:3, :3] = np.array(row["R"].split(), float).reshape(3, 3)
+            pose[:3, 3] = np.array(row["t"].split(), float) / 1000
+            poses[int(row["scene_id"]), int(row["im_id"]), int(row["obj_id"])] = pose
+    return poses
+
+
+@pytest.fixture(params=[True, False], ids=["learned", "mesh"])
+def run(request, parsed_run: RunValues, tmp_path: Path) -> Path:
+    """A run in which a mug was found; its surface is off the origin of its frame."""
+    body = trimesh.creation.box((0.1, 0.06, 0.08)).apply_translation([0.2, 0.1, 0.04])
+    surface = SceneSurface(
+        vertices_m=np.asarray(body.vertices), faces=np.asarray(body.faces, np.int64), learned=request.param
+    )
+    names = ("mug", "box", "can")
+    numbers = DatasetNumbers(
+        scene_id=48, image_ids={int(parsed_run.slam.times_ns[2]): 1031}, object_ids={"mug": 14}
+    )
+    poses = parsed_run.scene.camera_from_object.copy()
+    poses[0] = FOUND_POSE
+    values = replace(
+        parsed_run,
+        surfaces=Surfaces(dict.fromkeys(names, surface), numbers),
+        scene=replace(parsed_run.scene, camera_from_object=poses),
+    )
+    with open_run_folder(tmp_path / "run", {"rec": "hash"}) as folder:
+        for name, value in (("slam", values.slam), ("objects", values.surfaces), ("parse", values.scene)):
+            folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
+    return tmp_path / "run"
+
+
+def test_the_error_of_what_bop_reads_is_that_of_what_we_found(run: Path, tmp_path: Path) -> None:
+    """ADD-S from models and poses alone equals ours to 0.1 mm, under the data set's own numbers."""
+    export_run(run, ["bop"], tmp_path / "out", ExportOptions())
+    models = read_models(tmp_path / "out/bop/models")
+    poses = read_poses(tmp_path / "out/bop/poses.csv")
+    values = RunValues.load(RunFolder(run, force=False))
+    assert {key[:2] for key in poses} == {(48, 1031)}
+    assert (48, 1031, 14) in poses
+
+    mug = values.surfaces.by_name["mug"]
+    own = trimesh.Trimesh(mug.vertices_m, mug.faces)
+    expected = add_s_m(model_points(own), TRUE_POSE, FOUND_POSE)
+    points = np.asarray(trimesh.sample.sample_surface(models[14], 20_000, seed=0)[0])
+    true_from_model = TRUE_POSE @ np.linalg.inv(FOUND_POSE) @ poses[48, 1031, 14]
+    apart, _ = KDTree(trimesh.transform_points(points, poses[48, 1031, 14])).query(
+        trimesh.transform_points(points, true_from_model)
+    )
+    assert apart.mean() == pytest.approx(expected, abs=1e-4)
+    middle = np.zeros(3) if mug.learned else own.bounds.mean(axis=0)
+    np.testing.assert_allclose(models[14].bounds.mean(axis=0), middle, atol=1e-6)
