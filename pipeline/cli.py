@@ -23,6 +23,7 @@ COMMANDS = (
     "run",
     "export",
     "review",
+    "report",
     "eval",
     "bench",
     "doctor",

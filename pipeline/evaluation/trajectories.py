@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
-from pipeline.evaluation.trajectory_errors import coverage, matched, squared_distances, trajectory_errors
+from pipeline.evaluation.trajectory_errors import (
+    TrajectoryErrors,
+    coverage,
+    matched,
+    rigid_alignment,
+    squared_distances,
+    trajectory_errors,
+)
 from pipeline.peers.registry import best_of
 from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
@@ -89,23 +96,86 @@ def compared(
     return frames, orthonormalised(reference.reference_from_camera[nearest])
 
 
-def peer_errors(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ComparedTrajectory:
+    """An estimated trajectory beside the reference, at the frames that have both.
+
+    Attributes:
+        name: of who estimated it, with its setting.
+        times_ns: (n,) stamps.
+        estimate: (n, 4, 4) in the estimate's own frame of reference.
+        reference: (n, 4, 4) in the reference's.
+    """
+
+    name: str
+    times_ns: NDArray[np.int64]
+    estimate: NDArray[np.float64]
+    reference: NDArray[np.float64]
+
+    @property
+    def errors(self) -> TrajectoryErrors:
+        """How far the estimate is from the reference."""
+        return trajectory_errors(self.estimate, self.reference)
+
+    @property
+    def aligned(self) -> NDArray[np.float64]:
+        """The estimate (n, 4, 4) moved rigidly so that its positions come closest to the reference's."""
+        return rigid_alignment(self.estimate[:, :3, 3], self.reference[:, :3, 3]) @ self.estimate
+
+    @property
+    def position_errors_m(self) -> NDArray[np.float64]:
+        """Distances (n,) of the aligned positions from the reference's."""
+        return np.linalg.norm(self.aligned[:, :3, 3] - self.reference[:, :3, 3], axis=1)
+
+
+def compared_run(result: SlamResult, reference: Trajectory) -> ComparedTrajectory:
+    """A run's trajectory beside a reference.
+
+    Raises:
+        PipelineError: fewer than two frames have a reference pose.
+    """
+    frames, poses = compared(result.times_ns, reference)
+    return ComparedTrajectory(
+        name="voxscene", times_ns=result.times_ns[frames], estimate=result.mean[frames], reference=poses
+    )
+
+
+def compared_file(path: Path, reference: Trajectory) -> ComparedTrajectory:
+    """A TUM file of somebody else beside a reference.
+
+    Raises:
+        PipelineError: it is no TUM file, or fewer than two of its poses have a reference.
+    """
+    estimate = _read_tum(path)
+    frames, poses = compared(estimate.times_ns, reference)
+    return ComparedTrajectory(
+        name=path.stem,
+        times_ns=estimate.times_ns[frames],
+        estimate=estimate.reference_from_camera[frames],
+        reference=poses,
+    )
+
+
+def peer_runs(
     names: Sequence[str],
     frames: Sequence[Frame],
     intrinsics: CameraIntrinsics,
-    poses: NDArray[np.float64],
+    ours: ComparedTrajectory,
     on_peer: Callable[[int, int], None],
-) -> dict[str, Any]:
-    """Errors of peers on the frames that have reference poses (T, 4, 4), each with its best setting."""
-    document: dict[str, Any] = {}
+) -> dict[str, ComparedTrajectory | str]:
+    """Peers on the frames that were compared, each with its best setting; why, where it failed."""
+    found: dict[str, ComparedTrajectory | str] = {}
     for index, name in enumerate(names):
         on_peer(index, len(names))
-        run = best_of(name, frames, intrinsics, lambda estimate: trajectory_errors(estimate, poses).ate_m)
+        run = best_of(
+            name, frames, intrinsics, lambda estimate: trajectory_errors(estimate, ours.reference).ate_m
+        )
         if run.poses is None:
-            document[name] = {"lost": True, "problem": run.problem}
+            found[name] = run.problem
         else:
-            document[name] = {"setting": run.name, **asdict(trajectory_errors(run.poses, poses))}
-    return document
+            found[name] = replace(ours, name=run.name, estimate=run.poses)
+    on_peer(len(names), len(names))
+    return found
 
 
 def frames_at(

@@ -69,6 +69,12 @@ def trajectory_errors(estimate: NDArray[np.float64], reference: NDArray[np.float
     )
 
 
+def rotation_errors_rad(estimate: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (T,) between the orientations of poses (T, 4, 4)."""
+    apart = np.swapaxes(reference[:, :3, :3], 1, 2) @ estimate[:, :3, :3]
+    return np.linalg.norm(Rotation.from_matrix(apart).as_rotvec(), axis=1)
+
+
 def rigid_alignment(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rigid transform (4, 4) that brings points (n, 3) closest to others (Umeyama 1991, scale 1)."""
     source_mean, target_mean = source.mean(0), target.mean(0)

@@ -58,6 +58,15 @@ def moved(
     return copy
 
 
+def mean_colour(mesh: trimesh.Trimesh) -> tuple[float, float, float] | None:
+    """Mean colour of a mesh's vertices, 0 to 1; None where they have none."""
+    visual: Any = mesh.visual
+    if getattr(visual, "kind", None) != "vertex":
+        return None
+    red, green, blue = (np.asarray(visual.vertex_colors)[:, :3].mean(axis=0) / 255).tolist()
+    return red, green, blue
+
+
 def mesh_bytes(mesh: Geometry, file_type: str) -> bytes:
     """A mesh as the content of a ply, obj or stl file, with vertex normals where the format has them."""
     options: dict[str, Any] = {}

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pipeline.export.meshes import mesh_bytes
+from pipeline.export.meshes import mean_colour, mesh_bytes
 
 DENSITY_KG_M3 = 1000.0
 """Of water: nothing that a depth camera sees tells what a thing weighs."""
@@ -56,9 +56,9 @@ def simulator_files(
     files = {visual: mesh_bytes(mesh, "obj")}
     files |= {path: mesh_bytes(part, "obj") for path, part in zip(collisions, parts, strict=True)}
     if "urdf" in formats:
-        files[f"{name}.urdf"] = _written(_urdf(name, solid, visual, collisions, _colour(mesh)))
+        files[f"{name}.urdf"] = _written(_urdf(name, solid, visual, collisions, mean_colour(mesh) or GREY))
     if "mjcf" in formats:
-        files[f"{name}.xml"] = _written(_mjcf(name, solid, visual, collisions, _colour(mesh)))
+        files[f"{name}.xml"] = _written(_mjcf(name, solid, visual, collisions, mean_colour(mesh) or GREY))
     return files
 
 
@@ -128,15 +128,6 @@ def _mjcf(
         role = {"group": "3"} if number else seen
         Xml.SubElement(body, "geom", {"type": "mesh", "mesh": mesh, **role})
     return model
-
-
-def _colour(mesh: trimesh.Trimesh) -> tuple[float, float, float]:
-    """Mean colour of a mesh, 0 to 1: simulators show one a body."""
-    colours = mesh.visual.vertex_colors if getattr(mesh.visual, "kind", None) == "vertex" else None
-    if colours is None:
-        return GREY
-    red, green, blue = (np.asarray(colours)[:, :3].mean(axis=0) / 255).tolist()
-    return red, green, blue
 
 
 def _written(root: Xml.Element) -> bytes:

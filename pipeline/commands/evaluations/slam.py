@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options, words
+from pipeline.options import Common, common_options
 from pipeline.peers import PEERS
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.trajectories import ComparedTrajectory
+    from recordings.options import ReadOptions
+
+ESTIMATES = (".tum", ".txt")
+"""Suffixes of files that hold a trajectory."""
 
 
 @click.command(name="slam")
@@ -21,31 +29,47 @@ from pipeline.peers import PEERS
     metavar="TUM|MCAP",
     help="The truth: a TUM file, or a recording with poses.",
 )
-@click.option("--against", metavar="PEER,...", help=f"Run peers on the same frames: {', '.join(PEERS)}.")
+@click.option(
+    "--against",
+    metavar="PEER|FILE.tum,...",
+    help=f"Also others: peers, run on the same frames ({', '.join(PEERS)}), or their TUM files.",
+)
 @click.option(
     "--recording",
     type=click.Path(path_type=Path),
     metavar="REC",
     help="The frames for the peers, where the reference is not the recording itself.",
 )
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write reference.tum, estimate.tum, errors.csv, error.png, path.png and errors.rrd.",
+)
 @common_options("recording")
 def command(
-    run_path: Path, reference: Path, against: str | None, recording: Path | None, common: Common
+    run_path: Path,
+    reference: Path,
+    against: str | None,
+    recording: Path | None,
+    output: Path | None,
+    common: Common,
 ) -> None:
     """Trajectory errors of RUN and the coverage of its regions.
 
     Aligned (ATE), from the first pose, and of each step (RPE). Each peer is run with several settings, and
-    its best result counts.
+    its best result counts. With -o, evo and other programs can go on from what is written.
     """
     from pipeline.config import build
+    from pipeline.evaluation.error_files import write_comparison
     from pipeline.evaluation.trajectories import (
-        compared,
-        frames_at,
-        peer_errors,
+        ComparedTrajectory,
+        compared_file,
+        compared_run,
         reference_trajectory,
         slam_errors,
     )
-    from pipeline.quiet_stdout import stdout_to_stderr
     from pipeline.run_folder import RunFolder
     from recordings.options import ReadOptions
     from slam.result import SlamResult
@@ -56,22 +80,76 @@ def command(
         raise PipelineError(
             f"{run_path} holds no finished slam; make it with: voxscene slam REC -o {run_path}"
         )
+    peers, files = _others(against)
     result = SlamResult.load(run.value_path("slam"))
     options = build(ReadOptions, record.settings.get("recording", {}), "recording")
     truth = reference_trajectory(reference, options)
+    ours = compared_run(result, truth)
+    found: dict[str, ComparedTrajectory | str] = {}
+    if peers:
+        found = _run_peers(peers, recording or reference, options, ours, run_path, common)
+    found |= {path.name: compared_file(path, truth) for path in files}
     document: dict[str, Any] = slam_errors(result, truth)
     if against:
-        names = words("--against", against, PEERS)
-        source = recording or reference
-        if source.suffix == ".tum" or source.suffix == ".txt":
-            raise PipelineError(f"peers need the frames: name the recording of {run_path} with --recording")
-        indices, poses = compared(result.times_ns, truth)
-        frames, intrinsics = frames_at(source, options, result.times_ns[indices])
-        if len(frames) != len(poses):
-            raise PipelineError(f"{source} is not the recording that {run_path} was made from")
-        with common.progress("peers", "peers") as progress, stdout_to_stderr():
-            document["peers"] = peer_errors(names, frames, intrinsics, poses, progress)
-    common.report(document, _lines(document))
+        document["peers"] = {name: _peer_document(one) for name, one in found.items()}
+    lines = _lines(document)
+    if output:
+        others = [one for one in found.values() if isinstance(one, ComparedTrajectory)]
+        written = write_comparison(output, result, ours, others)
+        document["files"] = [str(path) for path in written]
+        lines += [*document["files"], f"evo: evo_ape tum {written[0]} {written[1]} --align"]
+    common.report(document, lines)
+
+
+def _others(against: str | None) -> tuple[list[str], list[Path]]:
+    """Peers to run, and files of other estimates, from what stands between the commas.
+
+    Raises:
+        PipelineError: a word is neither.
+    """
+    peers: list[str] = []
+    files: list[Path] = []
+    for word in filter(None, (part.strip() for part in (against or "").split(","))):
+        if word.replace("_", "-") in PEERS:
+            peers.append(word.replace("_", "-"))
+        elif Path(word).suffix in ESTIMATES:
+            files.append(Path(word))
+        else:
+            raise PipelineError(
+                f"--against: no {word!r}; there are {', '.join(PEERS)}, or files {' and '.join(ESTIMATES)}"
+            )
+    return peers, files
+
+
+def _run_peers(
+    names: list[str],
+    source: Path,
+    options: ReadOptions,
+    ours: ComparedTrajectory,
+    run_path: Path,
+    common: Common,
+) -> dict[str, ComparedTrajectory | str]:
+    """Peers on the frames of a recording that were compared.
+
+    Raises:
+        PipelineError: the recording is not the run's.
+    """
+    from pipeline.evaluation.trajectories import frames_at, peer_runs
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    if source.suffix in ESTIMATES:
+        raise PipelineError(f"peers need the frames: name the recording of {run_path} with --recording")
+    frames, intrinsics = frames_at(source, options, ours.times_ns)
+    if len(frames) != len(ours.times_ns):
+        raise PipelineError(f"{source} is not the recording that {run_path} was made from")
+    with common.progress("peers", "peers") as progress, stdout_to_stderr():
+        return peer_runs(names, frames, intrinsics, ours, progress)
+
+
+def _peer_document(one: ComparedTrajectory | str) -> dict[str, Any]:
+    if isinstance(one, str):
+        return {"lost": True, "problem": one}
+    return {"setting": one.name, **asdict(one.errors)}
 
 
 def _lines(document: dict[str, Any]) -> list[str]:

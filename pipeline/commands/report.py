@@ -1,0 +1,35 @@
+"""`voxscene report`: one page about runs, to keep, print or send."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pipeline.options import Common, common_options
+
+
+@click.command(name="report")
+@click.argument("runs", metavar="RUN|PROJECT...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default="report.html",
+    show_default=True,
+    metavar="FILE.html",
+)
+@common_options()
+def command(common: Common, runs: tuple[Path, ...], output: Path) -> None:
+    """Write one HTML page about runs: figures side by side, warnings, pictures, tables and settings.
+
+    It holds everything itself and opens without a network. Of a project, every recording's run is told.
+    """
+    from pipeline.atomic import write_text
+    from pipeline.report.run_report import report
+
+    with common.progress("report", "runs") as progress:
+        page = report(runs, progress)
+    write_text(output, page.html())
+    megabytes = output.stat().st_size / 1e6
+    common.report({"report": str(output), "megabytes": megabytes}, [f"wrote {output} ({megabytes:.1f} MB)"])

@@ -1,0 +1,92 @@
+"""What in a run calls for care, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.publishing.values import RunValues
+from recordings.types import Damage
+
+CONVERGED_R_HAT = 1.1
+"""Gelman and Rubin 1992: chains with a larger R-hat have not explored the same posterior."""
+MAIN_SHARE = 0.9
+"""Below this share of the samples, the largest mode does not stand for the posterior."""
+SURE = 0.9
+FEW_PARTICLES = 2.0
+HOLLOW = 5.0
+"""More inferred voxels for a seen one than this: the inside of the shape is a guess."""
+
+
+def warnings_of(values: RunValues, summary: Mapping[str, Any], damage: Damage) -> list[str]:
+    """Sentences on what was lost, what is undecided and which spreads are too small.
+
+    Args:
+        values: of the run.
+        summary: of the run, as in summary.json.
+        damage: what was lost of the recording.
+    """
+    found = [
+        *_of_recording(damage),
+        *_of_camera(values),
+        *(line for name in values.shapes for line in _of_shape(values, name)),
+    ]
+    return [*found, *_of_scene(summary["parse"])] if "parse" in summary else found
+
+
+def _of_recording(damage: Damage) -> list[str]:
+    if not damage:
+        return []
+    return [
+        f"The recording is damaged: {damage.lost_messages} messages and {damage.lost_chunks} chunks lost."
+    ]
+
+
+def _of_camera(values: RunValues) -> list[str]:
+    slam = values.slam
+    if slam is None:
+        return []
+    found = []
+    if slam.lost.any():
+        first = int(np.flatnonzero(slam.lost)[0])
+        found.append(f"{int(slam.lost.sum())} of {len(slam)} frames are lost, the first is frame {first}.")
+    if len(slam.path_probabilities) > 1:
+        shares = ", ".join(f"{share:.0%}" for share in slam.path_probabilities)
+        found.append(f"{len(slam.path_probabilities)} paths explain what was seen, with {shares}.")
+    if slam.ess.min() < FEW_PARTICLES:
+        worst = int(np.argmin(slam.ess))
+        found.append(
+            f"One particle carries almost all weight at frame {worst}: the spread there says little "
+            "(more with -s slam.particles=256)."
+        )
+    return found
+
+
+def _of_shape(values: RunValues, name: str) -> list[str]:
+    shape = values.shapes[name]
+    seen, inferred = int(shape.seen_occupied.sum()), int(shape.enclosed.sum())
+    if inferred <= HOLLOW * seen:
+        return []
+    return [
+        f"{name}: {inferred} voxels behind its surface were never seen, {inferred / max(seen, 1):.0f} for "
+        "each that was; its inside is a guess, and perhaps more than one object."
+    ]
+
+
+def _of_scene(parse: Mapping[str, Any]) -> list[str]:
+    found = []
+    if parse["r_hat"] is not None and parse["r_hat"] > CONVERGED_R_HAT:
+        found.append(
+            f"The chains have not converged (R-hat {parse['r_hat']:.2f}): spreads are too small; "
+            "more sweeps help (-s parse.sweeps=2400)."
+        )
+    for one in parse["objects"]:
+        largest = max((mode["probability"] for mode in one["modes"]), default=1.0)
+        if largest < MAIN_SHARE:
+            modes = len(one["modes"])
+            found.append(f"{one['name']}: the pose told holds {largest:.0%} of the samples; {modes} modes.")
+        if one["presence"] < SURE:
+            found.append(f"{one['name']}: present with a probability of only {one['presence']:.2f}.")
+    return found
