@@ -1,0 +1,78 @@
+"""A comparison's files hold the same errors as the figures that are printed."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.errors import PipelineError
+from pipeline.evaluation.error_files import write_comparison
+from pipeline.evaluation.trajectories import compared_file, compared_run
+from pipeline.publishing.trajectory_files import tum_lines
+from recordings.types import Trajectory
+from slam.result import SlamResult
+
+
+def positions(path: Path) -> np.ndarray:
+    """Positions (n, 3) of a TUM file."""
+    return np.loadtxt(path)[:, 1:4]
+
+
+def aligned_error_m(estimate: np.ndarray, reference: np.ndarray) -> float:
+    """Root mean square distance after the best rigid motion, found by search over many (no closed form)."""
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    def apart(motion: np.ndarray) -> np.ndarray:
+        return (Rotation.from_rotvec(motion[:3]).apply(estimate) + motion[3:] - reference).ravel()
+
+    return float(np.sqrt((least_squares(apart, np.zeros(6)).fun.reshape(-1, 3) ** 2).sum(1).mean()))
+
+
+@pytest.fixture
+def reference(true_trajectory: SlamResult, seed: int) -> Trajectory:
+    """The estimate with errors of a centimetre, in another frame, and one frame missing."""
+    rng = np.random.default_rng(seed)
+    poses = true_trajectory.mean.copy()
+    poses[:, :3, 3] += rng.normal(0, 0.01, (len(poses), 3))
+    elsewhere = np.eye(4)
+    elsewhere[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+    elsewhere[:3, 3] = [1, 2, 3]
+    return Trajectory(
+        times_ns=np.delete(true_trajectory.times_ns, 1),
+        reference_from_camera=np.delete(elsewhere @ poses, 1, axis=0),
+    )
+
+
+def test_files_and_figures_agree(true_trajectory: SlamResult, reference: Trajectory, tmp_path: Path) -> None:
+    """TUM files by an independent alignment, the table's root mean square, and somebody else's file."""
+    ours = compared_run(true_trajectory, reference)
+    (tmp_path / "their.tum").write_text(tum_lines(true_trajectory.times_ns, true_trajectory.mean))
+    theirs = compared_file(tmp_path / "their.tum", reference)
+    assert theirs.errors.ate_m == pytest.approx(ours.errors.ate_m, abs=1e-8)
+
+    out = tmp_path / "cmp"
+    written = write_comparison(out, true_trajectory, ours, [theirs])
+    assert all(path.is_file() for path in written)
+    left, right = positions(out / "estimate.tum"), positions(out / "reference.tum")
+    assert len(left) == len(right) == len(true_trajectory) - 1
+    assert aligned_error_m(left @ np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]), right) == pytest.approx(
+        ours.errors.ate_m, abs=1e-6
+    )
+    with (out / "errors.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frame"]) for row in rows] == [0, 2, 3, 4, 5]
+    squares = [float(row["position_error_m"]) ** 2 for row in rows]
+    assert np.sqrt(np.mean(squares)) == pytest.approx(ours.errors.ate_m, abs=1e-8)
+    for name in ("error.png", "path.png"):
+        with Image.open(out / name) as picture:
+            assert picture.width > 300
+
+
+def test_a_file_that_is_no_trajectory_is_told(reference: Trajectory, tmp_path: Path) -> None:
+    """In one line that names it."""
+    (tmp_path / "their.tum").write_text("hello\n")
+    with pytest.raises(PipelineError, match=r"their\.tum is not a TUM trajectory"):
+        compared_file(tmp_path / "their.tum", reference)
