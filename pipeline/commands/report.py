@@ -23,7 +23,8 @@ from pipeline.options import Common, common_options
 def command(common: Common, runs: tuple[Path, ...], output: Path) -> None:
     """One HTML page about runs, to keep or send.
 
-    Figures side by side, what calls for care, pictures, tables and settings. It holds everything itself and opens without a network. Of a project, every recording's run is told.
+    Figures side by side, what calls for care, pictures, tables and settings. It holds everything itself and
+    opens without a network. Of a project, every recording's run is told.
     """
     from pipeline.atomic import write_text
     from pipeline.report.run_report import report

@@ -111,7 +111,9 @@ def test_without_a_mounting_there_is_no_colour(recording_path):
     write(recording_path, mounted=False)
     (frame,) = open_recording(recording_path)
     assert frame.rgb is None
-    assert survey(recording_path, ReadOptions()).depth.colour_topic is None
+    depth = survey(recording_path, ReadOptions()).depth
+    assert depth is not None
+    assert depth.colour_topic is None
 
 
 def test_the_sensors_own_depth_is_taken_before_what_was_resampled_to_a_colour_camera(recording_path):
@@ -119,6 +121,7 @@ def test_the_sensors_own_depth_is_taken_before_what_was_resampled_to_a_colour_ca
     write(recording_path, aligned=True)
     overview = survey(recording_path, ReadOptions())
     assert open_recording(recording_path).depth_topic == "/camera/depth/image_rect_raw"
+    assert overview.depth is not None
     assert overview.depth.topic == "/camera/depth/image_rect_raw"
     assert [(one.topic, one.size, one.aligned) for one in overview.candidates] == [
         ("/camera/aligned_depth_to_color/image_raw", COLOUR_SIZE, True),

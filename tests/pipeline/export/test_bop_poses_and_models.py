@@ -52,6 +52,8 @@ def run(request, parsed_run: RunValues, tmp_path: Path) -> Path:
         vertices_m=np.asarray(body.vertices), faces=np.asarray(body.faces, np.int64), learned=request.param
     )
     names = ("mug", "box", "can")
+    assert parsed_run.slam is not None
+    assert parsed_run.scene is not None
     numbers = DatasetNumbers(
         scene_id=48, image_ids={int(parsed_run.slam.times_ns[2]): 1031}, object_ids={"mug": 14}
     )
@@ -62,8 +64,10 @@ def run(request, parsed_run: RunValues, tmp_path: Path) -> Path:
         surfaces=Surfaces(dict.fromkeys(names, surface), numbers),
         scene=replace(parsed_run.scene, camera_from_object=poses),
     )
+    committed = {"slam": parsed_run.slam, "objects": values.surfaces, "parse": values.scene}
     with open_run_folder(tmp_path / "run", {"rec": "hash"}) as folder:
-        for name, value in (("slam", values.slam), ("objects", values.surfaces), ("parse", values.scene)):
+        for name, value in committed.items():
+            assert value is not None
             folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
     return tmp_path / "run"
 
@@ -77,6 +81,7 @@ def test_the_error_of_what_bop_reads_is_that_of_what_we_found(run: Path, tmp_pat
     assert {key[:2] for key in poses} == {(48, 1031)}
     assert (48, 1031, 14) in poses
 
+    assert values.surfaces is not None
     mug = values.surfaces.by_name["mug"]
     own = trimesh.Trimesh(mug.vertices_m, mug.faces)
     expected = add_s_m(model_points(own), TRUE_POSE, FOUND_POSE)

@@ -235,18 +235,19 @@ def test_simulator_files_have_the_solids_mass_and_convex_parts(shape_path: Path,
     out = tmp_path / "out"
     volume = json.loads((out / "manifest.json").read_text())["exports"]["block"]["volume_m3"]
     robot, model = Xml.parse(out / "block.urdf").getroot(), Xml.parse(out / "block.xml").getroot()
-    masses = [float(robot.find("link/inertial/mass").get("value"))]
-    masses.append(float(model.find("worldbody/body/inertial").get("mass")))
+    (mass,), (inertial,) = robot.iter("mass"), model.iter("inertial")
+    masses = [float(mass.attrib["value"]), float(inertial.attrib["mass"])]
     np.testing.assert_allclose(masses, 500 * volume, rtol=1e-6)
-    moments = robot.find("link/inertial/inertia").attrib
+    ((moments),) = (one.attrib for one in robot.iter("inertia"))
     box = masses[0] / 12 * (SIZE_M**2).sum() - masses[0] / 12 * SIZE_M**2
     np.testing.assert_allclose([float(moments[key]) for key in ("ixx", "iyy", "izz")], box, rtol=0.05)
     parts = [
-        trimesh.load_mesh(out / one.get("filename")) for one in robot.findall("link/collision/geometry/mesh")
+        trimesh.load_mesh(out / one.attrib["filename"])
+        for one in robot.findall("link/collision/geometry/mesh")
     ]
     assert all(part.is_convex for part in parts)
     assert sum(part.volume for part in parts) == pytest.approx(SIZE_M.prod(), rel=0.1)
-    files = [one.get("file") for one in model.findall("asset/mesh")]
+    files = [one.attrib["file"] for one in model.findall("asset/mesh")]
     assert all((out / file).is_file() for file in files)
     assert len(files) == len(parts) + 1
 

@@ -57,6 +57,7 @@ def read(page: str) -> Reader:
 @pytest.fixture
 def run(parsed_run: RunValues, filmed_mug, tmp_path: Path) -> Path:
     """A finished run of slam and parse."""
+    assert parsed_run.slam is not None
     room = view_room(filmed_mug, filmed_mug.intrinsics, parsed_run.slam.mean)
     values = {
         "slam": parsed_run.slam,
@@ -104,6 +105,7 @@ def test_what_is_no_run_is_told(tmp_path: Path) -> None:
 
 def test_warnings_name_what_is_wrong_and_nothing_else(parsed_run: RunValues) -> None:
     """A sound run has none; each fault adds its own."""
+    assert parsed_run.slam is not None
     slam = replace(parsed_run.slam, log_weights=np.log(np.full(3, 1 / 3)))
     sound = replace(parsed_run, slam=slam, scene=None, surfaces=None)
     assert warnings_of(sound, summary_of(sound), Damage()) == []
