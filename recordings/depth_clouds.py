@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from recordings.cameras.matching import matching_camera
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_topics import DepthTopic
-from recordings.images.depth_pixels import MetricDepth
+from recordings.images.depth_pixels import MAX_PIXELS, MetricDepth
 from recordings.images.point_clouds import (
     OPTICAL_FROM_BODY,
     looks_along_x,
@@ -51,18 +51,19 @@ class DepthClouds:
         along_x = grid is None and looks_along_x(first.frame_id, points)
         self.frame_from_camera = np.linalg.inv(OPTICAL_FROM_BODY) if along_x else np.eye(4)
         if options.intrinsics is not None:
-            self.intrinsics = _given(options.intrinsics, self._grid_size)
+            self.intrinsics = _fitting(_given(options.intrinsics, self._grid_size))
         elif grid is not None:
             self.intrinsics = grid
         else:
-            self.intrinsics = self._recorded_camera(first, cameras) or virtual_camera(self._optical(points))
+            recorded = self._recorded_camera(first, cameras)
+            self.intrinsics = _fitting(recorded) if recorded else virtual_camera(self._optical(points))
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the depth images."""
         return self.intrinsics.width, self.intrinsics.height
 
-    def depth(self, message: DecodedMessage) -> NDArray[np.float32]:
+    def depth(self, message: DecodedMessage, _time_ns: int) -> NDArray[np.float32]:
         """The depth image (H, W) in metres of one cloud.
 
         Raises:
@@ -95,6 +96,17 @@ class DepthClouds:
             return None
         self.camera_topic = camera_topic
         return intrinsics
+
+
+def _fitting(camera: CameraIntrinsics) -> CameraIntrinsics:
+    """The same camera.
+
+    Raises:
+        UndecodableMessage: its image is larger than memory is taken for.
+    """
+    if camera.width * camera.height > MAX_PIXELS:
+        raise UndecodableMessage(f"has a camera that claims images of {camera.width}x{camera.height} pixels")
+    return camera
 
 
 def _given(intrinsics: tuple[float, float, float, float], size: tuple[int, int] | None) -> CameraIntrinsics:

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from recordings.cameras.distortion import Undistortion, is_distorted
 from recordings.cameras.matching import is_rectified, matching_camera
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
+from recordings.cameras.recorded import CameraTrack, camera_track
 from recordings.depth_topics import DepthTopic
 from recordings.images.compressed_depth import image_size, stored_depth
 from recordings.images.depth_pixels import MetricDepth, stored_pixels
+from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
     CameraMessage,
     CompressedImageMessage,
@@ -20,6 +22,9 @@ from recordings.messages.types import (
 )
 from recordings.options import ReadOptions
 from recordings.types import CameraIntrinsics
+
+_KEPT_CAMERAS = 8
+"""Calibrations whose lookup is kept: a zoom may have one for each frame."""
 
 
 class DepthImages:
@@ -42,6 +47,9 @@ class DepthImages:
         self.camera_problem: str | None = None
         self.undistortion: Undistortion | None = None
         self.frame_from_camera = np.eye(4)
+        self._rectified = is_rectified(topic.name)
+        self._track: CameraTrack | None = None
+        self._undistortions: dict[int, Undistortion | None] = {}
         if options.intrinsics is not None:
             self.intrinsics = _given(options.intrinsics, self.size)
             return
@@ -54,15 +62,25 @@ class DepthImages:
         found = matching_camera(topic.name, topic.first.frame_id, self.size, cameras)
         if found is None:
             raise UnusableCamera("its camera is not recorded; give --intrinsics fx,fy,cx,cy")
-        camera_topic, camera = found
-        rectified = is_rectified(topic.name)
-        intrinsics = stored_intrinsics(camera, *self.size, rectified=rectified)
-        if not rectified and is_distorted(camera.distortion):
-            self.undistortion = Undistortion(intrinsics, camera.distortion_model, camera.distortion)
+        camera_topic, self._camera = found
+        intrinsics = stored_intrinsics(self._camera, *self.size, rectified=self._rectified)
+        self.undistortion = self._undistortion(self._camera, intrinsics, intrinsics)
         self.camera_topic, self.intrinsics = camera_topic, intrinsics
 
-    def depth(self, message: DecodedMessage) -> NDArray[np.float32]:
-        """The undistorted depth image (H, W) in metres.
+    def follow_camera(self, decoded: DecodedBag, *, uses_log_time: bool) -> tuple[int, ...]:
+        """Read every calibration of the camera, by which each frame is used from now on; when it changes."""
+        if self.camera_topic is None:
+            return ()
+        if self._track is None:
+            self._track = camera_track(decoded, self.camera_topic, self._camera, uses_log_time=uses_log_time)
+        return self._track.starts_ns
+
+    def is_first_camera(self, time_ns: int) -> bool:
+        """Whether the calibration of the first frame holds at a time."""
+        return self._track is None or self._track.at(time_ns) is self._track.cameras[0]
+
+    def stored(self, message: DecodedMessage) -> NDArray:
+        """The numbers (H, W) of a depth image as they are stored.
 
         Raises:
             UndecodableMessage: the message is damaged, or of another size than the first.
@@ -72,9 +90,51 @@ class DepthImages:
         if _size(message) != self.size:
             (width, height), (first_width, first_height) = _size(message), self.size
             raise UndecodableMessage(f"is {width}x{height} where the first is {first_width}x{first_height}")
-        stored = stored_pixels(message) if isinstance(message, ImageMessage) else stored_depth(message)
+        return stored_pixels(message) if isinstance(message, ImageMessage) else stored_depth(message)
+
+    def metres(self, stored: NDArray, time_ns: int) -> NDArray[np.float32]:
+        """The undistorted depth image (H, W) of stored numbers, as the first frame's camera sees it.
+
+        Raises:
+            UndecodableMessage: nothing can be known of the camera at that time.
+        """
         depth_m = self._metric(stored)
-        return self.undistortion.depth(depth_m) if self.undistortion else depth_m
+        undistortion = self._undistortion_at(time_ns)
+        return undistortion.depth(depth_m) if undistortion else depth_m
+
+    def depth(self, message: DecodedMessage, time_ns: int) -> NDArray[np.float32]:
+        """The undistorted depth image (H, W) in metres.
+
+        Raises:
+            UndecodableMessage: the message is damaged, of another size than the first, or of a camera of
+                which nothing can be known.
+        """
+        return self.metres(self.stored(message), time_ns)
+
+    def _undistortion_at(self, time_ns: int) -> Undistortion | None:
+        if self.is_first_camera(time_ns) or self.intrinsics is None or self._track is None:
+            return self.undistortion
+        camera = self._track.at(time_ns)
+        if id(camera) not in self._undistortions:
+            try:
+                stored = stored_intrinsics(camera, *self.size, rectified=self._rectified)
+                found = self._undistortion(camera, self.intrinsics, stored)
+            except UnusableCamera as error:
+                raise UndecodableMessage(f"cannot be used: {error}") from error
+            if len(self._undistortions) >= _KEPT_CAMERAS:
+                self._undistortions.pop(next(iter(self._undistortions)))
+            self._undistortions[id(camera)] = found
+        return self._undistortions[id(camera)]
+
+    def _undistortion(
+        self, camera: CameraMessage, intrinsics: CameraIntrinsics, stored: CameraIntrinsics
+    ) -> Undistortion | None:
+        """How an image of `camera` becomes one of the pinhole camera `intrinsics`; None where it is one."""
+        distorted = not self._rectified and is_distorted(camera.distortion)
+        if not distorted and stored == intrinsics:
+            return None
+        coefficients = camera.distortion if distorted else ()
+        return Undistortion(intrinsics, camera.distortion_model, coefficients, stored)
 
 
 def _size(message: DecodedMessage) -> tuple[int, int]:

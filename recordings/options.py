@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
+
+from recordings.settings import check_finite
 
 _LARGEST_PX = 1e4
 
@@ -18,6 +21,8 @@ class ReadOptions:
         depth_scale_m: metres for a stored depth of 1, instead of 0.001 for integers and 1 for floats.
         min_depth_m: nearer depths count as no return.
         max_depth_m: farther depths count as no return.
+        mask: an image of the size of the depth images, black where they see what moves with the camera;
+            these pixels count as no return.
         start_s: seconds after the first frame from which frames are read.
         end_s: seconds after the first frame up to which, inclusive, frames are read.
         every: of those frames, the first and every so many-th after it.
@@ -31,11 +36,13 @@ class ReadOptions:
     depth_scale_m: float | None = None
     min_depth_m: float = 0.0
     max_depth_m: float = math.inf
+    mask: Path | None = None
     start_s: float = 0.0
     end_s: float = math.inf
     every: int = 1
 
     def __post_init__(self) -> None:
+        check_finite(self, unbounded=("max_depth_m", "end_s"))
         if self.intrinsics is not None:
             fx, fy, cx, cy = self.intrinsics
             if not (all(abs(value) < _LARGEST_PX for value in self.intrinsics) and fx > 0 < fy):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from recordings.depth_statistics import DepthStatistics
 from recordings.depth_topics import DepthTopic, choose_depth_topic, depth_topics, is_aligned_to_colour
 from recordings.errors import RecordingError
 from recordings.mcap_files.attachments import Attachment
@@ -62,6 +63,7 @@ class DepthOverview:
     colour_topic: str | None
     colour_is_projected: bool
     frame_hashes: tuple[str, ...] | None
+    statistics: DepthStatistics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,14 +113,20 @@ def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overvie
     names = depth_topics(decoded)
     topic = _taken(decoded, options, len(names))
     recording = None if topic is None else McapRecording(decoded, topic, options)
-    depth = None if recording is None else _survey_depth(recording, hashes=hashes)
+    if recording is not None:
+        depth = _survey_depth(recording, hashes=hashes)
+        damage, problems = recording.damage, recording.problems
+    else:
+        lost = decoded.undecodable_topics()
+        depth, problems = None, [*bag.problems, *lost]
+        damage = replace(bag.damage, lost_messages=bag.damage.lost_messages + sum(lost.values()))
     return Overview(
         topics=topics,
         attachments=tuple(bag.attachments),
         depth=depth,
         candidates=tuple(_candidate(decoded, name, options) for name in names) if len(names) > 1 else (),
-        damage=bag.damage if recording is None else recording.damage,
-        problems=tuple(bag.problems if recording is None else recording.problems),
+        damage=damage,
+        problems=tuple(problems),
     )
 
 
@@ -169,6 +177,8 @@ def _survey_depth(recording: McapRecording, *, hashes: bool) -> DepthOverview:
         stamps.append(frame.time_ns)
         if hashes:
             found.append(hashlib.sha256(frame.depth_m.tobytes()).hexdigest())
+    statistics = recording.statistics()
+    statistics.undecodable = recording.undecodable
     return DepthOverview(
         topic=recording.depth_topic,
         frames=len(stamps),
@@ -180,13 +190,15 @@ def _survey_depth(recording: McapRecording, *, hashes: bool) -> DepthOverview:
         colour_topic=recording.colour_topic,
         colour_is_projected=recording.colour_is_projected,
         frame_hashes=tuple(found) if hashes else None,
+        statistics=statistics,
     )
 
 
 def _pace(times_ns: list[int]) -> Pace:
     if len(times_ns) < 2:
         return Pace(duration_s=0.0, rate_hz=None, gaps_s=())
-    times = np.array(times_ns, np.int64)
+    # A damaged log time may be any number of 64 bits, so that differences need not fit into one.
+    times = np.array([time_ns - times_ns[0] for time_ns in times_ns], np.float64)
     intervals = np.diff(times)
     usual = float(np.median(intervals))
     long = np.flatnonzero(intervals > _GAP_FACTOR * usual) if usual > 0 else []

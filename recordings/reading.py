@@ -14,9 +14,11 @@ from recordings.colour_projection import ColourCamera, projected_colour
 from recordings.colour_topics import ColourTopic, registered_colour
 from recordings.depth_clouds import DepthClouds
 from recordings.depth_images import DepthImages
-from recordings.depth_topics import DepthTopic, choose_depth_topic
+from recordings.depth_statistics import DepthStatistics
+from recordings.depth_topics import DepthMessage, DepthTopic, choose_depth_topic
 from recordings.errors import RecordingError
 from recordings.images.colour import ColourMessage
+from recordings.images.mask import read_mask
 from recordings.images.pairing import NearestInTime
 from recordings.mcap_files.bag import Bag
 from recordings.messages.decoded_bag import DecodedBag
@@ -30,9 +32,13 @@ from recordings.messages.types import (
 )
 from recordings.options import ReadOptions
 from recordings.stamps import in_order_of_stamps, selected
-from recordings.types import CameraIntrinsics, Damage, Frame
+from recordings.types import NO_RETURN, CameraIntrinsics, Damage, Frame
 
 _DEFAULT_OPTIONS = ReadOptions()
+_OUT_OF_ORDER = "its stamp is not after those before it: the clock stood still or was set back"
+_SECOND_NS = 1_000_000_000
+_END_OF_TIME_NS = 1 << 62
+"""The year 2116: later stamps are damage, and those of all frames fit into 64 bits."""
 _KEPT_FOR_COLOUR = 1 << 26
 """Colour is read behind the depth, by as many frames as are put in the order of stamps."""
 
@@ -84,6 +90,7 @@ class McapRecording:
             raise RecordingError(f"{decoded.bag.path}, {topic.name}: {error}") from error
         self._losses: Counter[str] = Counter()
         self._length: int | None = None
+        self._left_out = None if options.mask is None else read_mask(options.mask, self.size)
 
     def _colour_beside(
         self, depth: DepthImages, cameras: dict[str, CameraMessage]
@@ -151,6 +158,11 @@ class McapRecording:
             verified=found.verified,
         )
 
+    @property
+    def undecodable(self) -> int:
+        """Messages of the depth topic that could not be used so far, for what they hold."""
+        return self._losses.total() - self._losses[_OUT_OF_ORDER]
+
     def __len__(self) -> int:
         """Number of depth frames; counted by reading all of them once."""
         if self._length is None:
@@ -173,22 +185,76 @@ class McapRecording:
                 self._losses = losses
 
         colours = NearestInTime(self._colour_messages(lose))
-        messages = in_order_of_stamps(
-            self._depth_messages(lose), leave_out=lambda _: lose("too late, or a stamp twice")
-        )
+        self._follow_camera()
+        messages = in_order_of_stamps(self._depth_messages(lose), leave_out=lambda _: lose(_OUT_OF_ORDER))
         for stamp_ns, message in selected(messages, self.options):
             try:
-                depth_m = self._depth.depth(message)
+                depth_m = self._masked(self._depth.depth(message, stamp_ns))
             except UndecodableMessage as error:
                 lose(error)
                 continue
             count += 1
-            rgb, known = self._rgb(colours.at(stamp_ns), depth_m, lose)
+            rgb, known = self._rgb(colours.at(stamp_ns), depth_m, stamp_ns, lose)
             yield Frame(time_ns=stamp_ns, depth_m=depth_m, rgb=rgb, rgb_known=known)
         self._length = count
 
+    def statistics(self) -> DepthStatistics:
+        """What the depths and stamps look like, by reading all messages and decoding a few of them.
+
+        A frame is decoded where its number has at most three binary digits before its zeros: 0 to 8, then
+        four in each octave.
+        """
+        found = DepthStatistics()
+
+        def lose(_: object) -> None:
+            found.undecodable += 1
+
+        def stamped() -> Iterator[tuple[int, DecodedMessage]]:
+            for stamp_ns, message in self._depth_messages(lose):
+                found.add_stamp(stamp_ns)
+                yield stamp_ns, message
+
+        starts_ns, first_ns = self._follow_camera(), None
+        for number, (stamp_ns, message) in enumerate(
+            selected(in_order_of_stamps(stamped(), leave_out=_ignore), self.options)
+        ):
+            first_ns = stamp_ns if first_ns is None else first_ns
+            found.add_message(message.data if isinstance(message, DepthMessage) else b"")
+            if number % (1 << max(0, number.bit_length() - 3)) == 0:
+                self._add_frame(found, message, stamp_ns)
+        found.camera_changes = [(start - (first_ns or 0)) / _SECOND_NS for start in starts_ns]
+        return found
+
+    def _add_frame(self, found: DepthStatistics, message: DecodedMessage, stamp_ns: int) -> None:
+        try:
+            if isinstance(self._depth, DepthImages):
+                stored = self._depth.stored(message)
+                found.add_frame(self._masked(self._depth.metres(stored, stamp_ns)), stored)
+            else:
+                found.add_frame(self._masked(self._depth.depth(message, stamp_ns)), None)
+        except UndecodableMessage:
+            found.undecodable += 1
+
+    def _follow_camera(self) -> tuple[int, ...]:
+        """When the camera's calibration changes; each frame is used by its own from now on."""
+        if not isinstance(self._depth, DepthImages):
+            return ()
+        return self._depth.follow_camera(self.decoded, uses_log_time=self._uses_log_time)
+
+    def _sees_colour(self, stamp_ns: int) -> bool:
+        """Whether colour is registered to the frame: it is to the first camera."""
+        return not isinstance(self._depth, DepthImages) or self._depth.is_first_camera(stamp_ns)
+
+    def _masked(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The same without what the user's mask leaves out."""
+        return depth_m if self._left_out is None else np.where(self._left_out, NO_RETURN, depth_m)
+
     def _rgb(
-        self, message: ColourMessage | None, depth_m: NDArray[np.float32], lose: Callable[[object], None]
+        self,
+        message: ColourMessage | None,
+        depth_m: NDArray[np.float32],
+        stamp_ns: int,
+        lose: Callable[[object], None],
     ) -> tuple[NDArray[np.uint8] | None, NDArray[np.bool_] | None]:
         """Colours of a depth image's pixels, and which of them are known where not all are."""
         if self._colour is None or message is None:
@@ -196,17 +262,24 @@ class McapRecording:
         try:
             if isinstance(self._colour, ColourCamera):
                 return self._colour.rgb(message, depth_m)
-            return self._colour.rgb(message), None
+            return (self._colour.rgb(message) if self._sees_colour(stamp_ns) else None), None
         except UndecodableMessage as error:
             lose(error)
             return None, None
 
     def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DecodedMessage]]:
+        """Stamp and content of the depth messages that were taken where the first was."""
         for log_time_ns, message in self.decoded.messages({self.depth_topic}):
-            if isinstance(message, ImageMessage | CompressedImageMessage | PointCloudMessage):
-                yield log_time_ns if self._uses_log_time else message.stamp_ns, message
-            else:
+            if not isinstance(message, DepthMessage):
                 lose(message)
+            elif message.frame_id.lstrip("/") != self.frame_id.lstrip("/"):
+                lose(f"taken in the frame {message.frame_id!r}, the first in {self.frame_id!r}")
+            else:
+                stamp_ns = log_time_ns if self._uses_log_time else message.stamp_ns
+                if 0 <= stamp_ns < _END_OF_TIME_NS:
+                    yield stamp_ns, message
+                else:
+                    lose("its stamp is no time of this age")
 
     def _colour_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, ColourMessage]]:
         if self._colour is None:
@@ -219,9 +292,9 @@ class McapRecording:
 
 
 def _what_else(decoded: DecodedBag) -> str:
-    problems = decoded.bag.problems
+    problems = [*decoded.bag.problems, *decoded.undecodable_topics()]
     if problems:
-        return f"{problems[0]}"
+        return problems[0]
     return f"its topics: {', '.join(sorted({topic.name for topic in decoded.bag.topics})) or 'none'}"
 
 

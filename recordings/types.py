@@ -13,6 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from recordings.settings import check_finite, check_within
+
 NO_RETURN = 0.0
 """Value of a depth pixel that measured nothing: zero, negative, NaN, infinite or saturated in the source."""
 
@@ -60,6 +62,9 @@ class CameraIntrinsics:
         )
 
 
+_SHARES = ("outlier_probability", "none_hit_probability", "none_miss_probability")
+
+
 @dataclass(frozen=True, kw_only=True)
 class DepthNoise:
     """Parameters of the one sensor density (docs/model.md, section 0); `shapes.depth_noise` evaluates it.
@@ -74,6 +79,9 @@ class DepthNoise:
         none_hit_probability: share of pixels without a return where the ray meets a surface.
         none_miss_probability: the same where the ray meets nothing.
         max_range_m: D, the far end of the uniform part.
+
+    Raises:
+        ValueError: a value is not finite, or out of its range.
     """
 
     sigma_base_m: float = 0.0012
@@ -82,6 +90,13 @@ class DepthNoise:
     none_hit_probability: float = 0.05
     none_miss_probability: float = 0.95
     max_range_m: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_finite(self)
+        check_within(self, 1e-6, 1.0, ("sigma_base_m",))
+        check_within(self, 0.0, 10.0, ("sigma_growth_per_m",))
+        check_within(self, 0.0, 1.0, _SHARES)
+        check_within(self, 1e-3, 1e4, ("max_range_m",))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -47,7 +47,7 @@ class RecordingWriter:
     """Writes one MCAP file: zstd chunks of 1 MiB, every byte under a checksum, whole or not at all.
 
     The file gets its name only when the `with` block ends without an error; until then, and after a
-    kill, it is `NAME.partial`.
+    kill, it is `NAME.partial`, which only one process at a time may write.
 
     Args:
         path: the file to write, replaced if it exists.
@@ -73,7 +73,7 @@ class RecordingWriter:
         if self._path.exists() and not self._path.is_file():
             raise RecordingError(f"cannot write {self._path}: it exists and is not a file")
         with self._reporting():
-            self._file: BinaryIO = self._partial.open("wb")
+            self._file: BinaryIO = _opened_alone(self._partial)
             self._writer = Writer(
                 self._file, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
             )
@@ -92,8 +92,8 @@ class RecordingWriter:
             self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
-            self._file.close()
             self._partial.replace(self._path)
+            self._file.close()
             _sync_folder(self._path.parent)
 
     def write_depth(self, frame: Frame) -> None:
@@ -171,9 +171,33 @@ class RecordingWriter:
     def _discard(self) -> None:
         file = getattr(self, "_file", None)
         if file is not None:
+            self._partial.unlink(missing_ok=True)
             with suppress(OSError):  # the rest of the buffer does not fit on a full disk either
                 file.close()
-            self._partial.unlink(missing_ok=True)
+
+
+def _opened_alone(path: Path) -> BinaryIO:
+    """An empty file to write, that no other process writes; the system lets go when the process ends.
+
+    Raises:
+        RecordingError: another process writes it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not on Windows, where an open file cannot be renamed over
+        return path.open("wb")
+    while True:
+        file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.close()
+            raise RecordingError(f"{path} is being written by another process; wait for it") from error
+        with suppress(FileNotFoundError):  # who held it may have renamed it in between
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                file.truncate(0)
+                return file
+        file.close()
 
 
 def _sync_folder(folder: Path) -> None:

@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from recordings.settings import check_finite, check_within
+
+MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "sweeps": 10_000_000}
+"""Beyond these nobody has the memory or the time: a slip of the hand."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ParseConfig:
@@ -63,6 +68,9 @@ class ParseConfig:
     floating_weight: float = 0.02
 
     def __post_init__(self) -> None:
+        check_finite(self)
+        for name, most in MOST.items():
+            check_within(self, 0, most, (name,))
         if min(self.frames, default=0) < 0 or list(self.frames) != sorted(set(self.frames)):
             raise ValueError(f"frames must be increasing numbers from 0, got {self.frames}")
         if not 0 < self.presence < 1:
@@ -72,6 +80,8 @@ class ParseConfig:
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
             raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")
         scales = self.contact_sigma_m, self.loose_sigma_m, self.contact_concentration, self.search_error_m
+        if self.model_error_m < 0:
+            raise ValueError(f"model_error_m must not be negative, got {self.model_error_m}")
         if min(*scales, self.cloud_radius_m, self.floating_weight) <= 0 or self.upward_concentration < 0:
             raise ValueError("sigmas, errors, radii, concentrations and floating_weight must be positive")
         if not 0 <= self.slack_share < 1:

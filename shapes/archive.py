@@ -105,7 +105,12 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
         )
         shape, _, dtype = read_header(stream)
         stored = member.file_size - stream.tell()
-        if dtype.hasobject or int(np.prod(shape, dtype=object)) * dtype.itemsize != stored:
+        if (
+            dtype.hasobject
+            or dtype.kind not in "biufSU"
+            or not dtype.itemsize
+            or int(np.prod(shape, dtype=object)) * dtype.itemsize != stored
+        ):
             raise ValueError(f"array {member.filename} does not hold what it claims")
     with archive.open(member) as stream:
         return np.lib.format.read_array(stream, allow_pickle=False)

@@ -19,6 +19,12 @@ from shapes.voxel_grid import VoxelGrid
 
 FORMAT_VERSION = 1
 
+PITCHES_M = 1e-4, 1.0
+"""Voxels of a tenth of a millimetre to a metre: below, or above, the unit is another."""
+
+LARGEST_BYTES = 1 << 30
+"""Of all arrays of a shape: 500 voxels along each edge, with colour. No object needs more."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShapePrior:
@@ -52,8 +58,9 @@ class ShapePrior:
     def __post_init__(self) -> None:
         if self.phi.ndim != 3 or self.phi.size == 0:
             raise ValueError(f"phi has shape {self.phi.shape}, expected (I, J, K)")
-        if not (np.isfinite(self.pitch_m) and self.pitch_m > 0):
-            raise ValueError(f"pitch_m is {self.pitch_m}, expected a positive length in metres")
+        low, high = PITCHES_M
+        if not low <= self.pitch_m <= high:
+            raise ValueError(f"pitch_m is {self.pitch_m}, expected {low:g} to {high:g} metres")
         if not (np.isfinite(self.phi).all() and self.phi.min() >= 0 and self.phi.max() <= 1):
             raise ValueError("phi has values outside [0, 1]")
         masks = (self.seen_free, self.seen_occupied, self.enclosed)
@@ -64,7 +71,9 @@ class ShapePrior:
         if self.rgb is not None and (self.rgb.shape != (*self.phi.shape, 3) or self.rgb.dtype != np.uint8):
             raise ValueError(f"rgb must be uint8 {(*self.phi.shape, 3)}")
         pose = self.reference_from_grid
-        if pose.shape != (4, 4) or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6):
+        rigid = pose.shape == (4, 4) and np.isfinite(pose).all() and np.array_equal(pose[3], [0, 0, 0, 1])
+        rigid = rigid and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
+        if not (rigid and np.linalg.det(pose[:3, :3]) > 0):
             raise ValueError("reference_from_grid is not a rigid 4x4 transform")
 
     @property
@@ -135,7 +144,7 @@ class ShapePrior:
             FileNotFoundError: there is no such file.
             ValueError: the file is damaged, of another format, or holds values that are no shape.
         """
-        arrays = load_arrays(path)
+        arrays = load_arrays(path, largest_bytes=LARGEST_BYTES)
         version = arrays.pop("format_version", None)
         if version is None or version.shape != () or int(version) != FORMAT_VERSION:
             found = "none" if version is None else version

@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from recordings.settings import check_finite, check_within
 from recordings.types import DepthNoise
 
 Motion = Literal["free", "orbit"]
 
 ProposalSource = Literal["enumerate", "kiss", "both"]
+
+MOST_PARTICLES = 16384
+"""Each keeps a pose for every keyframe and frame: these take 2 GB in an hour's map."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +45,8 @@ class SlamConfig:
     effective_pixel_share: float | None = None
 
     def __post_init__(self) -> None:
-        if self.particles < 2:
-            raise ValueError(f"particles must be at least 2, got {self.particles}")
+        check_finite(self)
+        check_within(self, 2, MOST_PARTICLES, ("particles",))
         if self.motion not in ("free", "orbit"):
             raise ValueError(f"motion must be free or orbit, got {self.motion!r}")
         if self.proposal not in ("enumerate", "kiss", "both"):

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from recordings.settings import check_finite, check_within
+
 
 @dataclass(frozen=True, kw_only=True)
 class PathConfig:
@@ -42,6 +44,8 @@ class PathConfig:
     frames_per_second: float = 30.0
 
     def __post_init__(self) -> None:
+        check_finite(self)
+        check_within(self, 0.0, 90.0, ("look_at_error_deg", "shake_m", "shake_deg"))
         if self.frames < 1:
             raise ValueError(f"frames must be at least 1, got {self.frames}")
         if self.radius_m <= 0 or self.frames_per_second <= 0:

@@ -10,7 +10,11 @@ import numpy as np
 from pipeline.synthesis.paths import PathConfig
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.sensor import DepthSensor
+from recordings.settings import check_finite, check_within
 from recordings.types import CameraIntrinsics
+
+LARGEST_SIDE_PX = 4096
+"""No depth camera has more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +36,10 @@ class CameraConfig:
     fy: float | None = None
     cx: float | None = None
     cy: float | None = None
+
+    def __post_init__(self) -> None:
+        check_finite(self)
+        check_within(self, 1, LARGEST_SIDE_PX, ("width", "height"))
 
     @property
     def intrinsics(self) -> CameraIntrinsics:

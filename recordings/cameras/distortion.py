@@ -18,31 +18,51 @@ Points = NDArray[np.float64]
 Distort = Callable[[Points, Points, Sequence[float]], tuple[Points, Points]]
 
 
+_BROWN_CONRADY_COEFFICIENTS = 12
+"""OpenCV's 13th and 14th tilt the sensor."""
+_LEAST_INSIDE = 0.05
+"""Share of the image that has to be left: coefficients of another model leave next to nothing."""
+
+
 class Undistortion:
-    """Moves the pixels of an image to where a pinhole camera of the same intrinsics sees them.
+    """Moves the pixels of an image to where a pinhole camera sees them.
 
     Args:
-        intrinsics: the camera, of the distorted and of the pinhole image.
-        model: the distortion model as ROS names it.
-        coefficients: its coefficients.
+        intrinsics: the pinhole camera.
+        model: the distortion model of the stored image as ROS names it.
+        coefficients: its coefficients; zeros where the stored image is a pinhole camera's too.
+        stored: the intrinsics of the stored image, of the same size, where they are others.
 
     Raises:
-        UnusableCamera: the model is not known.
+        UnusableCamera: the model is not known, a coefficient means nothing, or hardly a pixel is left.
     """
 
-    def __init__(self, intrinsics: CameraIntrinsics, model: str, coefficients: Sequence[float]) -> None:
-        distort = distortion_model(model)
+    def __init__(
+        self,
+        intrinsics: CameraIntrinsics,
+        model: str,
+        coefficients: Sequence[float],
+        stored: CameraIntrinsics | None = None,
+    ) -> None:
+        _check(model, coefficients)
+        stored = stored or intrinsics
         width, height = intrinsics.width, intrinsics.height
         u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+        distort = distortion_model(model) if is_distorted(coefficients) else _brown_conrady
         with np.errstate(all="ignore"):  # a rational model may have poles far outside the image
             distorted_x, distorted_y = distort(x, y, coefficients)
             limit = unfolded_radius(distort, coefficients, float(np.hypot(x, y).max()))
-        column = np.rint(distorted_x * intrinsics.fx + intrinsics.cx)
-        row = np.rint(distorted_y * intrinsics.fy + intrinsics.cy)
+        column = np.rint(distorted_x * stored.fx + stored.cx)
+        row = np.rint(distorted_y * stored.fy + stored.cy)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (np.hypot(x, y) < limit)
         self._source = np.where(inside, row * width + column, 0).astype(np.intp)
         self._outside = ~inside
+        if inside.mean() < _LEAST_INSIDE:
+            raise UnusableCamera(
+                f"its camera's distortion leaves {inside.mean():.0%} of the image; "
+                "record rectified depth or give --intrinsics fx,fy,cx,cy"
+            )
 
     def depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """The undistorted depth image (H, W); `NO_RETURN` where the stored one does not reach."""
@@ -69,6 +89,18 @@ def distortion_model(name: str) -> Distort:
             "record rectified images or give --intrinsics fx,fy,cx,cy"
         )
     return _MODELS[name]
+
+
+def _check(model: str, coefficients: Sequence[float]) -> None:
+    """Raise UnusableCamera unless the coefficients are those of a known model."""
+    advice = "record rectified depth or give --intrinsics fx,fy,cx,cy"
+    if not is_distorted(coefficients):
+        return
+    distort = distortion_model(model)
+    if not np.isfinite(coefficients).all():
+        raise UnusableCamera(f"its camera's distortion is not finite; {advice}")
+    if distort is _brown_conrady and is_distorted(coefficients[_BROWN_CONRADY_COEFFICIENTS:]):
+        raise UnusableCamera(f"its camera's sensor is tilted, which is not known here; {advice}")
 
 
 def is_distorted(coefficients: Sequence[float]) -> bool:

@@ -10,6 +10,7 @@ from recordings.cameras.pinhole import UnusableCamera
 from recordings.messages.types import CameraMessage
 
 _TRANSPORTS = {"compressed", "compressedDepth", "theora", "zstd"}
+_RECTIFIED = {"rect", "rectified"}
 
 
 def namespace(topic: str) -> tuple[str, ...]:
@@ -30,9 +31,12 @@ def base_topic(topic: str) -> str:
 
 
 def is_rectified(topic: str) -> bool:
-    """Whether the images of a topic are rectified, which ROS says in the topic's name alone (image_proc)."""
+    """Whether the images of a topic are rectified, which ROS says in the topic's name alone (image_proc).
+
+    It is a word of the last part: image_rect, image_rect_raw, rectified; not unrectified, direct, corrected.
+    """
     parts = [part for part in topic.split("/") if part and part not in _TRANSPORTS]
-    return bool(parts) and "rect" in parts[-1]
+    return bool(parts) and not _RECTIFIED.isdisjoint(parts[-1].lower().replace("-", "_").split("_"))
 
 
 def matching_camera(

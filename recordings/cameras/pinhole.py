@@ -7,6 +7,8 @@ from recordings.types import CameraIntrinsics
 
 _ASPECT_TOLERANCE_PX = 1.5
 """Sizes of resized images are rounded to whole pixels."""
+_FOCAL_WIDTHS = (0.05, 100.0)
+"""Focal length over image width: views of 169 and of 0.6 degrees, beyond which no depth camera sees."""
 
 
 class UnusableCamera(Exception):  # noqa: N818  (never leaves recordings)
@@ -51,6 +53,12 @@ def stored_intrinsics(camera: CameraMessage, width: int, height: int, *, rectifi
         )
     except ValueError as error:
         raise UnusableCamera(f"its camera is unusable: {error}") from error
+    low, high = _FOCAL_WIDTHS
+    if not all(low < focal / region.width < high for focal in (region.fx, region.fy)):
+        raise UnusableCamera(
+            f"its camera is unusable: focal lengths of {region.fx:g} and {region.fy:g} pixels are not "
+            f"those of images of {region.width}x{region.height}; give --intrinsics fx,fy,cx,cy"
+        )
     return region.resized(width, height)
 
 

@@ -1,10 +1,18 @@
-"""The cameras that a recording describes."""
+"""The cameras that a recording describes, and when one of them changes."""
 
 from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
 
 from recordings.cameras.pinhole import is_calibrated
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import CameraMessage
+
+_JITTER_PX = 0.25
+"""Calibrations whose pixels differ by less are one: drivers round them anew in each message."""
 
 
 def recorded_cameras(decoded: DecodedBag) -> dict[str, CameraMessage]:
@@ -17,3 +25,64 @@ def recorded_cameras(decoded: DecodedBag) -> dict[str, CameraMessage]:
                     cameras[topic] = message
                     break
     return cameras
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraTrack:
+    """The calibrations of one camera over time.
+
+    Attributes:
+        cameras: one for each stretch of time.
+        starts_ns: (len(cameras) - 1) where the second and each later stretch begins.
+    """
+
+    cameras: tuple[CameraMessage, ...]
+    starts_ns: tuple[int, ...]
+
+    def at(self, time_ns: int) -> CameraMessage:
+        """The calibration that holds at a time."""
+        return self.cameras[bisect_right(self.starts_ns, time_ns)]
+
+
+def camera_track(
+    decoded: DecodedBag, topic: str, first: CameraMessage, *, uses_log_time: bool
+) -> CameraTrack:
+    """Every calibration that a camera topic tells of the camera of `first`, read from end to end.
+
+    A stretch begins half-way between the last message of the one before it and its own first. Messages of
+    another frame, or from before a driver knows its calibration, are passed over.
+    """
+    cameras, starts_ns, last_ns = [first], list[int](), 0
+    for log_time_ns, message in decoded.messages({topic}):
+        if not isinstance(message, CameraMessage) or message.frame_id != first.frame_id:
+            continue
+        if not is_calibrated(message):
+            continue
+        time_ns = log_time_ns if uses_log_time or message.stamp_ns == 0 else message.stamp_ns
+        if not _is_same(message, cameras[-1]):
+            cameras.append(message)
+            starts_ns.append((last_ns + time_ns + 1) // 2 if last_ns else time_ns)
+        last_ns = time_ns
+    return CameraTrack(cameras=tuple(cameras), starts_ns=tuple(starts_ns))
+
+
+def _is_same(one: CameraMessage, other: CameraMessage) -> bool:
+    if (one.width, one.height, one.binning, one.roi) != (other.width, other.height, other.binning, other.roi):
+        return False
+    if one.distortion_model != other.distortion_model:
+        return False
+    corner = np.array([max(one.width, 1), max(one.height, 1), 1.0])
+    return np.array_equal(one.distortion, other.distortion, equal_nan=True) and all(
+        _moves_px(a, b, corner) < _JITTER_PX for a, b in ((one.K, other.K), (one.P[:, :3], other.P[:, :3]))
+    )
+
+
+def _moves_px(one: np.ndarray, other: np.ndarray, corner: np.ndarray) -> float:
+    """By how much at most a pixel of the image lies elsewhere under another matrix."""
+    if np.array_equal(one, other):
+        return 0.0
+    if not (np.isfinite(one).all() and np.isfinite(other).all() and abs(np.linalg.det(one)) > 0):
+        return np.inf
+    corners = np.array([[0.0, 0.0, 1.0], [corner[0], 0.0, 1.0], [0.0, corner[1], 1.0], corner]).T
+    moved = other @ np.linalg.inv(one) @ corners
+    return float(np.abs(moved[:2] - corners[:2]).max())

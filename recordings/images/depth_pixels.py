@@ -16,8 +16,8 @@ from recordings.types import NO_RETURN
 
 DEPTH_DTYPES = {"16UC1": np.dtype("u2"), "mono16": np.dtype("u2"), "32FC1": np.dtype("f4")}
 """Encodings that hold one depth a pixel."""
-MAX_PIXELS = 1 << 26
-"""Largest image that memory is taken for."""
+MAX_PIXELS = 1 << 25
+"""Largest image that memory is taken for: 8192 x 4096, more than any depth camera has."""
 
 _SATURATED = 65535
 _FARTHEST_M = 1000.0

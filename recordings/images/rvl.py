@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from recordings.messages.types import UndecodableMessage
 
 _LONGEST_NUMBER = 11  # nibbles of a 32-bit number
+_LONGEST_CODE = 4
+"""Bytes a pixel: six nibbles of a difference of 16 bits, and two of the runs where each pixel is one."""
+_SLACK = 64
 _SHIFTS = np.arange(28, -1, -4, dtype=np.uint32)
 
 
@@ -22,7 +25,7 @@ def decode_rvl(data: bytes, pixels: int) -> NDArray[np.uint16]:
     Raises:
         UndecodableMessage: the code ends early or gives another number of pixels.
     """
-    numbers = _numbers(data)
+    numbers = _numbers(data[: _LONGEST_CODE * pixels + _SLACK])
     zeros, non_zeros, is_difference = _runs(numbers, pixels)
     zigzag = numbers[is_difference]
     values = np.cumsum((zigzag >> 1) ^ -(zigzag & 1)).astype(np.uint16)

@@ -66,7 +66,7 @@ def read_bop(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
             frames = _ycb_video_frames(folder)[wanted]
         else:
             raise RecordingError(f"{folder} has neither scene_camera.json (BOP) nor gt.json (YCB-Video)")
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         raise RecordingError(f"{folder}: its annotations are malformed ({error!r})") from error
     if not frames:
         raise RecordingError(f"{folder} has no annotated depth images")
@@ -103,6 +103,8 @@ def _bop_frames(folder: Path) -> list[_Annotated]:
         depth = folder / "depth" / f"{number:06d}.png"
         k = np.array(camera["cam_K"], np.float64).reshape(3, 3)
         infos = visible.get(key)
+        if infos and len(infos) != len(truths.get(key, [])):
+            raise ValueError(f"frame {number} has {len(infos)} entries in scene_gt_info.json")
         frames.append(
             _Annotated(
                 number=number,

@@ -24,6 +24,8 @@ ALL_FRAMES = slice(None)
 FRAME_RATE_HZ = 30
 """Of cameras whose data sets number their frames instead of stamping them."""
 
+_LAST_NS = ((1 << 31) - 2) * 1_000_000_000
+"""Stamps of ROS 2 have 31 bits of seconds; poses reach a second over the last frame."""
 _MARGIN_NS = 1_000_000_000
 """Poses this long before the first and after the last frame are written: one interpolates between them."""
 
@@ -75,10 +77,14 @@ def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], No
     """
     if not dataset.frames:
         raise RecordingError("there are no depth images to import")
+    if not 0 < dataset.depth_unit_m <= 1:
+        raise RecordingError(
+            f"a stored depth of 1 is said to be {dataset.depth_unit_m} m; it has to be above 0 and at most 1"
+        )
     metric = MetricDepth(dataset.depth_unit_m)
     height, width = _depth(dataset.frames[0].depth).shape
-    fx, fy, cx, cy = dataset.intrinsics
-    camera = CameraIntrinsics(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+    camera = _camera(dataset, width, height)
+    _check_times(dataset.frames)
     begin, end = dataset.frames[0].time_ns - _MARGIN_NS, dataset.frames[-1].time_ns + _MARGIN_NS
     poses = sorted((p for p in dataset.poses if begin <= p[0] <= end), key=lambda stamped: stamped[0])
     written = 0
@@ -102,6 +108,22 @@ def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], No
             progress(count + 1, len(dataset.frames))
         for time_ns, pose in poses[written:]:
             writer.write_camera_pose(time_ns, pose)
+
+
+def _camera(dataset: Dataset, width: int, height: int) -> CameraIntrinsics:
+    fx, fy, cx, cy = dataset.intrinsics
+    try:
+        return CameraIntrinsics(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+    except ValueError as error:
+        raise RecordingError(f"the camera cannot be used: {error}; give --intrinsics fx,fy,cx,cy") from error
+
+
+def _check_times(frames: Sequence[ImageFiles]) -> None:
+    for frame in frames:
+        if not 0 <= frame.time_ns < _LAST_NS:
+            raise RecordingError(
+                f"{frame.depth} has the time {frame.time_ns / 1e9:g} s, outside of 0 to {_LAST_NS / 1e9:g} s"
+            )
 
 
 def stamp_ns(number: int) -> int:

@@ -77,5 +77,5 @@ def _poses(path: Path) -> list[tuple[int, NDArray[np.float64]]]:
     try:
         numbers = np.array(path.read_text().split(), np.float64).reshape(-1, _NUMBERS_A_POSE)
         return [(stamp_ns(int(row[0])), orthonormalised(row[3:].reshape(4, 4))) for row in numbers]
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, OverflowError) as error:
         raise RecordingError(f"{path} is not a trajectory of Redwood: {error}") from error

@@ -24,6 +24,7 @@ _KINECTS: dict[str, Intrinsics] = {
     "3": (535.4, 539.2, 320.1, 247.6),
 }
 """The benchmark's calibrations of its three cameras, which its folder names tell."""
+_LATEST_S = 1 << 31
 _ROS_DEFAULT: Intrinsics = (525.0, 525.0, 319.5, 239.5)
 
 
@@ -74,10 +75,13 @@ def _listed(path: Path) -> list[tuple[int, list[str]]]:
         if not words:
             continue
         try:
-            time_ns = int(Decimal(words[0]) * 1_000_000_000)  # a float has too few digits
-        except (InvalidOperation, ValueError, OverflowError) as error:
+            seconds = Decimal(words[0])  # a float has too few digits
+        except InvalidOperation as error:
             raise RecordingError(f"{path}, line {number}: {words[0]!r} is no time") from error
-        if len(words) < 2 or time_ns < 0:
+        if not (seconds.is_finite() and 0 <= seconds < _LATEST_S):
+            raise RecordingError(f"{path}, line {number}: {words[0]} is no time in seconds")
+        time_ns = int(seconds * 1_000_000_000)
+        if len(words) < 2:
             raise RecordingError(f"{path}, line {number} lacks what follows the time")
         entries[time_ns] = words[1:]
     return sorted(entries.items())

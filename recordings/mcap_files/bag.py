@@ -110,8 +110,13 @@ def _listed_parts(folder: Path) -> list[_Part]:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return []
     counts = {}
-    for file in information.get("files") or []:
-        if isinstance(file, dict) and isinstance(file.get("message_count"), int):
+    files = information.get("files")
+    for file in files if isinstance(files, list) else []:
+        if (
+            isinstance(file, dict)
+            and isinstance(file.get("message_count"), int)
+            and file["message_count"] > 0
+        ):
             counts[Path(str(file.get("path"))).name] = file["message_count"]
     # Older versions of rosbag2 put the folder's own name before the file's.
     return [_Part(folder / Path(name).name, counts.get(Path(name).name, 0)) for name in names]

@@ -69,6 +69,8 @@ def spans(data: bytes) -> Iterator[RecordSpan]:
         if position + HEAD_SIZE > size:
             raise MalformedRecord("a record is cut off")
         opcode, length = _HEAD.unpack_from(data, position)
+        if opcode == 0:
+            raise MalformedRecord("a record has the opcode 0, which is none")
         start = position + HEAD_SIZE
         position = start + length
         if position > size:

@@ -101,7 +101,14 @@ class McapFile:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of the named topics, or of all: chunks by log time, each in its own order."""
         wanted = {id_ for id_, topic in self._topics.items() if topics is None or topic.name in topics}
-        blocks = [b for b in self._blocks if b.channel_ids is None or not wanted.isdisjoint(b.channel_ids)]
+        # Blocks with a channel that is nowhere defined are read too, so that their messages count as lost.
+        blocks = [
+            block
+            for block in self._blocks
+            if block.channel_ids is None
+            or not wanted.isdisjoint(block.channel_ids)
+            or not self._topics.keys() >= block.channel_ids
+        ]
         counts: Counter[int] = Counter()
         with open_source(self.path) as source:
             for block, records in read_blocks(source, blocks, self.cache):
@@ -162,7 +169,8 @@ def _check_magic(path: Path, source: Source) -> None:
     """A file is an MCAP file if its first eight bytes say so; two of them may be damaged."""
     magic = source.read(0, len(MAGIC))
     if not magic:
-        raise RecordingError(f"{path} is empty")
+        is_packed = path.stat().st_size > 0
+        raise RecordingError(f"{path} is {'no zstd file, or cut off at its start' if is_packed else 'empty'}")
     wrong = sum(a != b for a, b in zip(magic, MAGIC, strict=False)) + len(MAGIC) - len(magic)
     if wrong > _MAGIC_BYTES_THAT_MAY_BE_WRONG:
         raise RecordingError(f"{path} is not an MCAP file (it starts with {magic!r})")

@@ -77,6 +77,8 @@ class _Recovery:
         self._lost_chunk_end: int | None = None
         self._data_ended = False
         self._data_proven = False
+        self._next_chunk: int | None = 0
+        """The first sound chunk from where one was last sought; None where there is none any more."""
 
     def index(self) -> FileIndex:
         """What was found."""
@@ -249,7 +251,9 @@ class _Recovery:
 
     def _next_landmark(self, offset: int) -> int | None:
         """The next sound chunk; in a file that shows no chunk, the next run of plausible records."""
-        chunk = next_sound_chunk(self._source, offset)
+        if self._next_chunk is not None and self._next_chunk < offset:
+            self._next_chunk = next_sound_chunk(self._source, offset)
+        chunk = self._next_chunk
         if chunk is not None or any(block.is_chunk for block in self._blocks):
             return chunk
         return next_chain(self._source, offset, self._channels)

@@ -14,6 +14,8 @@ from recordings.errors import RecordingError
 
 _STEP = 1 << 20
 _KEPT = 4 * _STEP
+_SMALLEST_LIMIT, _LARGEST_RATIO = 1 << 28, 1000
+"""How much may come out of a compressed file: images of one value compress 1000-fold, zeros 30,000-fold."""
 
 
 class Source(Protocol):
@@ -38,6 +40,8 @@ class FileSource:
 
     def read(self, offset: int, length: int) -> bytes:
         """At most `length` bytes from `offset`; a length that the file cannot hold takes no memory."""
+        if not 0 <= offset < self.size:
+            return b""
         self._file.seek(offset)
         return self._file.read(max(0, min(length, self.size - offset)))
 
@@ -46,13 +50,14 @@ class ZstdSource:
     """A `.mcap.zstd` file, unpacked as it is read.
 
     Reading forward unpacks once. The last few megabytes are kept, so that a step back is free; a
-    longer way back unpacks again from the front.
+    longer way back unpacks again from the front. One that unpacks to more than depth ever does is cut there.
     """
 
     size = None
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
+        self._limit = max(_SMALLEST_LIMIT, _LARGEST_RATIO * os.fstat(file.fileno()).st_size)
         self._restart()
 
     def read(self, offset: int, length: int) -> bytes:
@@ -78,7 +83,7 @@ class ZstdSource:
 
     def _unpack(self, length: int) -> bytes:
         try:
-            piece = self._stream.read(length)
+            piece = self._stream.read(min(length, max(0, self._limit - self._position)))
         except zstandard.ZstdError:
             piece = b""
         self._position += len(piece)

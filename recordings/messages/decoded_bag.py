@@ -33,6 +33,20 @@ class DecodedBag:
                 except UndecodableMessage as error:
                     yield log_time_ns, error
 
+    def undecodable_topics(self) -> dict[str, int]:
+        """A sentence on each topic of which no message can be decoded, and how many it has."""
+        found = {}
+        for topic in self.topic_names:
+            errors = []
+            for _, message in self.messages({topic}):
+                if not isinstance(message, UndecodableMessage):
+                    errors = []
+                    break
+                errors.append(message)
+            if errors:
+                found[f"{topic}: none of its messages can be decoded; the first {errors[0]}"] = len(errors)
+        return found
+
     def first(self, topic: str) -> DecodedMessage | None:
         """The first message of a topic that can be decoded."""
         for _, message in self.messages({topic}):

@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from recordings.settings import check_finite
 from recordings.types import DepthNoise
+
+MOST_VOXELS = 2e7
+"""A cube of 1.35 m at 5 mm; learning takes some fifty bytes a voxel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +52,21 @@ class LearnConfig:
     noise: DepthNoise = field(default_factory=DepthNoise)
 
     def __post_init__(self) -> None:
+        check_finite(self)
         if not 0.001 <= self.pitch_m <= 0.1:
             raise ValueError(f"pitch_m must lie in [0.001, 0.1], got {self.pitch_m}")
         if self.box is not None and not all(
             low < high for low, high in zip(self.box[:3], self.box[3:], strict=True)
         ):
             raise ValueError("box must be xmin,ymin,zmin,xmax,ymax,zmax with each min below its max")
+        if self.box is not None:
+            sides = [high - low for low, high in zip(self.box[:3], self.box[3:], strict=True)]
+            voxels = math.prod(side / self.pitch_m for side in sides)
+            if voxels > MOST_VOXELS:
+                raise ValueError(
+                    f"box holds {voxels:.3g} voxels of {self.pitch_m:g} m, at most {MOST_VOXELS:g} fit; "
+                    "take a smaller box or a larger pitch_m"
+                )
         for name in ("views", "trajectories", "sweeps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")

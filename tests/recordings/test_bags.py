@@ -183,7 +183,7 @@ def test_options_choose_frames(options, expected, tmp_path):
         ({"every": 0}, "every must be at least 1"),
         ({"start_s": 2.0, "end_s": 1.0}, "start <= end"),
         ({"start_s": -1.0}, "start <= end"),
-        ({"start_s": float("nan")}, "start <= end"),
+        ({"start_s": float("nan")}, "start_s must be a finite number"),
         ({"min_depth_m": 2.0, "max_depth_m": 1.0}, "min < max"),
         ({"depth_scale_m": 5000.0}, "1/5000 = 0.0002"),
         ({"depth_scale_m": 0.0}, "depth scale"),

@@ -120,17 +120,25 @@ def test_a_missing_folder_is_one_clear_line(tmp_path, camera):
         RecordingWriter(path, camera)
 
 
-def test_a_full_disk_leaves_nothing(recording_path, camera, frames, monkeypatch):
+def test_a_full_disk_leaves_nothing(recording_path, camera, frames, limited_files):
     """Running out of space is a RecordingError, and the partial file is gone."""
-    real_open = Path.open
-
-    def open_full(path, mode="r", *args, **kwargs):
-        return real_open(Path("/dev/full"), mode) if "w" in mode else real_open(path, mode, *args, **kwargs)
-
-    monkeypatch.setattr(Path, "open", open_full)
-    with pytest.raises(RecordingError, match="No space left on device"):
+    with limited_files(2000), pytest.raises(RecordingError, match=r"cannot write .*File too large"):
         write(recording_path, camera, frames, np.tile(np.eye(4), (len(frames), 1, 1)))
     assert list(recording_path.parent.iterdir()) == []
+
+
+def test_of_two_writers_to_one_name_the_second_is_refused(recording_path, camera, frames):
+    """The first goes on and leaves a whole file; what a killed one left is written over."""
+    recording_path.with_name(recording_path.name + ".partial").write_bytes(b"left by a kill")
+    with RecordingWriter(recording_path, camera) as first:
+        first.write_depth(frames[0])
+        with pytest.raises(RecordingError, match="being written by another process"):
+            RecordingWriter(recording_path, camera)
+        for frame in frames[1:]:
+            first.write_depth(frame)
+
+    assert len(list(open_recording(recording_path))) == len(frames)
+    assert list(recording_path.parent.iterdir()) == [recording_path]
 
 
 def test_generic_messages_keep_their_schema(recording_path):

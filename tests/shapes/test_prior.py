@@ -90,7 +90,7 @@ def test_surface_fills_enclosed_voxels(prior: ShapePrior) -> None:
         ("phi", np.full(SHAPE, 1.5, np.float32), "outside"),
         ("phi", np.full(SHAPE, np.nan, np.float32), "outside"),
         ("phi", np.zeros((2, 2), np.float32), "expected"),
-        ("pitch_m", 0.0, "positive"),
+        ("pitch_m", 0.0, "expected 0.0001 to 1 metres"),
         ("reference_from_grid", 2 * np.eye(4), "rigid"),
         ("enclosed", np.ones(SHAPE, bool), "two of"),
         ("enclosed", np.zeros(SHAPE, np.uint8), "bool"),
