@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,10 +16,12 @@ from pipeline.errors import PipelineError
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path of the same suffix; it takes the place of `path` when the block ends well.
 
+    Its name is its own: of several writers to one path, the last whole file stays.
+
     Raises:
         PipelineError: the file cannot be written.
     """
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    partial = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield partial
         with partial.open("rb+") as file:
@@ -31,12 +34,17 @@ def atomic_path(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, unless it holds the text already."""
-    if path.is_file() and path.read_bytes() == text.encode():
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file atomically, unless it holds these bytes already."""
+    if path.is_file() and path.read_bytes() == content:
         return
     with atomic_path(path) as partial:
-        partial.write_bytes(text.encode())
+        partial.write_bytes(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically, unless it holds the text already."""
+    write_bytes(path, text.encode())
 
 
 def write_json(path: Path, content: object) -> None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import importlib
 import keyword
+import signal
+import sys
 from collections.abc import Sequence
+from types import FrameType
 from typing import Any
 
 import click
 
-from pipeline.errors import ConfigError, PipelineError
+from pipeline.errors import ConfigError, PipelineError, ProjectError
+from pipeline.logs import unforeseen
 from recordings.errors import RecordingError
 
 COMMANDS = (
@@ -34,12 +38,17 @@ DAMAGED = 3
 """Exit code where part of a damaged input was lost and the rest was used."""
 
 
+RESUMED = ("demo", "slam", "learn", "parse", "run")
+"""Commands that go on where they were interrupted."""
+
+
 class Failure(click.ClickException):
-    """One clear line on stderr and exit code 1."""
+    """One clear line on stderr for each mistake, and exit code 1."""
 
     def show(self, file: Any = None) -> None:
-        """Print the line."""
-        click.echo(f"voxscene: {' '.join(self.message.split())}", file=file, err=True)
+        """Print them."""
+        for line in self.message.splitlines():
+            click.echo(f"voxscene: {' '.join(line.split())}", file=file, err=True)
 
 
 class Misuse(Failure):
@@ -75,14 +84,22 @@ class LazyGroup(click.Group):
         """Run the subcommand; what the user can mend ends as a `Failure`."""
         try:
             return super().invoke(ctx)
-        except ConfigError as error:
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except ProjectError as error:
             raise Misuse(str(error)) from error
+        except ConfigError as error:
+            raise Misuse(_one_line(error)) from error
         except (RecordingError, PipelineError) as error:
-            raise Failure(str(error)) from error
+            raise Failure(_one_line(error)) from error
         except OSError as error:
             raise Failure(f"{error.filename or 'system'}: {error.strerror or error}") from error
         except KeyboardInterrupt as error:
-            raise Failure("interrupted; the same command goes on where it stopped") from error
+            resumed = ctx.invoked_subcommand in RESUMED
+            how = "the same command goes on where it stopped" if resumed else "nothing half-written is left"
+            raise Failure(f"interrupted; {how}") from error
+        except Exception as error:  # one line for the user, the traceback for us
+            raise Failure(_one_line(unforeseen(error))) from error
 
 
 @click.group(
@@ -98,4 +115,16 @@ def voxscene() -> None:
 
 def main() -> None:
     """The console script."""
+    for stream in (sys.stdout, sys.stderr):  # names of files need not be UTF-8
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    signal.signal(signal.SIGTERM, _interrupt)
     voxscene()
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    """What ends the program from outside ends it as Ctrl-C does: nothing half-written stays."""
+    raise KeyboardInterrupt
+
+
+def _one_line(error: object) -> str:
+    return " ".join(str(error).split())

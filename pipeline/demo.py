@@ -110,7 +110,10 @@ def demonstrate(folder: Path, common: Common) -> DemoResult:
     write_text(project_file, tomli_w.dumps({"recording": _entries()}))
     project = read_project(project_file)
     run = folder / "run"
-    run_project(project, run, common)
+    rows = run_project(project, run, common)
+    failed = [row for row in rows if row.failure]
+    if failed:
+        raise PipelineError(f"{failed[0].path}: {failed[0].failure}")
     return evaluate(project, run)
 
 

@@ -10,14 +10,17 @@ import numpy as np
 import trimesh
 
 from pipeline.errors import PipelineError
+from pipeline.shape_folder import MESH_SUFFIXES
 
 Units = Literal["m", "mm"]
 
-SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".off")
 LARGEST_M = 5.0
 """A larger object is more likely written in millimetres."""
 SMALLEST_M = 0.004
 """A smaller one, of which a depth camera sees nothing, more likely in metres taken for millimetres."""
+
+FLAT = 1e-6
+"""Thickness over length below which a mesh has no volume to rest on or to stand by."""
 
 
 def load_meshes(folder: Path, units: Units | None = None) -> dict[str, trimesh.Trimesh]:
@@ -32,9 +35,12 @@ def load_meshes(folder: Path, units: Units | None = None) -> dict[str, trimesh.T
     """
     if not folder.is_dir():
         raise PipelineError(f"no folder of meshes {folder}")
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
     if not paths:
-        raise PipelineError(f"{folder} holds no meshes ({', '.join(SUFFIXES)})")
+        raise PipelineError(f"{folder} holds no meshes ({', '.join(MESH_SUFFIXES)})")
+    twice = sorted({path.stem for path in paths if sum(path.stem == one.stem for one in paths) > 1})
+    if twice:
+        raise PipelineError(f"{folder} holds several meshes named {twice[0]}; leave one of them")
     scale = 0.001 if (units or _units_of(folder)) == "mm" else 1.0
     return {path.stem: _load_mesh(path, scale) for path in paths}
 
@@ -49,13 +55,23 @@ def _load_mesh(path: Path, scale: float) -> trimesh.Trimesh:
     if not np.isfinite(mesh.vertices).all():
         raise PipelineError(f"{path} holds a vertex that is not finite")
     mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=True)
-    if mesh.extents.max() > LARGEST_M:
-        raise PipelineError(
-            f"{path} is {mesh.extents.max():.4g} m large; looks like millimetres, use --units mm"
-        )
-    if mesh.extents.max() < SMALLEST_M:
-        raise PipelineError(f"{path} is {mesh.extents.max():.4g} m large; looks like metres, use --units m")
+    check_size(path, float(mesh.extents.max()))
+    spread = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0), compute_uv=False)
+    if spread[-1] < FLAT * spread[0]:
+        raise PipelineError(f"{path} is flat: an object that can be seen from all sides has a volume")
     return mesh
+
+
+def check_size(path: Path, extent_m: float) -> None:
+    """Refuse what is not as large as an object that a depth camera sees.
+
+    Raises:
+        PipelineError: it is too large or too small; the message says what may have been meant.
+    """
+    if not extent_m <= LARGEST_M:
+        raise PipelineError(f"{path} is {extent_m:.4g} m large; looks like millimetres, use --units mm")
+    if extent_m < SMALLEST_M:
+        raise PipelineError(f"{path} is {extent_m:.4g} m large; looks like metres, use --units m")
 
 
 def _units_of(folder: Path) -> Units:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,13 +70,16 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             *args: Any,
             as_json: bool,
             quiet: bool,
+            verbose: bool,
             seed: int | None,
             config_file: Path | None,
             overrides: tuple[str, ...],
             **kwargs: Any,
         ) -> Any:
             from pipeline.config import Settings
+            from pipeline.logs import show_on_stderr
 
+            show_on_stderr(logging.INFO if verbose else logging.WARNING)
             seeding = () if seed is None else (f"run.seed={seed}",)
             settings = Settings.read(config_file, (*overrides, *seeding), ("run", *sections))
             common = Common(as_json=as_json, quiet=quiet, settings=settings)
@@ -84,6 +88,7 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
         options = [
             click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout."),
             click.option("--quiet", "-q", is_flag=True, help="No progress and no text."),
+            click.option("--verbose", "-v", is_flag=True, help="Print what goes to log.txt on stderr too."),
             click.option(
                 "--seed",
                 type=click.IntRange(0, 2**32 - 1),
@@ -149,7 +154,7 @@ class RecordingSource:
 
 
 READING = (
-    *("depth_topic", "intrinsics", "depth_scale_m", "min_depth_m", "max_depth_m"),
+    *("depth_topic", "intrinsics", "depth_scale_m", "min_depth_m", "max_depth_m", "mask"),
     *("start_s", "end_s", "every"),
 )
 """Options of reading, by their names in `ReadOptions`."""
@@ -176,6 +181,12 @@ def recording_options(command: Command) -> Command:
         metres("--depth-scale", "depth_scale_m", "A stored 1: as a rule 0.001 for integers, 1 for floats."),
         metres("--min-depth", "min_depth_m", "Nearer depths are ignored."),
         metres("--max-depth", "max_depth_m", "Farther depths are ignored."),
+        click.option(
+            "--mask",
+            type=click.Path(path_type=Path),
+            metavar="FILE.png",
+            help="Image that is black where the depth shows what moves with the camera.",
+        ),
         seconds("--start", "start_s", "From here on, after the first frame."),
         seconds("--end", "end_s", "Up to here, after the first frame."),
         click.option("--every", type=int, metavar="N", help="Every N-th frame."),

@@ -31,10 +31,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.config import build, checked_sections, read_toml
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, ProjectError
 from pipeline.options import READING
 
-FILE_NAME = r"\w[\w.-]*"
+FILE_NAME = r"\w[\w.-]{0,99}"
 """Names that are files' names too."""
 
 Stage = Literal["slam", "learn", "parse"]
@@ -65,7 +65,9 @@ class ProjectRecording:
 
     def __post_init__(self) -> None:
         if self.name is not None and not re.fullmatch(FILE_NAME, self.name):
-            raise ValueError("name must be letters, digits, dots, dashes and underscores")
+            raise ValueError("name must be up to 100 letters, digits, dots, dashes and underscores")
+        if not self.stem:
+            raise ValueError("path names no file of its own")
 
     @property
     def stem(self) -> str:
@@ -101,7 +103,7 @@ def read_project(path: Path) -> Project:
     entries = content.pop("recording", [])
     if not isinstance(entries, list) or not entries:
         raise ConfigError(f"{path} has no [[recording]]: each needs a path and a stage")
-    recordings = [_recording(path, number, entry) for number, entry in enumerate(entries, start=1)]
+    recordings = _recordings(path, entries)
     for what, names in (
         ("recordings", [one.stem for one in recordings]),
         ("shapes", [one.shape for one in recordings if one.stage == "learn"]),
@@ -122,8 +124,37 @@ def read_project(path: Path) -> Project:
     )
 
 
+def _recordings(path: Path, entries: list[Any]) -> list[ProjectRecording]:
+    """The recordings that the entries name, a pattern as many as it matches; mistakes are told together."""
+    found: list[ProjectRecording] = []
+    mistakes: list[str] = []
+    for number, entry in enumerate(entries, start=1):
+        try:
+            one = _recording(path, number, entry)
+            found += _matching(path.parent, one)
+        except ConfigError as error:
+            mistakes.append(str(error))
+    if mistakes:
+        raise ProjectError(mistakes)
+    return found
+
+
+def _matching(folder: Path, recording: ProjectRecording) -> list[ProjectRecording]:
+    """One recording for every file that a path with * or ? matches, in the order of their names."""
+    pattern = str(recording.path.relative_to(folder)) if recording.path.is_relative_to(folder) else ""
+    if not any(sign in pattern for sign in "*?"):
+        return [recording]
+    matches = sorted(folder.glob(pattern))
+    if not matches or recording.name is not None:
+        why = "names several recordings, and name only one shape" if matches else "matches no file"
+        raise ConfigError(f"{recording.path}: {why}")
+    return [replace(recording, path=match) for match in matches]
+
+
 def _recording(path: Path, number: int, entry: Mapping[str, Any]) -> ProjectRecording:
     where = f"{path}, recording {number}"
+    if not isinstance(entry, Mapping):
+        raise ConfigError(f"{where} is no table; write [[recording]] above its lines")
     reading = {name: value for name, value in entry.items() if name in READING}
     settings = {name: value for name, value in entry.items() if name in STAGES}
     own = {name: value for name, value in entry.items() if name not in (*READING, *STAGES)}

@@ -1,46 +1,101 @@
-"""Runs a project: every recording through its stages, each in a run folder of its own."""
+"""Runs a project: every recording through its stages, each in a run folder of its own, each for itself.
+
+A recording that fails costs no other one. Shapes are learned before any is looked for; a recording that
+looks for a shape by name fails where that could not be learned, one that looks for all takes what there is.
+"""
 
 from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from pipeline.atomic import atomic_path, write_json
+from pipeline.errors import PipelineError
+from pipeline.fingerprints import file_hash
+from pipeline.logs import log, unforeseen
 from pipeline.options import Common, RecordingSource
 from pipeline.project import Project, ProjectRecording
-from pipeline.run_folder import file_hash, open_run_folder
+from pipeline.run_access import open_run_folder
 from pipeline.session import open_session
 from pipeline.stages.learn import learn_stage
 from pipeline.stages.parse import parse_stage
 from pipeline.stages.slam import slam_stage
+from pipeline.task_engine import Outcome, Task, WorkerLost, local_workers, run_tasks
+from pipeline.timing import wall_clock
+from recordings.errors import RecordingError
 from recordings.types import Damage
 
 
-def run_project(project: Project, run: Path, common: Common, *, force: bool = False) -> dict[Path, Damage]:
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """How the work on one recording ended.
+
+    Attributes:
+        stem: of the recording.
+        path: of the recording.
+        stage: the last stage that was asked for.
+        damage: what was lost of the recording, as far as is known.
+        failure: why the stage could not be reached; None where it was.
+        warnings: what was to be said on the way.
+        seconds: that it took this time.
+    """
+
+    stem: str
+    path: Path
+    stage: str
+    damage: Damage = field(default_factory=Damage)
+    failure: str | None = None
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+def run_project(
+    project: Project,
+    run: Path,
+    common: Common,
+    *,
+    force: bool = False,
+    workers: int | None = None,
+    stop_at_failure: bool = False,
+) -> list[Row]:
     """Fill a run folder with what a project asks for; what is there and unchanged is left as it is.
 
+    Args:
+        project: the recordings.
+        run: the run folder.
+        common: seed, settings, progress.
+        force: compute everything again.
+        workers: processes of one core each, side by side; None works here, with all cores.
+        stop_at_failure: begin no further recording once one has failed.
+
     Returns:
-        What was lost of each recording, by path.
+        How it ended for each recording, in the order of the work.
 
     Raises:
-        RecordingError: a recording cannot be used.
-        PipelineError: the run folder cannot be used, or a stage found nothing to work on.
+        PipelineError: the run folder cannot be used.
     """
-    damage = {}
+    rows: dict[str, Row] = {}
     with open_run_folder(run, {"a project": "project"}):
-        for number, recording in enumerate(project.recordings, start=1):
-            if not common.quiet:
-                place = f"[{number}/{len(project.recordings)}]"
-                click.echo(f"{place} {recording.stage} {recording.path}", err=True)
-            damage[recording.path] = _run_recording(project, recording, run, common, force=force)
-        for name in ("summary.json", "timing.json"):
-            write_json(run / name, {"recordings": _gathered(project, run, name)})
-    return damage
+        _forget_shapes(run, {one.shape for one in project.recordings if one.stage == "learn"})
+        for stages in (("slam", "learn"), ("parse",)):
+            chosen = [one for one in project.recordings if one.stage in stages]
+            tasks = [_task(project, one, run, common, force=force, rows=rows) for one in chosen]
+            for row in _rows(chosen, tasks, workers):
+                rows[row.stem] = row
+                _tell(row, len(rows), len(project.recordings), common)
+                if stop_at_failure and row.failure:
+                    break
+            if stop_at_failure and any(row.failure for row in rows.values()):
+                break
+        ordered = [rows[one.stem] for one in project.recordings if one.stem in rows]
+        _write_summary(run, ordered)
+    return ordered
 
 
 def recording_folder(run: Path, recording: ProjectRecording) -> Path:
@@ -53,38 +108,138 @@ def learned_shapes(run: Path) -> Path:
     return run / "shapes"
 
 
-def _run_recording(
+def run_recording(
+    project: Project,
+    recording: ProjectRecording,
+    run: Path,
+    common: Common,
+    force: bool,
+    warnings: Sequence[str],
+) -> Row:
+    """One recording through its stages; whatever is wrong with it is told in its row."""
+    row = Row(stem=recording.stem, path=recording.path, stage=recording.stage, warnings=tuple(warnings))
+    begun_s = wall_clock()
+    try:
+        damage, told = _run_stages(project, recording, run, common, force=force)
+        row = replace(row, damage=damage, warnings=(*warnings, *told))
+    except (RecordingError, PipelineError, OSError) as error:
+        row = replace(row, failure=" ".join(str(error).split()))
+    except Exception as error:  # of one recording among many; its traceback stands in its log.txt
+        row = replace(row, failure=unforeseen(error))
+    if row.failure and recording.stage == "learn":
+        (learned_shapes(run) / f"{recording.shape}.npz").unlink(missing_ok=True)
+    return replace(row, seconds=round(wall_clock() - begun_s, 1))
+
+
+def _task(
+    project: Project,
+    recording: ProjectRecording,
+    run: Path,
+    common: Common,
+    *,
+    force: bool,
+    rows: dict[str, Row],
+) -> Task[Row]:
+    """The work on one recording, told of the shapes that could not be learned before."""
+    failed = {one.shape for one in project.recordings if one.stem in rows and rows[one.stem].failure}
+    missing = sorted(failed & set(recording.objects or failed)) if recording.stage == "parse" else []
+    if recording.shapes is not None:
+        missing = []
+    warnings = tuple(f"looked for all but {name}, which could not be learned" for name in missing)
+    if missing and recording.objects is not None:
+        refused = Row(
+            stem=recording.stem,
+            path=recording.path,
+            stage=recording.stage,
+            failure=f"the shape {missing[0]} could not be learned",
+        )
+        return Task(name=recording.stem, call=_as_it_is, arguments=(refused,))
+    arguments = (project, recording, run, common, force, warnings)
+    return Task(name=recording.stem, call=run_recording, arguments=arguments)
+
+
+def _as_it_is(row: Row) -> Row:
+    return row
+
+
+def _rows(
+    chosen: Sequence[ProjectRecording], tasks: Sequence[Task[Row]], workers: int | None
+) -> Iterator[Row]:
+    """The rows of tasks as they end: here one after the other, or on workers."""
+    if workers is None:
+        for task in tasks:
+            yield task.call(*task.arguments)
+        return
+    by_name = {one.stem: one for one in chosen}
+    quiet = [
+        Task(name=one.name, call=one.call, arguments=tuple(_without_progress(a) for a in one.arguments))
+        for one in tasks
+    ]
+    for outcome in run_tasks(quiet, local_workers(workers), workers):
+        yield outcome.result or _lost(by_name[outcome.task.name], outcome)
+
+
+def _without_progress(argument: Any) -> Any:
+    """Bars of several workers would write over one another."""
+    return replace(argument, quiet=True) if isinstance(argument, Common) else argument
+
+
+def _lost(recording: ProjectRecording, outcome: Outcome[Row]) -> Row:
+    """The row of a recording that took its worker with it."""
+    error = outcome.error
+    why = str(error) if isinstance(error, WorkerLost) else f"{type(error).__name__}: {error}"
+    return Row(stem=recording.stem, path=recording.path, stage=recording.stage, failure=why)
+
+
+def _run_stages(
     project: Project, recording: ProjectRecording, run: Path, common: Common, *, force: bool
-) -> Damage:
+) -> tuple[Damage, list[str]]:
     settings = common.settings.over(recording.settings).over(project.settings)
     source = RecordingSource(path=recording.path, said=recording.reading)
-    folder = recording_folder(run, recording)
-    with open_session(replace(common, settings=settings), source, folder, force=force) as session:
+    folder, own = recording_folder(run, recording), replace(common, settings=settings)
+    with open_session(own, source, folder, force=force, replace=True) as session:
         slam_stage(session)
         if recording.stage == "learn":
             learn_stage(session, recording.shape)
-            _gather_shape(session.run.value_path(f"learn/{recording.shape}"), project, run)
         elif recording.stage == "parse":
             shapes = recording.shapes or learned_shapes(run)
             parse_stage(session, shapes, options={"objects": recording.objects})
-    return session.damage
+    if recording.stage == "learn":
+        _gather_shape(session.run.value_path(f"learn/{recording.shape}"), run)
+    return session.damage, session.warnings
 
 
-def _gather_shape(learned: Path, project: Project, run: Path) -> None:
-    """Put a learned shape among those of the project, and take away what the project no longer learns."""
-    folder = learned_shapes(run)
-    folder.mkdir(exist_ok=True)
-    if not (folder / learned.name).is_file() or file_hash(folder / learned.name) != file_hash(learned):
-        with atomic_path(folder / learned.name) as partial:
+def _gather_shape(learned: Path, run: Path) -> None:
+    """Put a learned shape among those of the project."""
+    gathered = learned_shapes(run) / learned.name
+    gathered.parent.mkdir(exist_ok=True)
+    if not gathered.is_file() or file_hash(gathered) != file_hash(learned):
+        with atomic_path(gathered) as partial:
             shutil.copyfile(learned, partial)
-    names = {one.shape for one in project.recordings if one.stage == "learn"}
-    for other in folder.glob("*.npz"):
+
+
+def _forget_shapes(run: Path, names: set[str]) -> None:
+    """Take away what the project no longer learns."""
+    for other in learned_shapes(run).glob("*.npz"):
         if other.stem not in names:
             other.unlink()
 
 
-def _gathered(project: Project, run: Path, name: str) -> dict[str, Any]:
-    """A JSON file of every recording's run, by the recording's stem."""
-    return {
-        one.stem: json.loads((recording_folder(run, one) / name).read_text()) for one in project.recordings
-    }
+def _tell(row: Row, done: int, total: int, common: Common) -> None:
+    """One line on stderr and in the log for a recording that has ended."""
+    how = f"failed: {row.failure}" if row.failure else f"done in {row.seconds:.1f} s"
+    log.info("[%d/%d] %s %s: %s", done, total, row.stage, row.path, how)
+    if not common.quiet:
+        click.echo(f"[{done}/{total}] {row.stage} {row.path}: {how}", err=True)
+
+
+def _write_summary(run: Path, rows: Sequence[Row]) -> None:
+    """What was found in each recording, by its stem, and why others failed."""
+    failed = {row.stem: {"recording": str(row.path), "why": row.failure} for row in rows if row.failure}
+    ended = [row for row in rows if not row.failure]
+    for name in ("summary.json", "timing.json"):
+        found = {row.stem: json.loads((run / "recordings" / row.stem / name).read_text()) for row in ended}
+        content: dict[str, Any] = {"recordings": found}
+        if name == "summary.json":
+            content["failed"] = failed
+        write_json(run / name, content)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+from pipeline.fingerprints import file_hash, source_hash
+from pipeline.logs import log
 from pipeline.options import Common, RecordingSource
 from pipeline.publishing.publish import publish
-from pipeline.run_folder import RunFolder, V, file_hash, open_run_folder
+from pipeline.run_access import open_run_folder
+from pipeline.run_folder import Committed, RunFolder, V
+from recordings.depth_statistics import DepthStatistics
 from recordings.reading import McapRecording, open_recording
 from recordings.types import Damage
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
 Stage = Literal["slam", "learn", "parse", "draws"]
 STAGES: tuple[Stage, ...] = ("slam", "learn", "parse", "draws")
 """In the order in which the root key is split; new stages go to the end."""
+READING_MODULE = "recordings.reading"
 
 
 class Session:
@@ -30,6 +34,7 @@ class Session:
         source: the recording's path and the command's options of reading it.
         run: where values are committed.
         recording: the frames.
+        warnings: what was to be said of them so far.
     """
 
     def __init__(
@@ -46,6 +51,7 @@ class Session:
         self.run = run
         self.recording = recording
         self._recording_hash = recording_hash
+        self.warnings: list[str] = []
 
     def key(self, stage: Stage) -> jax.Array:
         """The key of a stage."""
@@ -60,31 +66,68 @@ class Session:
         compute: Callable[[], V],
         settings: Mapping[str, Any],
         inputs: Mapping[str, str] | None = None,
-    ) -> V:
-        """A stage's value, computed only where the recording, the seed, settings or inputs changed.
+        *,
+        uses: Sequence[Committed[Any]] = (),
+        sources: tuple[str, ...] = (),
+    ) -> Committed[V]:
+        """A stage, computed only where the recording, the seed, settings, inputs or sources changed.
 
         Args:
             name: `slam`, `learn/NAME` or `parse`.
             load: reads a value back.
             compute: makes the value.
             settings: the stage's configuration, by section of the settings file.
-            inputs: hashes of what else it is made from: `run.fingerprint` of the stages that it uses.
+            inputs: hashes of what else it is made from.
+            uses: the stages that it is made from.
+            sources: modules that compute it.
         """
         general = {"recording": self.recording.options, "run": {"seed": self.common.seed}}
-        return self.run.stage(
+        made_from = {"recording": self._recording_hash, "sources": source_hash(READING_MODULE, *sources)}
+        mask = self.recording.options.mask
+        if mask is not None:
+            made_from["mask"] = file_hash(mask)
+        committed = self.run.stage(
             name,
             load,
-            compute,
+            self._prepared(compute),
             settings={**general, **settings},
-            inputs={"recording": self._recording_hash, **(inputs or {})},
-            notes=lambda: {"damage": vars(self.recording.damage)},
+            inputs={**made_from, **(inputs or {})},
+            uses=uses,
+            notes=lambda: {"damage": vars(self.recording.damage), "warnings": list(self.warnings)},
         )
+        for sentence in committed.notes["warnings"]:
+            self.warn(sentence)
+        return committed
+
+    def look(self) -> DepthStatistics:
+        """What the recording's depths and stamps look like; says what about them can hardly be right."""
+        statistics = self.recording.statistics()
+        for sentence in statistics.warnings(self.recording.size):
+            self.warn(sentence)
+        return statistics
+
+    def warn(self, sentence: str) -> None:
+        """Say once what the user should know of the recording; it is kept with the stage that is at work."""
+        if sentence not in self.warnings:
+            self.warnings.append(sentence)
+            log.warning("%s: %s", self.source.path, sentence)
+
+    def _prepared(self, compute: Callable[[], V]) -> Callable[[], V]:
+        """The same with JAX set up before it: a run with nothing to do never imports it."""
+
+        def prepare_and_compute() -> V:
+            from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+
+            keep_compiled_kernels()
+            trace_without_pauses()
+            return compute()
+
+        return prepare_and_compute
 
     @property
     def damage(self) -> Damage:
         """What was lost of the recording when the run's stages read it."""
-        records = [self.run.record(name) for name in self.run.stages()]
-        found = [Damage(**record.notes["damage"]) for record in records if record]
+        found = [Damage(**record.notes["damage"]) for record in self.run.records().values()]
         return Damage(
             lost_messages=max((one.lost_messages for one in found), default=0),
             lost_chunks=max((one.lost_chunks for one in found), default=0),
@@ -94,18 +137,23 @@ class Session:
 
 @contextmanager
 def open_session(
-    common: Common, source: RecordingSource, run_path: Path, *, force: bool = False
+    common: Common, source: RecordingSource, run_path: Path, *, force: bool = False, replace: bool = False
 ) -> Iterator[Session]:
     """Open the recording and the run folder; when the block ends well, all derived files are written.
+
+    Args:
+        common: seed, settings, progress.
+        source: the recording.
+        run_path: the run folder.
+        force: compute stages again.
+        replace: begin the folder anew where it was made from another recording, as `force` does.
 
     Raises:
         RecordingError: the recording cannot be used.
         PipelineError: the run folder cannot be used, or a setting.
     """
-    keep_compiled_kernels()
-    trace_without_pauses()
     recording = open_recording(source.path, source.read_options(common.settings))
     recording_hash = file_hash(source.path)
-    with open_run_folder(run_path, {source.path.name: recording_hash}, force=force) as run:
+    with open_run_folder(run_path, {source.path.name: recording_hash}, force=force, replace=replace) as run:
         yield Session(common, source, run, recording, recording_hash)
         publish(run)

@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.errors import PipelineError
-from pipeline.meshes import Units, load_meshes
-from pipeline.run_folder import file_hash
+from pipeline.fingerprints import file_hash
 from pipeline.surfaces import SceneSurface
-from shapes.prior import ShapePrior
-from shapes.surface import level_surface
 
 if TYPE_CHECKING:
     import jax
+
+    from pipeline.meshes import Units
+
+
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".off")
 
 
 def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSurface]:
@@ -28,6 +30,8 @@ def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSu
     Raises:
         PipelineError: there is none, or one cannot be used.
     """
+    from pipeline.meshes import load_meshes
+
     folder = _shapes_of(folder)
     learned = sorted(folder.glob("*.npz"))
     if not learned:
@@ -48,6 +52,9 @@ def drawn_surfaces(folder: Path, name: str, key: jax.Array, count: int) -> list[
     Raises:
         PipelineError: the shape is a mesh, which has no uncertainty, or cannot be used.
     """
+    from shapes.prior import ShapePrior
+    from shapes.surface import level_surface
+
     path = _shapes_of(folder) / f"{name}.npz"
     if not path.is_file():
         raise PipelineError(f"shape samples need learned shapes, and {folder} holds no {name}.npz")
@@ -65,6 +72,20 @@ def drawn_surfaces(folder: Path, name: str, key: jax.Array, count: int) -> list[
 def surface_hashes(folder: Path) -> dict[str, str]:
     """Hashes of the folder's files by name, to tell whether a shape has changed."""
     return {path.name: file_hash(path) for path in sorted(_shapes_of(folder).iterdir()) if path.is_file()}
+
+
+def shape_names(folder: Path) -> list[str]:
+    """Names of the shapes of a folder, by the names of its files alone.
+
+    Raises:
+        PipelineError: there is none.
+    """
+    folder = _shapes_of(folder)
+    names = sorted(path.stem for path in folder.glob("*.npz"))
+    names = names or sorted(path.stem for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    if not names:
+        raise PipelineError(f"{folder} holds no shapes (.npz, {', '.join(MESH_SUFFIXES)})")
+    return names
 
 
 @contextmanager
@@ -99,6 +120,10 @@ def _shapes_of(folder: Path) -> Path:
 
 
 def _learned_surface(path: Path) -> SceneSurface:
+    from pipeline.meshes import check_size
+    from shapes.prior import ShapePrior
+
     with usable(path):
         mesh = ShapePrior.load(path).surface()
+    check_size(path, float(np.ptp(mesh.vertices_m, axis=0).max()))
     return SceneSurface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64), learned=True)

@@ -31,6 +31,8 @@ def command(ctx: click.Context, source: RecordingSource, hashes: bool, common: C
 
     overview = survey(source.path, source.read_options(common.settings), hashes=hashes)
     common.report(_document(overview), _lines(overview))
+    for warning in _document(overview)["warnings"]:
+        click.echo(f"voxscene: {warning}", err=True)
     for problem in overview.problems[:_PROBLEMS_SHOWN]:
         click.echo(f"voxscene: {problem}", err=True)
     ctx.exit(report_damage(source.path, overview.damage))
@@ -73,6 +75,7 @@ def _document(overview: Overview) -> dict[str, Any]:
         "lost_messages": overview.damage.lost_messages,
         "lost_chunks": overview.damage.lost_chunks,
         "verified": overview.damage.verified,
+        **_statistics(depth),
     }
     if overview.candidates:
         document["depth_topics"] = {
@@ -90,6 +93,15 @@ def _document(overview: Overview) -> dict[str, Any]:
     return document
 
 
+def _statistics(depth: DepthOverview | None) -> dict[str, Any]:
+    found = depth.statistics if depth else None
+    names = ("depth_m", "measured_share", "identical_frames", "stamp_steps_back", "undecodable")
+    return {
+        **{name: getattr(found, name, None) for name in names},
+        "warnings": depth.statistics.warnings(depth.size) if depth else [],
+    }
+
+
 def _depth_lines(overview: Overview) -> list[str]:
     depth = overview.depth
     if depth is None:
@@ -98,6 +110,7 @@ def _depth_lines(overview: Overview) -> list[str]:
     return [
         *_candidate_lines(overview),
         f"depth   {depth.topic}: {depth.frames} frames of {size}, {_pace(depth.pace)}",
+        f"        {_depths(depth)}",
         f"camera  {_camera(depth)}",
         f"colour  {_colour(depth)}",
         *_gap_lines(depth.pace),
@@ -130,6 +143,15 @@ def _colour(depth: DepthOverview) -> str:
         return "none that is registered to the depth, or whose calibration and /tf_static are recorded"
     how = ", of another camera, projected onto the depth" if depth.colour_is_projected else ""
     return f"{depth.colour_topic}{how}"
+
+
+def _depths(depth: DepthOverview) -> str:
+    found = depth.statistics
+    if found.depth_m is None:
+        return "nothing measured"
+    low, middle, high = found.depth_m
+    repeated = f", {found.identical_frames} frames repeat the one before" if found.identical_frames else ""
+    return f"{low:.3g} to {high:.3g} m, median {middle:.3g} m, {found.measured_share:.0%} measured{repeated}"
 
 
 def _camera(depth: DepthOverview) -> str:

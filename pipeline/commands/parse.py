@@ -11,6 +11,9 @@ from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
 from pipeline.options import Common, RecordingSource, common_options, recording_options, run_options
 
+MOST_FRAMES = 1000
+"""All are held in memory and compared at once."""
+
 
 class FrameNumbers(click.ParamType):
     """`0`, `0,5,9` or `0:5` (up to and without 5)."""
@@ -23,6 +26,8 @@ class FrameNumbers(click.ParamType):
         try:
             if ":" in text:
                 low, high = text.split(":")
+                if int(high) - int(low or 0) > MOST_FRAMES:
+                    self.fail(f"{value!r} names more than {MOST_FRAMES} frames", param, ctx)
                 numbers = tuple(range(int(low or 0), int(high)))
             else:
                 numbers = tuple(int(part) for part in text.split(","))

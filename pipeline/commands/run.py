@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pipeline.damage import report_damage
 from pipeline.options import Common, common_options
+
+if TYPE_CHECKING:
+    from pipeline.project_run import Row
 
 
 @click.command(name="run")
@@ -21,18 +27,36 @@ from pipeline.options import Common, common_options
     help="Run folder; PROJECT.run beside the project file unless given.",
 )
 @click.option("--force", is_flag=True, help="Compute everything again.")
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    metavar="N",
+    help="So many recordings side by side, one core each; one by one with all cores unless given.",
+)
+@click.option(
+    "--keep-going", is_flag=True, help="Run the others where the check of the project finds mistakes."
+)
+@click.option("--stop-at-failure", is_flag=True, help="Begin no further recording once one has failed.")
 @common_options("recording", "slam", "learn", "parse")
 @click.pass_context
 def command(
-    ctx: click.Context, common: Common, project_file: Path, run_path: Path | None, force: bool
+    ctx: click.Context,
+    common: Common,
+    project_file: Path,
+    run_path: Path | None,
+    force: bool,
+    workers: int | None,
+    keep_going: bool,
+    stop_at_failure: bool,
 ) -> None:
     """Run every recording of PROJECT.toml through its stages.
 
-    What is done and unchanged stays.
+    What is done and unchanged stays. The whole project is looked over first; then a recording that fails
+    costs no other one: it stands in the table at the end and in summary.json, and the exit code is 1.
 
     \b
     [[recording]]
-    path = "mug.mcap"        # relative to the project file
+    path = "mug.mcap"        # relative to the project file; several at once: "films/*.mcap"
     stage = "learn"          # slam, learn or parse
     name = "mug"             # of the learned shape
     [[recording]]
@@ -42,15 +66,34 @@ def command(
 
     Sections of settings, such as [slam], hold for all recordings.
     """  # noqa: D301  (click reads the \b)
-    import json
-
+    from pipeline.errors import ProjectError
     from pipeline.project import read_project
+    from pipeline.project_check import project_mistakes
     from pipeline.project_run import run_project
 
     project = read_project(project_file)
     folder = run_path or project_file.with_suffix(".run")
-    damage = run_project(project, folder, common, force=force)
-    summary = json.loads((folder / "summary.json").read_text())
-    lines = [f"{stem}: {', '.join(stages)}" for stem, stages in summary["recordings"].items()]
-    common.report(summary, [*lines, f"look at it with: voxscene review {folder}"])
-    ctx.exit(max(report_damage(path, lost) for path, lost in damage.items()))
+    mistakes = project_mistakes(project, folder, common)
+    if mistakes and not keep_going:
+        raise ProjectError(
+            [*mistakes, "nothing was begun; with --keep-going the others are run all the same"]
+        )
+    rows = run_project(project, folder, common, force=force, workers=workers, stop_at_failure=stop_at_failure)
+    common.report(
+        json.loads((folder / "summary.json").read_text()),
+        [*_table(rows), f"look at it with: voxscene review {folder}"],
+    )
+    damaged = max((report_damage(row.path, row.damage) for row in rows), default=0)
+    ctx.exit(1 if any(row.failure for row in rows) or len(rows) < len(project.recordings) else damaged)
+
+
+def _table(rows: Sequence[Row]) -> list[str]:
+    """How it ended for each recording, and why."""
+    width = max((len(row.stem) for row in rows), default=0)
+    lines = []
+    for row in rows:
+        state = f"failed: {row.failure}" if row.failure else f"{row.stage} done, {row.seconds:.1f} s"
+        lines.append(f"{row.stem:<{width}}  {state}")
+        lines += [f"{'':<{width}}  {warning}" for warning in row.warnings]
+    failed = sum(row.failure is not None for row in rows)
+    return [*lines, f"{len(rows) - failed} of {len(rows)} recordings done"]

@@ -16,6 +16,7 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
 
+from pipeline.publishing.finite import finite_json
 from pipeline.publishing.foxglove_geometry import REFERENCE, quaternions, set_quaternion, set_vector
 from pipeline.publishing.scene_messages import SAMPLES_SCHEMA, samples_of, scene_update
 from pipeline.publishing.summary import summary_of
@@ -28,7 +29,7 @@ from slam.result import SlamResult
 
 CAMERA = "camera"
 
-_NUMBERS = {"type": "array", "items": {"type": "number"}}
+_NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
 _FRAME_SCHEMA = json_schema(
     "voxscene.FramePosterior",
     {
@@ -36,12 +37,16 @@ _FRAME_SCHEMA = json_schema(
         "type": "object",
         "properties": {
             "frame": {"type": "integer"},
-            "ess": {"type": "number"},
-            "log_evidence": {"type": "number"},
-            "explained": {"type": "number"},
+            "ess": {"type": ["number", "null"]},
+            "log_evidence": {"type": ["number", "null"], "description": "null where it is not finite"},
+            "explained": {"type": ["number", "null"]},
             "resampled": {"type": "boolean"},
             "lost": {"type": "boolean"},
-            "covariance": {"description": "6x6 by rows, translation first, camera axes", **_NUMBERS},
+            "covariance": {
+                "description": "6x6 by rows, translation first, camera axes; null where the frame is lost",
+                "type": ["array", "null"],
+                "items": {"type": "number"},
+            },
             "degrees_of_freedom": {"description": "of a Student-t with this covariance", "type": "number"},
         },
     },
@@ -106,7 +111,7 @@ def _frame_posterior(result: SlamResult, frame: int) -> dict[str, Any]:
         "explained": float(result.explained[frame]),
         "resampled": bool(result.resampled[frame]),
         "lost": bool(result.lost[frame]),
-        "covariance": result.covariance[frame].ravel().tolist(),
+        "covariance": None if result.lost[frame] else result.covariance[frame].ravel().tolist(),
         "degrees_of_freedom": float(result.degrees_of_freedom),
     }
 
@@ -168,4 +173,5 @@ def _write(writer: RecordingWriter, topic: str, message: Any, time_ns: int) -> N
 def _write_json(
     writer: RecordingWriter, topic: str, schema: MessageSchema, content: Mapping[str, Any], time_ns: int
 ) -> None:
-    writer.write(topic, schema, json.dumps(content, allow_nan=False).encode(), time_ns)
+    data = json.dumps(finite_json(content), allow_nan=False)
+    writer.write(topic, schema, data.encode(), time_ns)

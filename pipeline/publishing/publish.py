@@ -1,77 +1,57 @@
-"""Writes every file that is derived from a run's committed values, and nothing that is up to date."""
+"""Everything in a run folder that is derived from its values; made again where it is not what it was."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
-import tomli_w
-
-from pipeline.atomic import write_json, write_text
-from pipeline.publishing.bop_poses import bop_lines
-from pipeline.publishing.messages import write_messages
-from pipeline.publishing.summary import summary_of, timing_of
-from pipeline.publishing.trajectory_files import kitti_lines, tum_lines
-from pipeline.publishing.values import RunValues
+from pipeline.atomic import write_json
+from pipeline.fingerprints import METHOD, file_hash, source_hash
 from pipeline.run_folder import RunFolder
-from pipeline.views.rrd import write_rrd
 
-ALWAYS = ("config.toml", "summary.json", "timing.json", "run.mcap", "run.rrd")
-"""Derived files of every run."""
+_RECORD = "stages/published.json"
 
 
 def publish(run: RunFolder) -> None:
     """Write config.toml, summary.json, timing.json, trajectory files, run.mcap and run.rrd, each atomically.
 
     All but timing.json are functions of the committed values alone, so that a resumed run ends with the
-    same content as an undisturbed one; and the same bytes, but for Rerun's own.
+    same content as an undisturbed one; and the same bytes, but for Rerun's own. Hashes of what was written
+    are kept: a file that is damaged, missing or made by another program is made again.
+
+    Raises:
+        PipelineError: a file cannot be written; those before it are whole.
     """
-    state = {name: run.fingerprint(name) for name in run.stages()}
-    if _is_published(run, state):
+    made_from = {name: record.fingerprint for name, record in run.records().items()}
+    made_from["sources"] = source_hash(
+        "pipeline.publishing.derived_files", within=(*METHOD, "pipeline.publishing", "pipeline.views")
+    )
+    if _is_published(run.path, made_from):
         return
-    values = RunValues.load(run)
-    settings = _settings(run)
-    write_text(run.path / "config.toml", tomli_w.dumps(settings))
-    write_json(run.path / "summary.json", summary_of(values))
-    write_json(run.path / "timing.json", timing_of(run, values))
-    if values.slam is not None:
-        write_text(run.path / "trajectory.tum", tum_lines(values.slam.times_ns, values.slam.mean))
-        write_text(run.path / "trajectory.kitti", kitti_lines(values.slam.mean))
-    if values.scene is not None:
-        write_text(run.path / "poses.csv", bop_lines(values))
-    write_messages(run.path / "run.mcap", values, settings)
-    write_rrd(run.path / "run.rrd", run.path.resolve().name, values)
-    write_json(run.path / "stages" / "published.json", state)
+    from pipeline.publishing.derived_files import write_derived_files
+
+    (run.path / _RECORD).unlink(missing_ok=True)
+    written = write_derived_files(run)
+    files = {path.relative_to(run.path).as_posix(): file_hash(path) for path in written}
+    write_json(run.path / _RECORD, {"made_from": made_from, "files": files})
 
 
 def stage_document(run: RunFolder, name: str) -> dict[str, Any]:
     """The object that a command prints with --json: the stage's summary with its timings merged in."""
-    values = RunValues.load(run)
-    summary, timing = summary_of(values), timing_of(run, values)
+    summary, timing = (json.loads((run.path / f"{file}.json").read_text()) for file in ("summary", "timing"))
     for part in name.split("/"):
         summary, timing = summary[part], timing[part]
     return {**summary, **timing}
 
 
-def _is_published(run: RunFolder, state: Mapping[str, str]) -> bool:
-    """True if every derived file is there, made from the values that are committed now."""
-    try:
-        published = json.loads((run.path / "stages" / "published.json").read_text())
-    except (OSError, ValueError):
-        return False
-    files = [
-        *ALWAYS,
-        *(("trajectory.tum", "trajectory.kitti") if "slam" in state else ()),
-        *(("poses.csv",) if "parse" in state else ()),
-    ]
-    return published == state and all((run.path / name).is_file() for name in files)
-
-
-def _settings(run: RunFolder) -> dict[str, Any]:
-    """The settings of every committed stage, a settings file for --config."""
-    settings: dict[str, Any] = {}
-    for name in run.stages():
-        record = run.record(name)
-        settings |= record.settings if record else {}
-    return settings
+def _is_published(folder: Path, made_from: Mapping[str, str]) -> bool:
+    """True if every derived file is as it was written, made from the values that are committed now."""
+    with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+        published = json.loads((folder / _RECORD).read_text())
+        return published["made_from"] == made_from and all(
+            file_hash(folder / name) == digest for name, digest in published["files"].items()
+        )
+    return False

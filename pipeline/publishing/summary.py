@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.publishing.finite import finite_json, remarks_on
+from pipeline.publishing.trajectory_files import seconds_text
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import Surfaces
@@ -18,24 +20,30 @@ from slam.result import SlamResult
 
 def summary_of(values: RunValues) -> dict[str, Any]:
     """What was found, by stage; equal values give equal summaries."""
+
+    def told(stage: str, content: dict[str, Any]) -> dict[str, Any]:
+        """A stage's object with what is to be said of it; JSON holds no number that is not finite."""
+        warnings = [*values.warnings.get(stage, ()), *remarks_on(content)]
+        return {**finite_json(content), "warnings": warnings}
+
     summary: dict[str, Any] = {}
     if values.slam is not None:
-        summary["slam"] = _slam(values.slam)
+        summary["slam"] = told("slam", _slam(values.slam))
     if values.shapes:
-        summary["learn"] = {name: _shape(shape) for name, shape in values.shapes.items()}
+        summary["learn"] = {
+            name: told(f"learn/{name}", _shape(shape)) for name, shape in values.shapes.items()
+        }
     if values.scene is not None and values.surfaces is not None:
-        summary["parse"] = _scene(values.scene, values.surfaces)
+        summary["parse"] = told("parse", _scene(values.scene, values.surfaces))
     return summary
 
 
 def timing_of(run: RunFolder, values: RunValues) -> dict[str, Any]:
     """How long each stage took when it was computed; clocks stand nowhere else."""
     timing: dict[str, Any] = {}
-    for stage in run.stages():
-        record = run.record(stage)
-        if record is None:
-            continue
-        figures = {"seconds": record.seconds, "compile_s": record.compile_s}
+    for stage, record in run.records().items():
+        figures: dict[str, Any] = {"seconds": record.seconds, "compile_s": record.compile_s}
+        figures["machine"] = record.machine
         kind, _, name = stage.partition("/")
         if stage == "slam" and values.slam is not None:
             figures["frames_per_second"] = round(len(values.slam) / max(record.seconds, 1e-6), 3)
@@ -50,6 +58,10 @@ def _slam(result: SlamResult) -> dict[str, Any]:
     return {
         "frames": len(result),
         "lost_frames": int(result.lost.sum()),
+        "lost": [
+            {"frame": frame, "stamp": seconds_text(int(result.times_ns[frame]))}
+            for frame in np.flatnonzero(result.lost).tolist()
+        ],
         "ess_min": float(result.ess.min()),
         "path_probabilities": np.round(result.path_probabilities, 6).tolist(),
         "log_evidence": float(result.log_evidence.sum()),
@@ -72,7 +84,8 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
     found = np.flatnonzero(scene.found).tolist()
     names = [*scene.names.tolist(), TABLE]
     middles_m = np.stack([surfaces.by_name[name].middle_m for name in scene.names.tolist()])
-    agreement = convergence(scene, middles_m)
+    with np.errstate(invalid="ignore"):  # a sample of no density leaves nothing to compare
+        agreement = convergence(scene, middles_m)
     return {
         "frames": scene.frames.tolist(),
         "samples": len(scene.sample_poses),

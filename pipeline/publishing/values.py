@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import PipelineError
+from pipeline.publishing.finite import drawable_path, drawable_scene
 from pipeline.room import RoomView
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import Surfaces
 from scene.result import SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
+
+V = TypeVar("V")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,6 +32,7 @@ class RunValues:
         shapes: learned shapes by name.
         surfaces: of the objects that were looked for.
         scene: which objects stand where.
+        warnings: what was to be said of each stage's input.
     """
 
     slam: SlamResult | None
@@ -32,6 +40,7 @@ class RunValues:
     shapes: dict[str, ShapePrior]
     surfaces: Surfaces | None = None
     scene: SceneResult | None = None
+    warnings: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def reference_from_parsed(self) -> NDArray[np.float64]:
@@ -54,16 +63,33 @@ class RunValues:
 
     @classmethod
     def load(cls, run: RunFolder) -> RunValues:
-        """Every committed value of a run."""
-        stages = run.stages()
-        return cls(
-            slam=SlamResult.load(run.value_path("slam")) if "slam" in stages else None,
-            room=RoomView.load(run.value_path("room")) if "room" in stages else None,
-            shapes={
-                name.removeprefix("learn/"): ShapePrior.load(run.value_path(name))
-                for name in stages
-                if name.startswith("learn/")
-            },
-            surfaces=Surfaces.load(run.value_path("objects")) if "objects" in stages else None,
-            scene=SceneResult.load(run.value_path("parse")) if "parse" in stages else None,
+        """Every committed value of a run.
+
+        Raises:
+            PipelineError: a value was written by another version of the program.
+        """
+        stages = run.records()
+        slam = _read(SlamResult.load, run, "slam") if "slam" in stages else None
+        room = _read(RoomView.load, run, "room") if "room" in stages else None
+        learned = [name for name in stages if name.startswith("learn/")]
+        shapes = {name.removeprefix("learn/"): _read(ShapePrior.load, run, name) for name in learned}
+        surfaces = _read(Surfaces.load, run, "objects") if "objects" in stages else None
+        scene = _read(SceneResult.load, run, "parse") if "parse" in stages else None
+        warnings = {name: record.notes.get("warnings", ()) for name, record in stages.items()}
+        return cls(slam=slam, room=room, shapes=shapes, surfaces=surfaces, scene=scene, warnings=warnings)
+
+    @property
+    def drawable(self) -> RunValues:
+        """The same with poses that every view and format can take: what is not finite counts as lost."""
+        return replace(
+            self,
+            slam=None if self.slam is None else drawable_path(self.slam),
+            scene=None if self.scene is None else drawable_scene(self.scene),
         )
+
+
+def _read(load: Callable[[Path], V], run: RunFolder, stage: str) -> V:
+    try:
+        return load(run.value_path(stage))
+    except ValueError as error:
+        raise PipelineError(f"{error}; make it again: the same command with --force") from error

@@ -5,19 +5,24 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
+from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.slam import slam_stage
-from recordings.poses.recorded import recorded_trajectory
 from shapes.learning.config import LearnConfig
-from shapes.learning.distillation import learn_shape
-from shapes.prior import ShapePrior
-from slam.result import SlamResult
+
+if TYPE_CHECKING:
+    from recordings.types import Trajectory
+    from shapes.prior import ShapePrior
+    from slam.result import SlamResult
+
+SOURCES = ("pipeline.stages.learn", "shapes.learning.distillation", "recordings.poses.recorded")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,18 +33,16 @@ class PosedFrames:
         times_ns: (T,) stamps of the frames to use.
         trajectories: (K, T, 4, 4) reference_from_camera.
         log_weights: (K,) normalised.
-        origin: hash of what they were made from.
     """
 
     times_ns: NDArray[np.int64]
     trajectories: NDArray[np.float64]
     log_weights: NDArray[np.float64]
-    origin: str
 
 
 def learn_stage(
     session: Session, name: str, options: Mapping[str, Any] | None = None, *, recorded_poses: bool = False
-) -> ShapePrior:
+) -> Committed[ShapePrior]:
     """The shape of the object in the session's recording.
 
     Args:
@@ -52,30 +55,29 @@ def learn_stage(
         PipelineError: there is no object to learn, or there are no recorded poses.
     """
     config = session.common.settings.section("learn", LearnConfig, options)
-    posed = _recorded(session) if recorded_poses else _tracked(session)
-    used = config if recorded_poses else config.for_tracked_poses
+    if recorded_poses:
+        poses = _recorded(session)
+        return session.stage(
+            f"learn/{name}",
+            _load,
+            lambda: _learn(session, name, _posed(poses), config),
+            {"learn": config},
+            {"poses": hashlib.sha256(poses.times_ns.tobytes() + _relative(poses).tobytes()).hexdigest()},
+            sources=SOURCES,
+        )
+    trajectory = slam_stage(session)
+    used = config.for_tracked_poses
+    return session.stage(
+        f"learn/{name}",
+        _load,
+        lambda: _learn(session, name, tracked_frames(trajectory.value), used),
+        {"learn": config},
+        uses=[trajectory],
+        sources=SOURCES,
+    )
 
-    def compute() -> ShapePrior:
-        stamps = set(posed.times_ns.tolist())
-        with session.common.progress(f"learn {name}", "trajectories") as progress:
-            try:
-                return learn_shape(
-                    session.key("learn"),
-                    (frame for frame in session.recording if frame.time_ns in stamps),
-                    session.recording.intrinsics,
-                    posed.trajectories,
-                    posed.log_weights,
-                    used,
-                    progress,
-                )
-            except ValueError as error:
-                raise PipelineError(f"{session.source.path}: {error}") from error
 
-    inputs = {"poses": posed.origin}
-    return session.stage(f"learn/{name}", ShapePrior.load, compute, {"learn": config}, inputs)
-
-
-def tracked_frames(result: SlamResult, origin: str = "") -> PosedFrames:
+def tracked_frames(result: SlamResult) -> PosedFrames:
     """The poses of the frames that slam did not lose.
 
     Raises:
@@ -88,26 +90,52 @@ def tracked_frames(result: SlamResult, origin: str = "") -> PosedFrames:
         times_ns=result.times_ns[found],
         trajectories=result.trajectories[:, found],
         log_weights=result.log_weights,
-        origin=origin,
     )
 
 
-def _tracked(session: Session) -> PosedFrames:
-    result = slam_stage(session)
-    try:
-        return tracked_frames(result, session.run.fingerprint("slam"))
-    except PipelineError as error:
-        raise PipelineError(f"{session.source.path}: {error}") from error
+def _load(path: Path) -> ShapePrior:
+    from shapes.prior import ShapePrior
+
+    return ShapePrior.load(path)
 
 
-def _recorded(session: Session) -> PosedFrames:
+def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig) -> ShapePrior:
+    from shapes.learning.distillation import learn_shape
+
+    session.look()
+    stamps = set(posed.times_ns.tolist())
+    with session.common.progress(f"learn {name}", "trajectories") as progress:
+        try:
+            return learn_shape(
+                session.key("learn"),
+                (frame for frame in session.recording if frame.time_ns in stamps),
+                session.recording.intrinsics,
+                posed.trajectories,
+                posed.log_weights,
+                config,
+                progress,
+            )
+        except ValueError as error:
+            raise PipelineError(f"{session.source.path}: {error}") from error
+
+
+def _recorded(session: Session) -> Trajectory:
     """The poses that the recording brings."""
+    from recordings.poses.recorded import recorded_trajectory
+
     options = session.source.read_options(session.common.settings)
     trajectory = recorded_trajectory(session.source.path, options)
     if trajectory is None:
         raise PipelineError(f"{session.source.path} has no recorded poses; leave out --poses recorded")
-    poses = np.linalg.inv(trajectory.reference_from_camera[0]) @ trajectory.reference_from_camera
-    digest = hashlib.sha256(trajectory.times_ns.tobytes() + poses.tobytes()).hexdigest()
+    return trajectory
+
+
+def _posed(trajectory: Trajectory) -> PosedFrames:
     return PosedFrames(
-        times_ns=trajectory.times_ns, trajectories=poses[None], log_weights=np.zeros(1), origin=digest
+        times_ns=trajectory.times_ns, trajectories=_relative(trajectory)[None], log_weights=np.zeros(1)
     )
+
+
+def _relative(trajectory: Trajectory) -> NDArray[np.float64]:
+    """Poses (T, 4, 4) in the first frame's camera."""
+    return np.linalg.inv(trajectory.reference_from_camera[0]) @ trajectory.reference_from_camera

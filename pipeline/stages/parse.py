@@ -6,27 +6,28 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bop_numbers import ids_of_models, ids_of_names, numbered
 from pipeline.errors import PipelineError
-from pipeline.meshes import Units
+from pipeline.run_folder import Committed
 from pipeline.session import Session
-from pipeline.shape_folder import chosen, drawn_surfaces, load_surfaces, surface_hashes
 from pipeline.stages.room import view_stage
 from pipeline.stages.slam import slam_stage
 from pipeline.surfaces import Surfaces
-from recordings.dataset_numbers import recorded_dataset_numbers
 from recordings.types import DepthNoise, Frame
 from scene.config import ParseConfig
-from scene.objects.scene_object import scene_object
-from scene.observation.segmentation import shows_enough
-from scene.parsing import parse_scene
-from scene.result import SceneResult
+
+if TYPE_CHECKING:
+    import jax
+
+    from pipeline.meshes import Units
+    from scene.result import SceneResult
+
+SOURCES = ("pipeline.stages.parse", "scene.parsing")
+SURFACE_SOURCES = ("pipeline.shape_folder", "pipeline.meshes", "pipeline.surfaces", "pipeline.bop_numbers")
 
 SHAPE_DRAWS = 16
 """Draws of a learned shape among which the likelihood's estimates choose."""
@@ -38,7 +39,7 @@ def parse_stage(
     units: Units | None = None,
     options: Mapping[str, Any] | None = None,
     ids: Mapping[str, int] | None = None,
-) -> SceneResult:
+) -> Committed[SceneResult]:
     """The scene in the session's recording.
 
     Args:
@@ -53,42 +54,56 @@ def parse_stage(
     """
     config = session.common.settings.section("parse", ParseConfig, options)
     surfaces = _surfaces(session, shapes, units, config.objects, ids or {})
-    inputs = {"objects": session.run.fingerprint("objects")}
-    poses = np.eye(4)[None]
-    if len(config.frames) > 1:
-        trajectory = slam_stage(session)
-        inputs["slam"] = session.run.fingerprint("slam")
-        poses = _relative_poses(trajectory.mean, config.frames)
+    trajectory = slam_stage(session) if len(config.frames) > 1 else None
 
     def compute() -> SceneResult:
-        key, draw_key = session.key("parse"), session.key("draws")
-        objects = [
-            scene_object(name, one.vertices_m, one.faces, draws)
-            for (name, one), draws in zip(
-                surfaces.by_name.items(), _draws(shapes, surfaces, draw_key, config), strict=True
-            )
-        ]
-        with session.common.progress("parse", "blocks") as progress:
-            try:
-                numbers, frames = zip(*_frames(session, config.frames), strict=True)
-                return parse_scene(
-                    key,
-                    frames,
-                    numbers,
-                    poses,
-                    session.recording.intrinsics,
-                    DepthNoise(),
-                    objects,
-                    config,
-                    progress,
-                )
-            except ValueError as error:
-                raise PipelineError(f"{session.source.path}: {error}") from error
+        poses = np.eye(4)[None]
+        if trajectory is not None:
+            poses = _relative_poses(trajectory.value.mean, config.frames)
+        return _parse(session, shapes, surfaces.value, poses, config)
 
-    scene = session.stage("parse", SceneResult.load, compute, {"parse": config}, inputs)
+    uses = [surfaces] if trajectory is None else [surfaces, trajectory]
+    scene = session.stage("parse", _load, compute, {"parse": config}, uses=uses, sources=SOURCES)
     if session.run.record("slam") is None:
-        view_stage(session, int(scene.frames[0]))
+        view_stage(session, scene)
     return scene
+
+
+def _load(path: Path) -> SceneResult:
+    from scene.result import SceneResult
+
+    return SceneResult.load(path)
+
+
+def _parse(
+    session: Session, shapes: Path, surfaces: Surfaces, poses: NDArray[np.float64], config: ParseConfig
+) -> SceneResult:
+    from scene.objects.scene_object import scene_object
+    from scene.parsing import parse_scene
+
+    session.look()
+    key, draw_key = session.key("parse"), session.key("draws")
+    draws = _draws(shapes, surfaces, draw_key, config)
+    with session.common.progress("parse", "blocks") as progress:
+        try:
+            objects = [
+                scene_object(name, one.vertices_m, one.faces, drawn)
+                for (name, one), drawn in zip(surfaces.by_name.items(), draws, strict=True)
+            ]
+            numbers, frames = zip(*_frames(session, config.frames), strict=True)
+            return parse_scene(
+                key,
+                frames,
+                numbers,
+                poses,
+                session.recording.intrinsics,
+                DepthNoise(),
+                objects,
+                config,
+                progress,
+            )
+        except ValueError as error:
+            raise PipelineError(f"{session.source.path}: {error}") from error
 
 
 def _surfaces(
@@ -97,21 +112,27 @@ def _surfaces(
     units: Units | None,
     names: tuple[str, ...],
     ids: Mapping[str, int],
-) -> Surfaces:
+) -> Committed[Surfaces]:
     """What is looked for, kept in the run as the stage `objects`.
 
     Every shape of the folder is numbered, asked for or not, so that ids do not depend on the question.
     """
+    from pipeline.shape_folder import surface_hashes
+
     inputs = {f"shapes/{name}": digest for name, digest in surface_hashes(shapes).items()}
     inputs |= {"names": ",".join(names), "units": units or "", "ids": repr(sorted(ids.items()))}
 
     def compute() -> Surfaces:
+        from pipeline.bop_numbers import ids_of_models, ids_of_names, numbered
+        from pipeline.shape_folder import chosen, load_surfaces
+        from recordings.dataset_numbers import recorded_dataset_numbers
+
         surfaces = load_surfaces(shapes, units)
         recorded = recorded_dataset_numbers(session.source.path)
         known = (ids, ids_of_models(shapes), ids_of_names(surfaces), recorded.object_ids)
         return Surfaces(chosen(surfaces, names), replace(recorded, object_ids=numbered(surfaces, *known)))
 
-    return session.stage("objects", Surfaces.load, compute, {}, inputs)
+    return session.stage("objects", Surfaces.load, compute, {}, inputs, sources=SURFACE_SOURCES)
 
 
 def _draws(
@@ -120,6 +141,10 @@ def _draws(
     """Vertices and faces of random draws of every shape, none where shapes count as certain."""
     if not config.shape_samples:
         return [[] for _ in surfaces.by_name]
+    import jax
+
+    from pipeline.shape_folder import drawn_surfaces
+
     keys = jax.random.split(key, len(surfaces.by_name))
     drawn = [
         drawn_surfaces(folder, name, key, SHAPE_DRAWS)
@@ -134,6 +159,8 @@ def _frames(session: Session, numbers: tuple[int, ...]) -> list[tuple[int, Frame
     Raises:
         PipelineError: the recording ends before the last of them.
     """
+    from scene.observation.segmentation import shows_enough
+
     numbered = enumerate(session.recording)
     if not numbers:
         shown = next((one for one in numbered if shows_enough(one[1].depth_m)), None)

@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 import itertools
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.room import RoomView, view_room
+from pipeline.run_folder import Committed
 from pipeline.session import Session
-from slam.result import SlamResult
+
+if TYPE_CHECKING:
+    from scene.result import SceneResult
+    from slam.result import SlamResult
+
+SOURCES = ("pipeline.stages.room", "pipeline.room")
 
 
-def room_stage(session: Session, trajectory: SlamResult) -> RoomView:
+def room_stage(session: Session, trajectory: Committed[SlamResult]) -> Committed[RoomView]:
     """The room as seen along a committed trajectory."""
 
     def compute() -> RoomView:
+        poses = trajectory.value.mean
         with session.common.progress("room", "frames") as progress:
-            return view_room(session.recording, session.recording.intrinsics, trajectory.mean, progress)
+            return view_room(session.recording, session.recording.intrinsics, poses, progress)
 
-    return session.stage("room", RoomView.load, compute, {}, {"slam": session.run.fingerprint("slam")})
+    return session.stage("room", RoomView.load, compute, {}, uses=[trajectory], sources=SOURCES)
 
 
-def view_stage(session: Session, frame: int) -> RoomView:
-    """What one frame saw, for runs that need no trajectory: the reference is that frame's camera."""
+def view_stage(session: Session, scene: Committed[SceneResult]) -> Committed[RoomView]:
+    """What the first parsed frame saw, for runs that need no trajectory: the reference is its camera."""
 
     def compute() -> RoomView:
+        frame = int(scene.value.frames[0])
         seen = itertools.islice(session.recording, frame, frame + 1)
         return view_room(seen, session.recording.intrinsics, np.eye(4)[None])
 
-    return session.stage("room", RoomView.load, compute, {}, {"frame": str(frame)})
+    return session.stage("room", RoomView.load, compute, {}, uses=[scene], sources=SOURCES)

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
+from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.room import room_stage
 from slam.config import SlamConfig
-from slam.result import SlamResult
-from slam.tracking import track
+
+if TYPE_CHECKING:
+    from slam.result import SlamResult
+
+SOURCES = ("pipeline.stages.slam", "slam.tracking")
 
 
-def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> SlamResult:
+def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> Committed[SlamResult]:
     """The camera's trajectory in the session's recording.
 
     Args:
@@ -24,24 +29,33 @@ def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> Sl
         PipelineError: the recording has no depth frame with a return.
     """
     config = session.common.settings.section("slam", SlamConfig, options)
-
-    def compute() -> SlamResult:
-        total = len(session.recording)
-        with session.common.progress("slam", "frames") as progress:
-            done = 0
-
-            def on_frame(_: object) -> None:
-                nonlocal done
-                done += 1
-                progress(done, total)
-
-            try:
-                return track(
-                    session.key("slam"), session.recording, session.recording.intrinsics, config, on_frame
-                )
-            except ValueError as error:
-                raise PipelineError(f"{session.source.path}: {error}") from error
-
-    trajectory = session.stage("slam", SlamResult.load, compute, {"slam": config})
+    trajectory = session.stage(
+        "slam", _load, lambda: _track(session, config), {"slam": config}, sources=SOURCES
+    )
     room_stage(session, trajectory)
     return trajectory
+
+
+def _load(path: Path) -> SlamResult:
+    from slam.result import SlamResult
+
+    return SlamResult.load(path)
+
+
+def _track(session: Session, config: SlamConfig) -> SlamResult:
+    from slam.tracking import track
+
+    recording, key = session.recording, session.key("slam")
+    total = session.look().frames
+    with session.common.progress("slam", "frames") as progress:
+        done = 0
+
+        def on_frame(_: object) -> None:
+            nonlocal done
+            done += 1
+            progress(done, total)
+
+        try:
+            return track(key, recording, recording.intrinsics, config, on_frame)
+        except ValueError as error:
+            raise PipelineError(f"{session.source.path}: {error}") from error

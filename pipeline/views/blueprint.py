@@ -67,7 +67,8 @@ def _room_view(values: RunValues) -> rrb.Spatial3DView:
 
 def _shape_view(name: str, values: RunValues) -> rrb.Spatial3DView:
     shape = values.shapes[name]
-    corners = shape.bounding_box_m
+    whole = np.array([np.zeros(3), shape.phi.shape]) * shape.pitch_m
+    corners = shape.bounding_box_m if shape.solid.any() else whole
     centre, size = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
     eye = rrb.EyeControls3D(
         position=centre + size * np.array([0.75, -0.65, 0.55]), look_target=centre, eye_up=[0.0, 0.0, 1.0]
@@ -91,7 +92,7 @@ def upward(values: RunValues) -> NDArray[np.float64]:
     tilt, axes = np.linalg.eigh(rightward.T @ rightward / len(rightward))
     across = axes[:, tilt < 0.02]
     up = across @ (across.T @ top) if across.size else top
-    return up / np.linalg.norm(up)
+    return up / max(float(np.linalg.norm(up)), 1e-12)
 
 
 def _eye(poses: NDArray[np.float64], up: NDArray[np.float64]) -> rrb.EyeControls3D:

@@ -33,7 +33,8 @@ def report_markdown(name: str, values: RunValues) -> str:
     if values.shapes:
         parts += ["## Learned shapes", "| shape | size, mm | pitch, mm | seen voxels |", "|---|---|---|---|"]
     for shape_name, shape in values.shapes.items():
-        size = " x ".join(f"{1000 * extent:.0f}" for extent in np.ptp(shape.bounding_box_m, axis=0))
+        extents = np.ptp(shape.bounding_box_m, axis=0) if shape.solid.any() else ()
+        size = " x ".join(f"{1000 * extent:.0f}" for extent in extents) or "nothing solid"
         seen = int(shape.seen_occupied.sum())
         parts.append(f"| {shape_name} | {size} | {1000 * shape.pitch_m:.0f} | {seen} |")
     return "\n".join(parts) + "\n"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import rerun as rr
 
-from pipeline.atomic import atomic_path
+from pipeline.atomic import write_bytes
 from pipeline.publishing.values import RunValues
 from pipeline.views.blueprint import run_blueprint
 from pipeline.views.report import report_markdown
@@ -26,25 +26,28 @@ def write_rrd(path: Path, name: str, values: RunValues) -> None:
         path: the file.
         name: of the recording, shown by the viewer and its id.
         values: what the run knows.
+
+    Raises:
+        PipelineError: the file cannot be written.
     """
-    with atomic_path(path) as partial:
-        recording = rr.RecordingStream(APPLICATION, recording_id=name, send_properties=True)
-        recording.save(partial, default_blueprint=run_blueprint(values))
-        recording.set_log_time_enabled(False)
-        recording.send_recording_name(name)
-        recording.log(
-            "report", rr.TextDocument(report_markdown(name, values), media_type="text/markdown"), static=True
-        )
-        if values.slam is not None:
-            log_trajectory(recording, values.slam)
-            log_filter(recording, values.slam)
-        if values.room is not None:
-            log_room(recording, values.room, POINT_M if values.scene is None else POINT_AT_TABLE_M)
-        if values.slam is not None and values.room is not None:
-            log_camera_views(recording, values.slam, values.room)
-        for shape_name, shape in values.shapes.items():
-            log_shape(recording, shape_name, shape)
-        if values.scene is not None and values.surfaces is not None:
-            log_scene(recording, values.scene, values.surfaces.by_name, values.reference_from_parsed)
-        recording.flush()
-        recording.disconnect()
+    recording = rr.RecordingStream(APPLICATION, recording_id=name, send_properties=True)
+    # To memory: on a full disk Rerun's own file writer hangs, or ends as if all was well.
+    memory = recording.memory_recording()
+    recording.send_blueprint(run_blueprint(values), make_active=False, make_default=True)
+    recording.set_log_time_enabled(False)
+    recording.send_recording_name(name)
+    recording.log(
+        "report", rr.TextDocument(report_markdown(name, values), media_type="text/markdown"), static=True
+    )
+    if values.slam is not None:
+        log_trajectory(recording, values.slam)
+        log_filter(recording, values.slam)
+    if values.room is not None:
+        log_room(recording, values.room, POINT_M if values.scene is None else POINT_AT_TABLE_M)
+    if values.slam is not None and values.room is not None:
+        log_camera_views(recording, values.slam, values.room)
+    for shape_name, shape in values.shapes.items():
+        log_shape(recording, shape_name, shape)
+    if values.scene is not None and values.surfaces is not None:
+        log_scene(recording, values.scene, values.surfaces.by_name, values.reference_from_parsed)
+    write_bytes(path, memory.drain_as_bytes())

@@ -13,10 +13,12 @@ SURFACE_COLOUR = (205, 210, 220)
 
 
 def log_shape(recording: rr.RecordingStream, name: str, shape: ShapePrior) -> None:
-    """The surface where the shape was learned; the voxels that were seen under `shapes/NAME`."""
+    """The surface where the shape was learned, the seen voxels under `shapes/NAME`; nothing without any."""
     pose = shape.reference_from_grid
     path = f"world/shapes/{name}"
     recording.log(path, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]), static=True)
+    if not (shape.enclosed | (shape.phi > SHOWN)).any():
+        return
     surface = shape.surface()
     mesh = rr.Mesh3D(
         vertex_positions=surface.vertices_m,

@@ -19,11 +19,11 @@ def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
     found = []
     for folder in [path, *sorted(path.glob("recordings/*"))]:
         run = RunFolder(folder, force=False)
-        if not run.stages():
+        if not run.records():
             continue
         rrd = folder / "run.rrd"
         if rebuild or not rrd.exists():
-            write_rrd(rrd, folder.resolve().name, RunValues.load(run))
+            write_rrd(rrd, folder.resolve().name, RunValues.load(run).drawable)
         found.append(rrd)
     return found
 

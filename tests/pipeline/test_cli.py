@@ -87,7 +87,7 @@ def test_lists_of_commands_are_not_cut_off(words: list[str]) -> None:
             FileNotFoundError(2, "No such file or directory", "x.mcap"),
             "voxscene: x.mcap: No such file or directory\n",
         ),
-        (KeyboardInterrupt(), "voxscene: interrupted; the same command goes on where it stopped\n"),
+        (KeyboardInterrupt(), "voxscene: interrupted; nothing half-written is left\n"),
     ],
 )
 def test_mistakes_end_in_one_line(error: BaseException, line: str) -> None:

@@ -15,6 +15,7 @@ from recordings.writer import MessageSchema, RecordingWriter
 
 FIELDS = ["depth_frames", "width", "height", "fx", "fy", "cx", "cy", "duration_s", "topics"]
 FIELDS += ["lost_messages", "lost_chunks", "verified"]
+FIELDS += ["depth_m", "measured_share", "identical_frames", "stamp_steps_back", "undecodable", "warnings"]
 CAMERA = CameraIntrinsics(width=8, height=6, fx=10.0, fy=11.0, cx=3.5, cy=2.5)
 
 

@@ -88,7 +88,7 @@ def test_the_command_lines_settings_stand_over_the_projects(tmp_path: Path) -> N
         ),
         ("[[recording]]\nstage = 'slam'", "recording 1.path: field required"),
         ("[[recording]]\npath = 'a'\nstage = 'slam'\nnmae = 'b'", "recording 1.nmae; did you mean 'name'?"),
-        ("[[recording]]\npath = 'a'\nstage = 'learn'\nname = '../b'", "name must be letters, digits"),
+        ("[[recording]]\npath = 'a'\nstage = 'learn'\nname = '../b'", "name must be up to 100 letters"),
         (
             "[[recording]]\npath = 'a'\nstage = 'slam'\n[[recording]]\npath = 'x/a'\nstage = 'slam'",
             "two recordings are named a",

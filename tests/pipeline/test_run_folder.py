@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import PipelineError
-from pipeline.run_folder import RunFolder, file_hash, open_run_folder
+from pipeline.fingerprints import file_hash
+from pipeline.run_access import open_run_folder
+from pipeline.run_folder import RunFolder
 
 INPUTS = {"room.mcap": "a" * 64}
 
@@ -51,7 +53,7 @@ def slam(
 ) -> Text:
     """A stage of that work."""
     settings = settings or {"slam": {"particles": 8}}
-    return run.stage("slam", Text.load, work, settings=settings, inputs={"recording": recording})
+    return run.stage("slam", Text.load, work, settings=settings, inputs={"recording": recording}).value
 
 
 def test_an_unchanged_stage_is_not_run_again(tmp_path: Path) -> None:
@@ -109,7 +111,7 @@ def test_other_inputs_are_refused_without_force(tmp_path: Path) -> None:
         pass
 
     with open_run_folder(tmp_path, others, force=True) as run:
-        assert run.stages() == []
+        assert run.records() == {}
         assert not run.value_path("learn/mug").exists()
 
 
@@ -118,7 +120,7 @@ def test_the_same_recording_under_another_name_is_accepted(tmp_path: Path) -> No
     with open_run_folder(tmp_path, INPUTS) as run:
         slam(run, Work())
     with open_run_folder(tmp_path, {"copy.mcap": "a" * 64}) as run:
-        assert run.stages() == ["slam"]
+        assert list(run.records()) == ["slam"]
 
 
 def test_a_folder_of_other_things_is_not_touched(tmp_path: Path) -> None:
@@ -157,13 +159,14 @@ def test_stages_are_listed_with_their_settings(tmp_path: Path) -> None:
         slam(run, Work())
         run.stage("learn/mug", Text.load, Work(), settings={"learn": {"pitch_m": 0.005}}, inputs={})
 
-        assert run.stages() == ["slam", "learn/mug"]
+        assert list(run.records()) == ["slam", "learn/mug"]
         record = run.record("learn/mug")
         assert record is not None
         assert record.settings == {"learn": {"pitch_m": 0.005}}
         assert record.seconds >= 0
         assert run.value_path("learn/mug") == tmp_path / "shapes" / "mug.npz"
-        assert run.fingerprint("slam") != run.fingerprint("learn/mug")
+        assert record.fingerprint != run.records()["slam"].fingerprint
+        assert record.machine["cores"] >= 1
 
 
 def test_what_a_stage_prints_does_not_reach_stdout(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -197,7 +200,7 @@ CHILD = """
 import sys, time
 from pathlib import Path
 from tests.pipeline.test_run_folder import INPUTS, Text
-from pipeline.run_folder import open_run_folder
+from pipeline.run_access import open_run_folder
 with open_run_folder(Path(sys.argv[1]), INPUTS) as run:
     print("begun", flush=True)
     for name in ("slam", "learn/mug", "parse"):

@@ -39,7 +39,7 @@ class Tracker:
 
     def stage(self, session: Session, config: SlamConfig) -> SlamResult:
         """The stage slam of a session."""
-        return session.stage("slam", SlamResult.load, self, {"slam": config})
+        return session.stage("slam", SlamResult.load, self, {"slam": config}).value
 
 
 def track(tracker: Tracker, recording: Path, run: Path, seed: int = 0, every: int | None = None) -> Session:
@@ -69,10 +69,11 @@ def test_the_run_folder_holds_what_other_programs_rely_on(
     session = track(Tracker(true_trajectory), mug_file, run)
 
     summary = json.loads((run / "summary.json").read_text())
-    slam = {"frames": 6, "lost_frames": 0, "ess_min": 2.0, "path_probabilities": [1.0], "log_evidence": 60.0}
+    slam = {"frames": 6, "lost_frames": 0, "lost": [], "ess_min": 2.0, "path_probabilities": [1.0]}
+    slam |= {"log_evidence": 60.0, "warnings": []}
     assert summary == {"slam": slam}
     document = stage_document(session.run, "slam")
-    assert set(document) == {*summary["slam"], "seconds", "compile_s", "frames_per_second"}
+    assert set(document) == {*summary["slam"], "seconds", "compile_s", "frames_per_second", "machine"}
     lines = (run / "trajectory.tum").read_text().splitlines()
     assert len(lines) == 6
     assert lines[0] == "1.000000000" + " 0.000000000" * 6 + " 1.000000000"

@@ -3,33 +3,57 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.publishing.trajectory_files import kitti_lines, tum_lines
+from pipeline.publishing.trajectory_files import kitti_lines, lost_lines, tum_lines
+from slam.result import SlamResult
 
 
-def poses(seed: int, count: int) -> np.ndarray:
-    """Random poses (count, 4, 4)."""
+def path(seed: int, count: int, lost: tuple[int, ...] = ()) -> SlamResult:
+    """Random poses, some of them of frames that were lost."""
     rng = np.random.default_rng(seed)
     matrices = np.tile(np.eye(4), (count, 1, 1))
     matrices[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
     matrices[:, :3, 3] = rng.normal(size=(count, 3))
-    return matrices
+    return SlamResult(
+        times_ns=1_700_000_000_123_456_789 + np.arange(count) * 33_333_333,
+        trajectories=matrices[None],
+        log_weights=np.zeros(1),
+        mean=matrices,
+        covariance=np.tile(np.eye(6), (count, 1, 1)),
+        degrees_of_freedom=np.asarray(8.0),
+        ess=np.ones(count),
+        log_evidence=np.zeros(count),
+        resampled=np.zeros(count, bool),
+        lost=np.isin(np.arange(count), lost),
+        explained=np.ones(count),
+    )
 
 
 def test_tum(seed: int) -> None:
-    """Stamps to the nanosecond, translation, quaternion x y z w."""
-    truth = poses(seed, 5)
-    stamps = 1_700_000_000_123_456_789 + np.arange(5) * 33_333_333
-    rows = [line.split() for line in tum_lines(stamps, truth).splitlines()]
+    """Stamps to the nanosecond, translation, quaternion x y z w; a lost frame is left out."""
+    truth = path(seed, 5, lost=(2,))
+    rows = [line.split() for line in tum_lines(truth).splitlines()]
+    found = [0, 1, 3, 4]
 
-    assert [int(row[0].replace(".", "")) for row in rows] == stamps.tolist()
+    assert [int(row[0].replace(".", "")) for row in rows] == truth.times_ns[found].tolist()
     values = np.array([row[1:] for row in rows], float)
-    np.testing.assert_allclose(values[:, :3], truth[:, :3, 3], atol=1e-9)
-    np.testing.assert_allclose(Rotation.from_quat(values[:, 3:]).as_matrix(), truth[:, :3, :3], atol=1e-8)
+    np.testing.assert_allclose(values[:, :3], truth.mean[found, :3, 3], atol=1e-9)
+    rotations = Rotation.from_quat(values[:, 3:]).as_matrix()
+    np.testing.assert_allclose(rotations, truth.mean[found, :3, :3], atol=1e-8)
 
 
 def test_kitti(seed: int) -> None:
-    """Twelve numbers, the upper rows of the matrix."""
-    truth = poses(seed, 4)
-    values = np.array([line.split() for line in kitti_lines(truth).splitlines()], float)
+    """Twelve numbers, the upper rows of the matrix; nan where the frame was lost."""
+    truth = path(seed, 4, lost=(1,))
+    values = np.array([line.split() for line in kitti_lines(truth).splitlines()], float).reshape(4, 3, 4)
 
-    np.testing.assert_allclose(values.reshape(4, 3, 4), truth[:, :3], atol=1e-9)
+    assert np.isnan(values[1]).all()
+    np.testing.assert_allclose(values[[0, 2, 3]], truth.mean[[0, 2, 3], :3], atol=1e-9)
+
+
+def test_lost_frames_are_listed_with_their_stamps(seed: int) -> None:
+    """And where all are lost there is no path at all."""
+    assert lost_lines(path(seed, 4, lost=(1, 3))).splitlines() == [
+        "1 1700000000.156790122",
+        "3 1700000000.223456788",
+    ]
+    assert tum_lines(path(seed, 2, lost=(0, 1))) == ""

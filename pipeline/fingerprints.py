@@ -1,0 +1,73 @@
+"""Hashes that tell whether things were made from the same: files, settings, and the program itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+"""The folder that holds the program's packages."""
+METHOD = ("recordings", "shapes", "slam", "scene")
+"""The packages that compute; what `pipeline` computes itself is named by those who use it."""
+
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file, or of the names and contents of all files below a folder."""
+    if not path.is_dir():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    digest = hashlib.sha256()
+    for member in sorted(member for member in path.rglob("*") if member.is_file()):
+        digest.update(f"{member.relative_to(path).as_posix()}\0{file_hash(member)}\0".encode())
+    return digest.hexdigest()
+
+
+def canonical_hash(content: Any) -> str:
+    """SHA-256 of plain values; the order of keys does not count."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def source_hash(*modules: str, within: tuple[str, ...] = METHOD) -> str:
+    """SHA-256 over the sources of modules and of all that they reach by imports.
+
+    Args:
+        modules: dotted names, hashed wherever they live.
+        within: packages and modules into which imports are followed.
+    """
+    waiting, reached = list(modules), dict[str, bytes]()
+    while waiting:
+        module = waiting.pop()
+        path = _source(module)
+        if module in reached or path is None:
+            continue
+        reached[module] = path.read_bytes()
+        waiting += [name for name in _imports(reached[module].decode()) if _is_within(name, within)]
+    digest = hashlib.sha256()
+    for module in sorted(reached):
+        digest.update(f"{module}\0{hashlib.sha256(reached[module]).hexdigest()}\0".encode())
+    return digest.hexdigest()
+
+
+def _imports(text: str) -> list[str]:
+    """Modules that a source may import: `from a import b` may mean a.b."""
+    found = []
+    for package, names, module in _IMPORT.findall(text):
+        found.append(package or module)
+        found += [f"{package}.{name}" for name in re.findall(r"\w+", names)] if package else []
+    return found
+
+
+def _is_within(module: str, packages: tuple[str, ...]) -> bool:
+    return any(module == package or module.startswith(f"{package}.") for package in packages)
+
+
+def _source(module: str) -> Path | None:
+    path = ROOT.joinpath(*module.split("."))
+    return next((one for one in (path.with_suffix(".py"), path / "__init__.py") if one.is_file()), None)
