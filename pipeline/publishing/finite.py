@@ -82,7 +82,7 @@ def _with_finite_poses(result: Result) -> Result:
 
 def _is_rigid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether matrices (..., 4, 4) are finite with a proper rotation."""
-    small = _is_small(poses).all(axis=(-2, -1))
+    small = np.asarray(_is_small(poses).all(axis=(-2, -1)))
     rotations = np.where(small[..., None, None], poses[..., :3, :3], 0.0)
     product = rotations @ rotations.swapaxes(-2, -1)
     orthogonal = np.isclose(product, np.eye(3), atol=1e-3).all(axis=(-2, -1))
