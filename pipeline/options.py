@@ -83,7 +83,8 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             seeding = () if seed is None else (f"run.seed={seed}",)
             settings = Settings.read(config_file, (*overrides, *seeding), ("run", *sections))
             common = Common(as_json=as_json, quiet=quiet, settings=settings)
-            return command(*args, common=common, **kwargs)
+            with common.progress(click.get_current_context().info_name or "voxscene", ""):
+                return command(*args, common=common, **kwargs)
 
         options = [
             click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout."),

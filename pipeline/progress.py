@@ -1,9 +1,11 @@
-"""How far a long piece of work is, on stderr: rate and remaining time, for anything over two seconds."""
+"""What is going on, on stderr: phase, rate and remaining time, for anything over two seconds."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from types import TracebackType
 from typing import TextIO
@@ -13,19 +15,24 @@ SILENT_S = 2.0
 TERMINAL_INTERVAL_S = 0.2
 LINE_INTERVAL_S = 10.0
 """Where stderr is a file or a pipe, a line this often."""
+WINDOW_S = 8.0
+"""The rate is that of so many last seconds: the first ones compile, and work grows harder or easier."""
+
+_shown: list[Progress] = []
+"""Displays that are open, the innermost last: it alone shows anything."""
 
 
 class Progress:
     """A callable that stages call with what is done and what there is; the stage itself has no clock.
 
-    The rate is that since the first call, before which kernels are compiled and inputs read.
+    Between calls a thread shows that the program lives, and in which phase; not under a clock of one's own.
 
     Args:
         label: what is going on.
         unit: what is counted, such as "frames".
         quiet: show nothing.
         stream: where to; stderr by default.
-        clock: seconds, monotonic.
+        clock: seconds, monotonic; the system's unless given.
     """
 
     def __init__(
@@ -35,43 +42,90 @@ class Progress:
         *,
         quiet: bool = False,
         stream: TextIO | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
     ) -> None:
         self._label = label
         self._unit = unit
         self._quiet = quiet
         self._stream = stream or sys.stderr
-        self._clock = clock
+        self._ticks = clock is None and not quiet
+        self._clock = clock or time.monotonic
         self._terminal = self._stream.isatty()
         self._interval_s = TERMINAL_INTERVAL_S if self._terminal else LINE_INTERVAL_S
-        self._shown_s = clock() + SILENT_S - self._interval_s
-        self._first: tuple[float, int] | None = None
+        self._begun_s = self._clock()
+        self._shown_s = self._begun_s + SILENT_S - self._interval_s
+        self._samples: deque[tuple[float, int]] = deque()
+        self._total: int | None = None
+        self._phase = "starting"
         self._width = 0
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
 
     def __enter__(self) -> Progress:
+        _shown.append(self)
+        if self._ticks:
+            threading.Thread(target=self._tick, daemon=True).start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._width:
-            self._stream.write("\r" + " " * self._width + "\r")
-            self._stream.flush()
+        self._ended.set()
+        with self._lock:
+            _shown.remove(self)
+            self._wipe()
+
+    def phase(self, name: str) -> None:
+        """Tell what is being done before the first unit, after the last, or between two."""
+        with self._lock:
+            self._phase = name
+            self._samples.clear()
+            self._show_if_due()
 
     def __call__(self, done: int, total: int | None = None) -> None:
         """Tell that `done` units of `total` (None: nobody knows) are finished."""
+        with self._lock:
+            now = self._clock()
+            self._samples.append((now, done))
+            while len(self._samples) > 2 and self._samples[1][0] <= now - WINDOW_S:
+                self._samples.popleft()
+            self._total = total
+            self._show_if_due()
+
+    def _tick(self) -> None:
+        while not self._ended.wait(TERMINAL_INTERVAL_S):
+            with self._lock:
+                if _shown and _shown[-1] is self:
+                    self._show_if_due()
+
+    def _show_if_due(self) -> None:
         now = self._clock()
-        begun_s, first = self._first = self._first or (now, done)
         if self._quiet or now - self._shown_s < self._interval_s:
             return
         self._shown_s = now
-        text = self._text(done, total, (done - first) / (now - begun_s) if done > first else None)
+        text = (
+            self._counted()
+            if self._samples
+            else f"{self._label}: {self._phase}, {_minutes(now - self._begun_s)}"
+        )
         if self._terminal:
             self._stream.write("\r" + text.ljust(self._width))
             self._width = len(text)
         else:
             self._stream.write(text + "\n")
         self._stream.flush()
+
+    def _wipe(self) -> None:
+        if self._width:
+            self._stream.write("\r" + " " * self._width + "\r")
+            self._stream.flush()
+            self._width = 0
+
+    def _counted(self) -> str:
+        """What is done, at what rate, and the time that is left at that rate."""
+        (then_s, before), (now_s, done) = self._samples[0], self._samples[-1]
+        rate = (done - before) / (now_s - then_s) if done > before else None
+        return self._text(done, self._total, rate)
 
     def _text(self, done: int, total: int | None, rate: float | None) -> str:
         count = f"{self._label}: {done}{'' if total is None else f'/{total}'} {self._unit}"

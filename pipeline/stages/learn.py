@@ -102,9 +102,11 @@ def _load(path: Path) -> ShapePrior:
 def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig) -> ShapePrior:
     from shapes.learning.distillation import learn_shape
 
-    session.look()
     stamps = set(posed.times_ns.tolist())
     with session.common.progress(f"learn {name}", "trajectories") as progress:
+        progress.phase("reading")
+        session.look()
+        progress.phase("finding the object, compiling once")
         try:
             return learn_shape(
                 session.key("learn"),

@@ -81,10 +81,12 @@ def _parse(
     from scene.objects.scene_object import scene_object
     from scene.parsing import parse_scene
 
-    session.look()
     key, draw_key = session.key("parse"), session.key("draws")
     draws = _draws(shapes, surfaces, draw_key, config)
     with session.common.progress("parse", "blocks") as progress:
+        progress.phase("reading")
+        session.look()
+        progress.phase("detecting and searching, compiling once")
         try:
             objects = [
                 scene_object(name, one.vertices_m, one.faces, drawn)

@@ -46,14 +46,17 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
     from slam.tracking import track
 
     recording, key = session.recording, session.key("slam")
-    total = session.look().frames
     with session.common.progress("slam", "frames") as progress:
-        done = 0
+        progress.phase("reading")
+        total, done = session.look().frames, 0
+        progress.phase(f"compiling once for {recording.size[0]}x{recording.size[1]}")
 
         def on_frame(_: object) -> None:
             nonlocal done
             done += 1
             progress(done, total)
+            if done == total:
+                progress.phase("refining the map")
 
         try:
             return track(key, recording, recording.intrinsics, config, on_frame)

@@ -1,6 +1,7 @@
 """Progress shows rate and remaining time, and only for long work."""
 
 import io
+import time
 
 from pipeline.progress import Progress
 
@@ -80,4 +81,27 @@ def test_an_unknown_total_shows_the_rate_alone() -> None:
     clock.now_s += 10
     progress(14, 14 + 7200)
 
-    assert stream.getvalue() == "read: 8 frames, 2/s\nread: 14/7214 frames, 1/s, 2:00:00 left\n"
+    assert stream.getvalue() == "read: 8 frames, 2/s\nread: 14/7214 frames, 0.6/s, 3:20:00 left\n"
+
+
+def test_the_remaining_time_is_that_of_the_last_seconds() -> None:
+    """Ten slow frames, while kernels are compiled, do not count for the fast ones after them."""
+    slow = [(seconds, seconds // 3) for seconds in range(0, 31, 3)]
+    fast = [(30 + number / 10, 10 + number) for number in range(1, 101)]
+    clock, stream = Clock(), Terminal()
+    progress = Progress("slam", "frames", stream=stream, clock=clock)
+    for seconds, done in [*slow, *fast]:
+        clock.now_s = 100.0 + seconds
+        progress(done, 1110)
+
+    assert stream.getvalue().rstrip().endswith("10/s, 1:40 left")
+
+
+def test_the_program_lives_between_calls() -> None:
+    """A thread shows the phase within three seconds, where nothing is counted yet."""
+    stream = io.StringIO()
+    with Progress("slam", "frames", stream=stream) as progress:
+        progress.phase("compiling once for 640x480")
+        time.sleep(2.6)
+
+    assert stream.getvalue() == "slam: compiling once for 640x480, 0:02\n"
