@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from pipeline.config import build
 from pipeline.errors import PipelineError
 from pipeline.export.room_mesh import MOST_FRAMES, room_mesh
+from pipeline.fingerprints import file_hash
 from pipeline.options import Common
-from pipeline.run_folder import RunFolder, file_hash
+from pipeline.run_folder import RunFolder
 from recordings.options import ReadOptions
 from recordings.reading import McapRecording, open_recording
 from recordings.types import Frame

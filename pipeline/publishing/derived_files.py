@@ -11,13 +11,13 @@ from pipeline.atomic import write_json, write_text
 from pipeline.publishing.bop_poses import bop_lines
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.summary import summary_of, timing_of
-from pipeline.publishing.trajectory_files import kitti_lines, lost_lines, tum_lines
+from pipeline.publishing.trajectory_files import path_texts
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.views.rrd import write_rrd
 
-TRAJECTORY = {"trajectory.tum": tum_lines, "trajectory.kitti": kitti_lines, "lost.txt": lost_lines}
-"""Files of a camera's path, and what writes them."""
+OPTIONAL = ("trajectory.tum", "trajectory.kitti", "lost.txt", "poses.csv")
+"""Files of stages that a run may not have, or no longer has."""
 
 
 def write_derived_files(run: RunFolder) -> list[Path]:
@@ -33,10 +33,10 @@ def write_derived_files(run: RunFolder) -> list[Path]:
     values, settings = RunValues.load(run).drawable, _settings(run)
     texts = {"config.toml": tomli_w.dumps(settings)}
     if values.slam is not None:
-        texts |= {name: lines(values.slam) for name, lines in TRAJECTORY.items()}
+        texts |= path_texts(values.slam)
     if values.scene is not None:
         texts["poses.csv"] = bop_lines(values)
-    for name in {*TRAJECTORY, "poses.csv"} - set(texts):
+    for name in set(OPTIONAL) - set(texts):
         (run.path / name).unlink(missing_ok=True)
     for name, text in texts.items():
         write_text(run.path / name, text)

@@ -13,23 +13,32 @@ from scipy.spatial.transform import Rotation
 from slam.result import SlamResult
 
 
-def tum_lines(result: SlamResult) -> str:
-    """`timestamp tx ty tz qx qy qz qw` in seconds and metres, 9 decimals, of every frame that was found."""
-    times_ns, poses = result.times_ns[~result.lost], result.mean[~result.lost]
-    rotations = (
-        Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True) if len(poses) else np.empty((0, 4))
-    )
-    rows = _rounded(np.concatenate([poses[:, :3, 3], rotations], axis=1))
+def path_texts(result: SlamResult) -> dict[str, str]:
+    """The files of a camera's path, by name."""
+    found = ~result.lost
+    poses = np.where(found[:, None, None], result.mean, np.nan)
+    return {
+        "trajectory.tum": tum_lines(result.times_ns[found], result.mean[found]),
+        "trajectory.kitti": kitti_lines(poses),
+        "lost.txt": lost_lines(result),
+    }
+
+
+def tum_lines(times_ns: NDArray[np.int64], reference_from_camera: NDArray[np.float64]) -> str:
+    """`timestamp tx ty tz qx qy qz qw` in seconds and metres, 9 decimals, of poses (T, 4, 4)."""
+    if not len(times_ns):
+        return ""
+    rotations = Rotation.from_matrix(reference_from_camera[:, :3, :3]).as_quat(canonical=True)
+    rows = _rounded(np.concatenate([reference_from_camera[:, :3, 3], rotations], axis=1))
     return "".join(
         f"{seconds_text(int(time_ns))} {' '.join(f'{value:.9f}' for value in row)}\n"
         for time_ns, row in zip(times_ns, rows, strict=True)
     )
 
 
-def kitti_lines(result: SlamResult) -> str:
-    """The upper three rows of each frame's pose (T, 4, 4), row by row; `nan` for a frame that was lost."""
-    rows = _rounded(result.mean[:, :3].reshape(-1, 12))
-    rows[result.lost] = np.nan
+def kitti_lines(reference_from_camera: NDArray[np.float64]) -> str:
+    """The upper three rows of each pose (T, 4, 4), row by row."""
+    rows = _rounded(reference_from_camera[:, :3].reshape(-1, 12))
     return "".join(" ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
 
 

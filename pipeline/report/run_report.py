@@ -82,13 +82,12 @@ def reported(path: Path, name: str) -> ReportedRun:
         PipelineError: nothing in it is finished.
     """
     folder = RunFolder(path, force=False)
-    stages = folder.stages()
+    stages = folder.records()
     if not stages:
         raise PipelineError(f"{path} holds no finished stage; make one with voxscene slam, learn or parse")
     values = RunValues.load(folder)
     summary = summary_of(values)
-    records = [record for stage in stages if (record := folder.record(stage))]
-    lost = [Damage(**record.notes["damage"]) for record in records if "damage" in record.notes]
+    lost = [Damage(**record.notes["damage"]) for record in stages.values() if "damage" in record.notes]
     worst = max(lost, key=lambda one: (one.lost_chunks, one.lost_messages), default=Damage())
     return ReportedRun(
         name=name,

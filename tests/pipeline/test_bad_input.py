@@ -97,7 +97,7 @@ def assert_one_line(result: Result, line: str) -> None:
     assert result.stdout == ""
     assert result.stderr.startswith("voxscene: ")
     assert line in result.stderr
-    assert result.stderr.count("\n") == 1
+    assert result.stderr.splitlines()[-1].startswith("voxscene: ")
 
 
 def write(path: Path, message: Write, frames: int = 3) -> Path:

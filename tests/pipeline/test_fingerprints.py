@@ -1,5 +1,6 @@
 """A hash of the sources that a stage can reach changes with each of them, and with no other."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from pipeline.fingerprints import source_hash
 
 
 @pytest.fixture
-def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Two packages, one of which imports from the other in every way there is."""
     for name, text in {
         "slam/tracking.py": "from slam import filter as f\nfrom slam.maps import (\n    one,\n    two,\n)\n",

@@ -33,7 +33,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def results(outcomes: list[Outcome[int]]) -> dict[str, int | str]:
+def results(outcomes: list[Outcome[int]]) -> dict[str, int | str | None]:
     """Result or error by name."""
     return {one.task.name: one.result if one.error is None else str(one.error) for one in outcomes}
 

@@ -18,7 +18,8 @@ from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.export.model_export import ExportOptions
 from pipeline.export.run_export import export_run
 from pipeline.publishing.values import RunValues
-from pipeline.run_folder import RunFolder, open_run_folder
+from pipeline.run_access import open_run_folder
+from pipeline.run_folder import RunFolder
 from pipeline.surfaces import SceneSurface, Surfaces
 from recordings.dataset_numbers import DatasetNumbers
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.publishing.trajectory_files import kitti_lines, lost_lines, tum_lines
+from pipeline.publishing.trajectory_files import path_texts
 from slam.result import SlamResult
 
 
@@ -31,7 +31,7 @@ def path(seed: int, count: int, lost: tuple[int, ...] = ()) -> SlamResult:
 def test_tum(seed: int) -> None:
     """Stamps to the nanosecond, translation, quaternion x y z w; a lost frame is left out."""
     truth = path(seed, 5, lost=(2,))
-    rows = [line.split() for line in tum_lines(truth).splitlines()]
+    rows = [line.split() for line in path_texts(truth)["trajectory.tum"].splitlines()]
     found = [0, 1, 3, 4]
 
     assert [int(row[0].replace(".", "")) for row in rows] == truth.times_ns[found].tolist()
@@ -44,7 +44,9 @@ def test_tum(seed: int) -> None:
 def test_kitti(seed: int) -> None:
     """Twelve numbers, the upper rows of the matrix; nan where the frame was lost."""
     truth = path(seed, 4, lost=(1,))
-    values = np.array([line.split() for line in kitti_lines(truth).splitlines()], float).reshape(4, 3, 4)
+    values = np.array(
+        [line.split() for line in path_texts(truth)["trajectory.kitti"].splitlines()], float
+    ).reshape(4, 3, 4)
 
     assert np.isnan(values[1]).all()
     np.testing.assert_allclose(values[[0, 2, 3]], truth.mean[[0, 2, 3], :3], atol=1e-9)
@@ -52,8 +54,8 @@ def test_kitti(seed: int) -> None:
 
 def test_lost_frames_are_listed_with_their_stamps(seed: int) -> None:
     """And where all are lost there is no path at all."""
-    assert lost_lines(path(seed, 4, lost=(1, 3))).splitlines() == [
+    assert path_texts(path(seed, 4, lost=(1, 3)))["lost.txt"].splitlines() == [
         "1 1700000000.156790122",
         "3 1700000000.223456788",
     ]
-    assert tum_lines(path(seed, 2, lost=(0, 1))) == ""
+    assert path_texts(path(seed, 2, lost=(0, 1)))["trajectory.tum"] == ""

@@ -18,7 +18,7 @@ from pipeline.report import charts
 from pipeline.report.page import Page
 from pipeline.report.warnings import warnings_of
 from pipeline.room import view_room
-from pipeline.run_folder import open_run_folder
+from pipeline.run_access import open_run_folder
 from recordings.types import Damage
 
 
