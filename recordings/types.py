@@ -6,9 +6,7 @@ Metres, radians, integer nanoseconds. Poses are named `target_from_source`. Came
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -151,29 +149,3 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.times_ns)
-
-
-class Recording(Protocol):
-    """The depth frames of one camera, in the order of their stamps.
-
-    Iterating holds one chunk of the file in memory and may be repeated. `damage` is complete once an
-    iteration has ended.
-    """
-
-    @property
-    def intrinsics(self) -> CameraIntrinsics:
-        """The camera that took every frame."""
-        ...
-
-    @property
-    def damage(self) -> Damage:
-        """What was lost so far."""
-        ...
-
-    def __len__(self) -> int:
-        """Number of depth frames that iterating gives."""
-        ...
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Every frame once."""
-        ...

@@ -20,11 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.benchmarks.distance_score import distance_score
-from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
+from pipeline.benchmarks.hypotheses import BACKGROUND_M, NOISE, Problem, posed, problem
 from pipeline.benchmarks.lathe import mug
 from pipeline.benchmarks.roofline import measure_roofline
-from scene.likelihood.one_object import gain_over_rest, log_likelihood_ratio, log_likelihood_ratio_of_scenes
+from scene.likelihood.one_object import gain_over_rest, log_likelihood_ratio
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import join, library_of_mesh
 
@@ -33,8 +32,6 @@ OBJECTS = (1, 2, 5, 10)
 VOXELS = (2**15, 2**18, 2**20, 2**22)
 HYPOTHESES = {50: 8192, 100: 4096, 200: 1024}
 """Of one call: enough that starting it costs nothing."""
-SCENES = 512
-POINTS = 1000
 ROUNDS = 5
 PEER_HYPOTHESES = 256
 
@@ -49,7 +46,7 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
     library = library_of_mesh(vertices, faces)
     problems = {side: problem(library, side, rng) for side in SIDES}
     steps = iter(range(1, 100))
-    total = 3 * len(SIDES) + 1 + 2 * len(OBJECTS) + len(VOXELS) + len(SIDES) + 1
+    total = 1 + 3 * len(SIDES) + len(OBJECTS) + len(VOXELS) + len(SIDES)
 
     def told(figure: Any) -> Any:
         report(next(steps), total)
@@ -59,10 +56,8 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
     by_side = {str(side): told(likelihood_rate(problems[side], rng)) for side in SIDES}
     layers = {str(side): told(layer_rate(problems[side], rng)) for side in SIDES}
     roofline = {str(side): told(measure_roofline(problems[side], rng)) for side in SIDES}
-    field = told(distance_field_rate(problems[SIDES[1]], rng))
     crowds = {count: problem(join([library] * count), SIDES[1], rng) for count in OBJECTS}
     one_moved = {str(count): told(likelihood_rate(crowd, rng)) for count, crowd in crowds.items()}
-    all_moved = {str(count): told(scene_rate(crowd, count, rng)) for count, crowd in crowds.items()}
     by_voxels = {}
     for voxels in VOXELS:
         pitch_m = float(library.pitch_m[0]) * (np.prod(np.asarray(library.size[0])) / voxels) ** (1 / 3)
@@ -72,7 +67,6 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
     return {
         "device": jax.devices()[0].device_kind,
         "hypotheses_per_second": {side: rate["median"] for side, rate in by_side.items()},
-        "distance_field_per_second": field["median"],
         "embree_per_second": {side: one.get("whole_image", {}).get("median") for side, one in peer.items()},
         "compile_s": compile_s["first"],
         "trace_s": compile_s["traced"],
@@ -80,12 +74,10 @@ def measure_speed(seed: int, report: Report) -> dict[str, Any]:
         "spread": {
             "hypotheses_per_second": by_side,
             "layers_per_second": layers,
-            "distance_field_per_second": field,
         },
         "roofline": roofline,
         "growth": {
             "objects_one_moved_per_second": one_moved,
-            "objects_all_moved_per_second": all_moved,
             "voxels_per_second": by_voxels,
         },
         "embree": peer,
@@ -112,29 +104,6 @@ def layer_rate(task: Problem, rng: np.random.Generator) -> Rate:
         return jnp.isfinite(layers).sum(axis=(1, 2))
 
     return _rate(covered, lambda: task.hypotheses(rng, count), count)
-
-
-def scene_rate(task: Problem, objects: int, rng: np.random.Generator) -> Rate:
-    """Scenes a second, all of whose objects were placed anew."""
-
-    def score(hypotheses: Any) -> jax.Array:
-        return log_likelihood_ratio_of_scenes(task.library, NOISE, task.evidence, hypotheses, objects)
-
-    return _rate(score, lambda: task.hypotheses(rng, SCENES * objects), SCENES)
-
-
-def distance_field_rate(task: Problem, rng: np.random.Generator) -> Rate:
-    """Hypotheses a second by the object's distance field at `POINTS` observed points."""
-    radius = float(task.library.radius_m[0])
-    points = rng.normal(0, 0.4 * radius, (1, POINTS, 3))
-    points[..., 2] += DISTANCE_M
-    points = jnp.asarray(points, jnp.float32)
-    count = 8 * HYPOTHESES[50]
-
-    def score(hypotheses: Any) -> NDArray[np.float32]:
-        return distance_score(task.library, hypotheses, points, 0.01)
-
-    return _rate(score, lambda: task.hypotheses(rng, count), count)
 
 
 def embree_rates(task: Problem, rng: np.random.Generator) -> dict[str, Any]:

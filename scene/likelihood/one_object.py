@@ -20,7 +20,7 @@ from shapes.geometry.camera import Camera
 from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import PosedObjects
 from shapes.rendering.tile_queue import for_each_block
-from shapes.rendering.tiles import TILE_PIXELS, tile_counts, to_tiles
+from shapes.rendering.tiles import tile_counts, to_tiles
 
 SCENE_TILES = 2**15
 """Tiles of the scenes rendered together: 2 MiB of depth."""
@@ -112,47 +112,6 @@ def gain_over_rest(
 
     zero = jnp.zeros(len(posed), jnp.float32)
     return for_each_block(library, posed, evidence.cameras, evidence.height, evidence.width, add, zero)
-
-
-@partial(jax.jit, static_argnames="objects")
-def log_likelihood_ratio_of_scenes(
-    library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects, objects: int
-) -> jax.Array:
-    """The same (S,) for the images of scenes of which all objects join the rest.
-
-    Args:
-        library: the objects.
-        noise: of the sensor.
-        evidence: I images and what stands still in them.
-        posed: S * `objects` posed objects, those of a scene in a row and before one camera.
-        objects: in a scene.
-    """
-    tiles = evidence.tiles
-    scenes = len(posed) // objects
-    together = min(max(SCENE_TILES // tiles, 1), scenes)
-    parts = -(-scenes // together)
-    nowhere = (0, (parts * together - scenes) * objects)
-    posed = jax.tree.map(lambda leaf: jnp.pad(leaf, [nowhere] + [(0, 0)] * (leaf.ndim - 1)), posed)
-    posed = jax.tree.map(lambda leaf: leaf.reshape(parts, together * objects, *leaf.shape[1:]), posed)
-
-    def part(posed: PosedObjects) -> jax.Array:
-        image = posed.camera_index[::objects]
-        own = image[:, None] * tiles + jnp.arange(tiles, dtype=jnp.int32)[None]
-        own = own.reshape(-1)
-        shown = jnp.full((together * tiles, TILE_PIXELS), jnp.inf, jnp.float32)
-
-        def put(
-            shown: jax.Array, view: jax.Array, tile: jax.Array, depth: jax.Array, valid: jax.Array
-        ) -> jax.Array:
-            place = jnp.where(valid, view // objects * tiles + tile, len(shown))
-            return shown.at[place].min(depth, mode="drop")
-
-        shown = for_each_block(library, posed, evidence.cameras, evidence.height, evidence.width, put, shown)
-        density = _log_density(noise, evidence.observed_m[own], shown)
-        gain = jnp.where(shown < evidence.rest_m[own], density - evidence.log_density_of_rest[own], 0.0)
-        return gain.reshape(together, -1).sum(axis=1)
-
-    return jax.lax.map(part, posed).reshape(-1)[:scenes]
 
 
 def _log_density(noise: DepthNoise, observed_m: jax.Array, rendered_m: jax.Array) -> jax.Array:

@@ -54,12 +54,9 @@ def _lines(document: dict[str, Any]) -> list[str]:
         )
     skipped = [peer["skipped"] for peer in document["embree"].values() if "skipped" in peer]
     lines += [f"Embree: {skipped[0]}"] if skipped else []
-    field = document["spread"]["distance_field_per_second"]
-    lines.append(f"{'distance field, 1000 points':<28}{_cell(field):>30}")
     growth = document["growth"]
     for title, key in (
         ("one of {} objects moved", "objects_one_moved_per_second"),
-        ("all of {} objects moved", "objects_all_moved_per_second"),
         ("{} voxels", "voxels_per_second"),
     ):
         lines += [

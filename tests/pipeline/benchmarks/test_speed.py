@@ -83,16 +83,6 @@ def test_the_peer_does_the_same_work(task: Problem) -> None:
     assert np.corrcoef(np.asarray(ours), whole)[0, 1] > 0.99
 
 
-def test_scenes_of_one_object_score_as_that_object(task: Problem) -> None:
-    """Rendering whole scenes is the same likelihood by another order of sums."""
-    hypotheses = task.hypotheses(np.random.default_rng(14), 40)
-
-    alone = speed.log_likelihood_ratio(task.library, NOISE, task.evidence, hypotheses)
-    scenes = speed.log_likelihood_ratio_of_scenes(task.library, NOISE, task.evidence, hypotheses, 1)
-
-    np.testing.assert_allclose(np.asarray(alone), np.asarray(scenes), atol=0.1)
-
-
 def test_each_timed_call_gets_inputs_of_its_own() -> None:
     """One call to warm up, five that are timed, none with inputs seen before."""
     drawn = []
