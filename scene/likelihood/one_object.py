@@ -22,9 +22,6 @@ from shapes.rendering.ray_casting import PosedObjects
 from shapes.rendering.tile_queue import for_each_block
 from shapes.rendering.tiles import tile_counts, to_tiles
 
-SCENE_TILES = 2**15
-"""Tiles of the scenes rendered together: 2 MiB of depth."""
-
 IMPOSSIBLE = -1e4
 """Log density of a pixel that the noise model excludes; finite, so that hypotheses stay comparable."""
 
