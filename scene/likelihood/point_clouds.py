@@ -19,7 +19,7 @@ from scene.likelihood.depth_images import DepthLikelihood
 from scene.likelihood.render_cache import CandidateScenes
 from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
-from shapes.geometry.camera import Camera
+from shapes.geometry.camera import Camera, project
 from shapes.rendering.tiles import from_tiles
 
 
@@ -194,8 +194,7 @@ def neighbour_counts(
     height, width = rendered_m.shape
     x, y, z = points_m.T
     depth = jnp.where(z > 0, z, 1.0)
-    column = jnp.round(camera.fx * x / depth + camera.cx)
-    row = jnp.round(camera.fy * y / depth + camera.cy)
+    column, row = (jnp.round(at) for at in project(camera, x, y, depth))
     reach = jnp.arange(-half_width, half_width + 1, dtype=jnp.float32)
     side = len(reach)
 

@@ -34,10 +34,9 @@ def stacked(cameras: Sequence[Camera]) -> Camera:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cameras)
 
 
-def project(camera: Camera, point_m: jax.Array) -> jax.Array:
-    """Pixel coordinates (u, v) of a point (3,) in the camera frame; meaningful for z > 0."""
-    x, y, z = point_m
-    return jnp.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+def project(camera: Camera, x: jax.Array, y: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Pixel coordinates (u, v) of points in the camera frame, elementwise; meaningful for z > 0."""
+    return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
 
 
 def pixel_rays(camera: Camera, height: int, width: int) -> jax.Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
@@ -19,6 +20,7 @@ from shapes.learning.config import LearnConfig
 from shapes.learning.occupancy import Occupancy, occupancy, windows
 from shapes.learning.region import object_grid
 from shapes.prior import ShapePrior
+from shapes.resampling import resample_systematically
 from shapes.voxel_grid import VoxelGrid
 
 BORDER = 2
@@ -87,9 +89,8 @@ def _drawn(
     weights = np.exp(log_weights - np.max(log_weights))
     weights /= weights.sum()
     if len(poses) > count:
-        offset = float(jax.random.uniform(key))
-        drawn = np.searchsorted(np.cumsum(weights), (np.arange(count) + offset) / count)
-        weights = np.bincount(np.minimum(drawn, len(poses) - 1), minlength=len(poses)) / count
+        drawn = np.asarray(resample_systematically(key, jnp.log(jnp.asarray(weights)), count))
+        weights = np.bincount(drawn, minlength=len(poses)) / count
     held = np.flatnonzero(weights > 0)
     distinct, index = np.unique(poses[held].reshape(len(held), -1), axis=0, return_inverse=True)
     shares = np.zeros(len(distinct))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from shapes.geometry.camera import Camera
+from shapes.geometry.camera import Camera, project
 from shapes.learning.local_planes import LocalPlanes
 
 SPLIT_SIGMAS = 3.0
@@ -125,7 +125,7 @@ def _projected(
     """Image coordinates and depth (N,) of voxel centres; only the depth means something behind the camera."""
     point = centres_m @ camera_from_grid[:3, :3].T + camera_from_grid[None, :3, 3]
     z = jnp.where(point[:, 2] > NEAREST_M, point[:, 2], 1.0)
-    return camera.fx * point[:, 0] / z + camera.cx, camera.fy * point[:, 1] / z + camera.cy, point[:, 2]
+    return *project(camera, point[:, 0], point[:, 1], z), point[:, 2]
 
 
 def _neighbour(

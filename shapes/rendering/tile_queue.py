@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shapes.geometry.camera import Camera
+from shapes.geometry.camera import Camera, project
 from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import (
     NEAREST_M,
@@ -149,7 +149,7 @@ def pixel_bounds(
     )
     camera: Camera = jax.tree.map(lambda leaf: leaf[posed.camera_index][:, None], cameras)
     depth = jnp.maximum(z, NEAREST_M)
-    u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
+    u, v = project(camera, x, y, depth)
     near = (z < NEAREST_M).any(axis=1)[:, None]
     low = jnp.where(near, -jnp.inf, jnp.stack([u.min(axis=1), v.min(axis=1)], axis=1))
     high = jnp.where(near, jnp.inf, jnp.stack([u.max(axis=1), v.max(axis=1)], axis=1))

@@ -1,7 +1,6 @@
 """One step of sequential Monte Carlo for any model: weights, effective sample size, resampling, evidence.
 
-Resampling is systematic (Kitagawa 1996): one uniform draw places K equally spaced points on the weights. The
-same code runs in exact toy models and behind the camera.
+The same code runs in exact toy models and behind the camera.
 """
 
 from __future__ import annotations
@@ -12,6 +11,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+
+from shapes.resampling import resample_systematically
 
 Propose = Callable[[jax.Array, Any], tuple[Any, jax.Array]]
 """(key, particles) -> (extended particles, log p(y|x) + log p(x|past) - log q(x) per particle (K,))."""
@@ -95,19 +96,3 @@ def normalise(log_weights: jax.Array) -> tuple[jax.Array, jax.Array]:
 def effective_sample_size(log_weights: jax.Array) -> jax.Array:
     """1 / sum w^2 of normalised log weights (K,), between 1 and K."""
     return jnp.exp(-jax.nn.logsumexp(2.0 * log_weights))
-
-
-def resample_systematically(key: jax.Array, log_weights: jax.Array) -> jax.Array:
-    """Ancestor indices (K,) int32, non-decreasing; particle k is drawn floor or ceil of K w_k times.
-
-    Args:
-        key: consumed.
-        log_weights: (K,) normalised.
-    """
-    count = len(log_weights)
-    weights = jnp.exp(log_weights)
-    cumulative = jnp.cumsum(weights)
-    last_alive = count - 1 - jnp.argmax(weights[::-1] > 0)
-    offset = jax.random.uniform(key, dtype=weights.dtype)
-    points = (jnp.arange(count, dtype=weights.dtype) + offset) / count * cumulative[-1]
-    return jnp.minimum(jnp.searchsorted(cumulative, points, side="right"), last_alive).astype(jnp.int32)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 
-from shapes.geometry.camera import Camera
+from shapes.geometry.camera import Camera, project
 from shapes.geometry.vectors import dot, layer_sum, rotate, transform
 from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH
 from slam.keyframes.surfels import SurfelImage
@@ -73,8 +73,7 @@ def pixels_of(points: jax.Array, camera: Camera) -> tuple[jax.Array, jax.Array]:
     """Flat canvas index (n,) of the pixel that each point (3, n) falls into, and whether it does."""
     in_front = points[2] > NEAREST_DEPTH_M
     depth = jnp.where(in_front, points[2], 1.0)
-    column = jnp.round(camera.fx * points[0] / depth + camera.cx).astype(jnp.int32)
-    row = jnp.round(camera.fy * points[1] / depth + camera.cy).astype(jnp.int32)
+    column, row = (jnp.round(at).astype(jnp.int32) for at in project(camera, points[0], points[1], depth))
     inside = in_front & (column >= 0) & (column < CANVAS_WIDTH) & (row >= 0) & (row < CANVAS_HEIGHT)
     return jnp.where(inside, row * CANVAS_WIDTH + column, 0), inside
 
@@ -103,8 +102,8 @@ def _drawing_order(points: jax.Array, pixel: jax.Array, camera: Camera) -> jax.A
     depth = jnp.maximum(points[2], NEAREST_DEPTH_M)
     steps = jnp.log(depth / NEAREST_DEPTH_M) / jnp.log1p(VISIBILITY_BAND)
     depth_bin = jnp.clip(steps.astype(jnp.int32), 0, DEPTH_BINS)
-    off_x = camera.fx * points[0] / depth + camera.cx - (pixel % CANVAS_WIDTH)
-    off_y = camera.fy * points[1] / depth + camera.cy - (pixel // CANVAS_WIDTH)
+    u, v = project(camera, points[0], points[1], depth)
+    off_x, off_y = u - (pixel % CANVAS_WIDTH), v - (pixel // CANVAS_WIDTH)
     off_centre = (OFF_CENTRE_STEPS * jnp.clip(2.0 * (off_x**2 + off_y**2), 0.0, 1.0)).astype(jnp.int32)
     ranks = (depth_bin * (OFF_CENTRE_STEPS + 1) + off_centre) * INDEX_RANGE
     return ranks + jnp.arange(PIXELS, dtype=jnp.int32)

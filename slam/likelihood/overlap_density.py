@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
-from shapes.geometry.camera import Camera
+from shapes.geometry.camera import Camera, project
 from shapes.geometry.vectors import cross, dot, rotate, transform
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import NEAREST_DEPTH_M
@@ -158,8 +158,7 @@ def _pixels(points: jax.Array, surface: PlaneImage) -> tuple[jax.Array, jax.Arra
     camera = surface.camera
     in_front = points[2] > NEAREST_DEPTH_M
     depth = jnp.where(in_front, points[2], 1.0)
-    column = jnp.round(camera.fx * points[0] / depth + camera.cx).astype(jnp.int32)
-    row = jnp.round(camera.fy * points[1] / depth + camera.cy).astype(jnp.int32)
+    column, row = (jnp.round(at).astype(jnp.int32) for at in project(camera, points[0], points[1], depth))
     inside = in_front & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     return jnp.where(inside, row * columns + column, 0), inside
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry.pose_sets import MAX_CLUSTERS, within_reach
-from slam.filter.smc import resample_systematically
+from shapes.resampling import resample_systematically
 
 LEAST_SHARE = 0.01
 

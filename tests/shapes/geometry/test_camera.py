@@ -1,4 +1,3 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,7 +14,7 @@ def test_projection_undoes_unprojection() -> None:
 
     rays = pixel_rays(camera, 17, 31)
     points = (rays * depth_m[..., None]).reshape(-1, 3)
-    pixels = jax.vmap(lambda point: project(camera, point))(points)
+    pixels = jnp.stack(project(camera, *points.T), axis=-1)
 
     rows, columns = np.mgrid[:17, :31]
     np.testing.assert_allclose(rays, INTRINSICS.rays(columns, rows), atol=1e-6)

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from shapes.resampling import resample_systematically
 from slam.filter import smc
-from slam.filter.smc import effective_sample_size, normalise, resample_systematically
+from slam.filter.smc import effective_sample_size, normalise
 from tests.slam.toy_models import Corridor, RandomWalk, UnknownCorridor
 from tests.statistical import assert_mean, assert_uniform
 

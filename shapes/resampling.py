@@ -1,0 +1,23 @@
+"""Systematic resampling (Kitagawa 1996): one uniform draw places equally spaced points on the weights."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+
+def resample_systematically(key: jax.Array, log_weights: jax.Array, count: int | None = None) -> jax.Array:
+    """Ancestor indices (count,) int32, non-decreasing; index k is drawn floor or ceil of count w_k times.
+
+    Args:
+        key: consumed.
+        log_weights: (K,) normalised.
+        count: of draws; K by default.
+    """
+    count = len(log_weights) if count is None else count
+    weights = jnp.exp(log_weights)
+    cumulative = jnp.cumsum(weights)
+    last_alive = len(log_weights) - 1 - jnp.argmax(weights[::-1] > 0)
+    offset = jax.random.uniform(key, dtype=weights.dtype)
+    points = (jnp.arange(count, dtype=weights.dtype) + offset) / count * cumulative[-1]
+    return jnp.minimum(jnp.searchsorted(cumulative, points, side="right"), last_alive).astype(jnp.int32)
