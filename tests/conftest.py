@@ -33,6 +33,13 @@ def key(seed: int) -> jax.Array:
     return jax.random.key(seed)
 
 
+@pytest.fixture
+def double_precision() -> Iterator[None]:
+    """Charts and chains run in float64."""
+    with jax.enable_x64(True):
+        yield
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder with real recordings, from VOXSCENE_DATA; tests that use it skip where it is missing."""

@@ -1,9 +1,6 @@
-import jax
 import pytest
 
 
 @pytest.fixture(autouse=True)
-def _double_precision():
+def _double_precision(double_precision: None) -> None:
     """Charts and chains run in float64."""
-    with jax.enable_x64(True):
-        yield

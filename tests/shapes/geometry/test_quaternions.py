@@ -4,8 +4,11 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+import pytest
 
 from shapes.geometry import quaternions
+
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def test_operations_are_those_of_jaxlie(key: jax.Array) -> None:

@@ -18,6 +18,8 @@ from shapes.geometry.rotation_densities import (
 )
 from tests.statistical import assert_frequencies, assert_mean
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
 
 @pytest.mark.parametrize("concentration", [0.5, 10.0, 800.0])
 def test_von_mises_fisher_integrates_to_one(concentration: float) -> None:

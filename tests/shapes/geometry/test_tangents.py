@@ -1,9 +1,12 @@
 """Rigid motions on the host are matrix exponentials."""
 
 import numpy as np
+import pytest
 from scipy.linalg import expm
 
 from shapes.geometry.poses import matrices_of, motions_of, poses_of, tangents_of
+
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def test_exponentials_and_logarithms_are_those_of_matrices(seed: int) -> None:
