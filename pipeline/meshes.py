@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
+from pipeline.logs import log
 from pipeline.shape_folder import MESH_SUFFIXES
 
 Units = Literal["m", "mm"]
@@ -24,7 +26,7 @@ FLAT = 1e-6
 
 
 def load_meshes(folder: Path, units: Units | None = None) -> dict[str, trimesh.Trimesh]:
-    """Every mesh of a folder by the name of its file, in metres.
+    """Every mesh of a folder by the name of its file, in metres, with the colours of its vertices.
 
     Args:
         folder: holds `NAME.ply`, `.obj`, `.stl`, `.glb` or `.off`.
@@ -54,12 +56,38 @@ def _load_mesh(path: Path, scale: float) -> trimesh.Trimesh:
         raise PipelineError(f"{path} holds no triangles")
     if not np.isfinite(mesh.vertices).all():
         raise PipelineError(f"{path} holds a vertex that is not finite")
-    mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=True)
+    rgb = _colours(path, mesh)
+    mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, vertex_colors=rgb, process=True)
     check_size(path, float(mesh.extents.max()))
     spread = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0), compute_uv=False)
     if spread[-1] < FLAT * spread[0]:
         raise PipelineError(f"{path} is flat: an object that can be seen from all sides has a volume")
     return mesh
+
+
+def vertex_rgb(mesh: trimesh.Trimesh) -> NDArray[np.uint8] | None:
+    """Colours (V, 3) of a mesh's vertices, sampled from its texture where it has one; None without colour."""
+    visual: Any = mesh.visual
+    if visual.kind == "texture":
+        material = visual.material
+        textured = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        if textured is not None and visual.uv is not None:
+            visual = visual.to_color()
+        elif getattr(material, "baseColorFactor", None) is not None:
+            return np.tile(np.asarray(material.main_color, np.uint8)[:3], (len(mesh.vertices), 1))
+        else:
+            return None
+    if visual.kind not in ("vertex", "face"):
+        return None
+    return np.asarray(visual.vertex_colors, np.uint8)[:, :3]
+
+
+def _colours(path: Path, mesh: trimesh.Trimesh) -> NDArray[np.uint8] | None:
+    try:
+        return vertex_rgb(mesh)
+    except Exception as error:  # a texture's decoder raises whatever it meets; the geometry serves without
+        log.warning("%s: its colours cannot be read (%s); it goes without", path, error)
+        return None
 
 
 def check_size(path: Path, extent_m: float) -> None:

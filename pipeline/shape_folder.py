@@ -30,14 +30,16 @@ def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSu
     Raises:
         PipelineError: there is none, or one cannot be used.
     """
-    from pipeline.meshes import load_meshes
+    from pipeline.meshes import load_meshes, vertex_rgb
 
     folder = _shapes_of(folder)
     learned = sorted(folder.glob("*.npz"))
     if not learned:
         meshes = load_meshes(folder, units)
         return {
-            name: SceneSurface(vertices_m=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
+            name: SceneSurface(
+                vertices_m=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces), rgb=vertex_rgb(mesh)
+            )
             for name, mesh in meshes.items()
         }
     return {path.stem: _learned_surface(path) for path in learned}
@@ -126,4 +128,6 @@ def _learned_surface(path: Path) -> SceneSurface:
     with usable(path):
         mesh = ShapePrior.load(path).surface()
     check_size(path, float(np.ptp(mesh.vertices_m, axis=0).max()))
-    return SceneSurface(vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64), learned=True)
+    return SceneSurface(
+        vertices_m=mesh.vertices_m, faces=np.asarray(mesh.triangles, np.int64), learned=True, rgb=mesh.rgb
+    )

@@ -23,11 +23,13 @@ class SceneSurface:
         vertices_m: (V, 3).
         faces: (F, 3) rows of `vertices_m`, counter-clockwise from outside.
         learned: whether that frame is a learned shape's grid.
+        rgb: (V, 3) colours of the vertices, or None.
     """
 
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int64]
     learned: bool = False
+    rgb: NDArray[np.uint8] | None = None
 
     @property
     def middle_m(self) -> NDArray[np.float64]:
@@ -55,6 +57,11 @@ class Surfaces:
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal surfaces give equal bytes."""
         each = list(self.by_name.values())
+        coloured = [one.rgb for one in each if one.rgb is not None]
+        colours = {
+            "coloured": np.array([one.rgb is not None for one in each], np.bool_),
+            "rgb": np.concatenate([*coloured, np.zeros((0, 3), np.uint8)]),
+        }
         save_arrays(
             path,
             {
@@ -67,7 +74,8 @@ class Surfaces:
                 "learned": np.array([one.learned for one in each], np.bool_),
                 "scene_id": np.int64(self.numbers.scene_id),
                 "image_ids": np.array(list(self.numbers.image_ids.items()), np.int64).reshape(-1, 2),
-            },
+            }
+            | (colours if coloured else {}),
         )
 
     @classmethod
@@ -83,14 +91,25 @@ class Surfaces:
             faces = np.split(arrays["faces"], np.cumsum(arrays["face_counts"])[:-1])
             names = arrays["names"].tolist()
             learned = arrays.get("learned", np.zeros(len(names), np.bool_)).tolist()
+            colours = _colours(arrays)
             numbers = _numbers(names, arrays) if "object_ids" in arrays else DatasetNumbers()
         except (ValueError, KeyError) as error:
             raise PipelineError(f"{path} is damaged: {error}") from error
         by_name = {
-            name: SceneSurface(vertices_m=points, faces=rows, learned=is_learned)
-            for name, points, rows, is_learned in zip(names, vertices, faces, learned, strict=True)
+            name: SceneSurface(vertices_m=points, faces=rows, learned=is_learned, rgb=rgb)
+            for name, points, rows, is_learned, rgb in zip(
+                names, vertices, faces, learned, colours, strict=True
+            )
         }
         return cls(by_name, numbers)
+
+
+def _colours(arrays: Mapping[str, NDArray]) -> list[NDArray[np.uint8] | None]:
+    """Of each surface; files from before colours were kept have none."""
+    counts = arrays["vertex_counts"]
+    coloured = arrays.get("coloured", np.zeros(len(counts), np.bool_))
+    rows = np.split(arrays.get("rgb", np.zeros((0, 3), np.uint8)), np.cumsum(counts * coloured)[:-1])
+    return [row if has else None for row, has in zip(rows, coloured, strict=True)]
 
 
 def _numbers(names: list[str], arrays: Mapping[str, NDArray]) -> DatasetNumbers:

@@ -15,6 +15,7 @@ from pipeline.export.meshes import checked, moved, shape_mesh
 from pipeline.meshes import Units
 from pipeline.publishing.values import RunValues
 from pipeline.shape_folder import usable
+from pipeline.surfaces import SceneSurface
 from shapes.prior import ShapePrior
 
 Origin = Literal["base", "middle", "grid"]
@@ -101,9 +102,15 @@ def looked_for_models(values: RunValues) -> list[ExportModel]:
     return [
         ExportModel(
             name=name,
-            mesh=checked(trimesh.Trimesh(one.vertices_m, one.faces, process=False), name),
+            mesh=checked(
+                trimesh.Trimesh(one.vertices_m, one.faces, vertex_colors=one.rgb, process=False), name
+            ),
             learned=one.learned,
             facts={"frame": GRID_FRAME if one.learned else OWN_FRAME},
         )
         for name, one in values.surfaces.by_name.items()
     ]
+
+
+def _own_mesh(surface: SceneSurface) -> trimesh.Trimesh:
+    return trimesh.Trimesh(surface.vertices_m, surface.faces, vertex_colors=surface.rgb, process=False)

@@ -118,7 +118,9 @@ def _posed_objects(values: RunValues) -> dict[str, tuple[trimesh.Trimesh, NDArra
     if scene is not None and values.surfaces is not None:
         for name, pose in scene.found_poses:
             surface = values.surfaces.by_name[str(name)]
-            mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
+            mesh = trimesh.Trimesh(
+                surface.vertices_m, surface.faces, vertex_colors=surface.rgb, process=False
+            )
             posed[str(name)] = (mesh, values.reference_from_parsed @ pose)
     return posed
 

@@ -3,11 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
+from PIL import Image
+from trimesh.visual import TextureVisuals
 
 from pipeline.errors import PipelineError
-from pipeline.meshes import load_meshes
+from pipeline.meshes import load_meshes, vertex_rgb
+from pipeline.shape_folder import load_surfaces
 
 
 def folder(tmp_path: Path, scale: float = 1.0, suffix: str = ".ply") -> Path:
@@ -59,3 +63,39 @@ def test_what_holds_no_mesh_is_refused(tmp_path: Path) -> None:
     trimesh.PointCloud([[0, 0, 0], [1, 0, 0]]).export(tmp_path / "broken.ply")
     with pytest.raises(PipelineError, match=r"broken\.ply"):
         load_meshes(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
+def test_colours_of_vertices_are_kept(tmp_path: Path, suffix: str) -> None:
+    """At the vertices that had them, whatever order the file brings."""
+    box = trimesh.creation.box((0.1, 0.2, 0.3))
+    rgb = np.where(box.vertices[:, 2:] > 0, [[200, 10, 30]], [[20, 110, 60]]).astype(np.uint8)
+    mesh = trimesh.Trimesh(box.vertices, box.faces, vertex_colors=rgb)
+    mesh.export(tmp_path / f"box{suffix}")
+    found = load_surfaces(tmp_path)["box"]
+
+    assert found.rgb is not None
+    expected = np.where(found.vertices_m[:, 2:] > 0, [[200, 10, 30]], [[20, 110, 60]])
+    np.testing.assert_allclose(found.rgb, expected, atol=1)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_textures_are_sampled_at_the_vertices(tmp_path: Path, suffix: str) -> None:
+    """Red above, blue below."""
+    picture = Image.fromarray(np.repeat(np.array([[[255, 0, 0]], [[0, 0, 255]]], np.uint8), 16, axis=0))
+    mesh = trimesh.creation.box((0.1, 0.2, 0.3))
+    heights = np.asarray(mesh.vertices)[:, 2]
+    uv = np.stack([np.full(len(heights), 0.5), np.where(heights > 0, 0.9, 0.1)], axis=1)
+    mesh.visual = TextureVisuals(uv=uv, image=picture)
+    mesh.export(tmp_path / f"box{suffix}")
+    found = load_surfaces(tmp_path)["box"]
+
+    assert found.rgb is not None
+    expected = np.where(found.vertices_m[:, 2:] > 0, [[255, 0, 0]], [[0, 0, 255]])
+    np.testing.assert_allclose(found.rgb, expected, atol=2)
+
+
+def test_a_mesh_without_colour_has_none(tmp_path: Path) -> None:
+    """The grey that a viewer would paint it in is nobody's measurement."""
+    assert vertex_rgb(load_meshes(folder(tmp_path))["box"]) is None
+    assert load_surfaces(tmp_path)["box"].rgb is None
