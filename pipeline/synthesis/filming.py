@@ -10,15 +10,17 @@ import trimesh
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
+from pipeline.synthesis.colours import muted_colour, shape_colour
 from pipeline.synthesis.furniture import clutter_piece, pedestal, table
 from pipeline.synthesis.paths import camera_path
 from pipeline.synthesis.placement import Table, rest_on_table
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.resting import RestingObject
-from pipeline.synthesis.rooms import muted_colour, room_parts
-from pipeline.synthesis.scenarios import FilmedScene, ObjectScene, TableScene
+from pipeline.synthesis.rooms import room_parts
+from pipeline.synthesis.scenarios import FilmedScene, ObjectScene, SyntheticScene, TableScene
 from pipeline.synthesis.solids import surface_of
-from pipeline.synthesis.world import Part, RayCaster, visible_fraction
+from pipeline.synthesis.visibility import pixel_counts, silhouette
+from pipeline.synthesis.world import Part, RayCaster
 from recordings.truth import TABLE, SceneTruth, TrueObject
 from recordings.types import Trajectory
 
@@ -36,14 +38,14 @@ def film_object(shape: str, mesh: trimesh.Trimesh, scene: ObjectScene, seed: int
         radius = 0.2 + float(mesh.extents.max())
         plate = Table(height_m=scene.height_m, radius_m=radius, spread_m=0.0)
         resting = rest_on_table([(shape, mesh)], plate, rng)[0]
-        posed = _object_part(resting, rng)
+        posed = object_part(resting)
         stand = surface_of(pedestal(radius, scene.height_m))
         parts = [Part(name=TABLE, mesh=stand, world_from_part=np.eye(4), colour=muted_colour(rng))]
-        truth = [_true_object(resting)]
+        truth = [true_object(resting)]
     else:
         pose = trimesh.transformations.random_rotation_matrix(rng.uniform(size=3))
         pose[:3, 3] = [0, 0, scene.height_m] - pose[:3, :3] @ mesh.bounds.mean(axis=0)
-        posed = Part(name=shape, mesh=mesh, world_from_part=pose, colour=_vivid_colour(rng))
+        posed = Part(name=shape, mesh=mesh, world_from_part=pose, colour=shape_colour(shape))
         parts = []
         truth = [_truth(shape, shape, mesh, pose)]
     target = trimesh.transform_points(mesh.bounds.mean(axis=0)[None], posed.world_from_part)[0]
@@ -62,11 +64,11 @@ def film_table(shapes: Mapping[str, trimesh.Trimesh], scene: TableScene, seed: i
     pile = _draw_pile(shapes, scene, support, rng)
     width = 2 * scene.table_radius_m
     top = surface_of(table(width, width, scene.table_height_m))
-    parts = [_object_part(resting, rng) for resting in pile]
+    parts = [object_part(resting) for resting in pile]
     parts.append(Part(name=TABLE, mesh=top, world_from_part=np.eye(4), colour=muted_colour(rng)))
-    parts += _clutter(scene.clutter, pile, support, rng)
+    parts += clutter_parts(scene.clutter, pile, support, rng)
     target = np.array([0.0, 0.0, scene.table_height_m + 0.05])
-    truth = [_true_object(resting) for resting in pile]
+    truth = [true_object(resting) for resting in pile]
     return _film(scene, parts, truth, target, scene.table_height_m, rng, seed)
 
 
@@ -79,21 +81,48 @@ def _film(
     rng: np.random.Generator,
     seed: int,
 ) -> SyntheticRecording:
-    """Surround `parts`, of which the first are `objects`, by the scene's room and lead the camera round."""
+    """Lead the camera round `parts`, of which the first are `objects`."""
     poses = camera_path(scene.path, target_m, rng)
+    stamps = np.round(np.arange(len(poses)) / scene.path.frames_per_second * 1e9).astype(np.int64)
+    trajectory = Trajectory(times_ns=stamps + FIRST_STAMP_NS, reference_from_camera=poses)
+    return film_along(trajectory, scene, parts, objects, support_height_m, rng, seed)
+
+
+def film_along(
+    trajectory: Trajectory,
+    scene: SyntheticScene,
+    parts: Sequence[Part],
+    objects: Sequence[TrueObject],
+    support_height_m: float | None,
+    rng: np.random.Generator,
+    seed: int,
+) -> SyntheticRecording:
+    """The film of parts, of which the first are `objects`, surrounded by the scene's room.
+
+    Args:
+        trajectory: of the camera in the world.
+        scene: lens, sensor, room.
+        parts: what stands in the world.
+        objects: the truth about the first of them.
+        support_height_m: height of the top on which they stand; None where there is none.
+        rng: draws the room.
+        seed: of the sensor's noise.
+    """
+    poses = trajectory.reference_from_camera
     reach = np.linalg.norm(poses[:, :2, 3], axis=1).max()
     parts = [*parts, *room_parts(scene.room, float(reach), rng)]
     intrinsics = scene.camera.intrinsics
-    caster = RayCaster(parts)
-    visible = [visible_fraction(caster, index, intrinsics, poses[0]) for index in range(len(objects))]
+    shown = RayCaster(parts).view(intrinsics, poses[0]).part
+    visible = [
+        pixel_counts(silhouette(part, intrinsics, poses[0]), shown == index).visible_fraction
+        for index, part in enumerate(parts[: len(objects)])
+    ]
     truth = SceneTruth(
         objects=tuple(
             replace(one, visible_fraction=share) for one, share in zip(objects, visible, strict=True)
         ),
         support_plane=None if support_height_m is None else np.array([0.0, 0.0, 1.0, -support_height_m]),
     )
-    stamps = np.round(np.arange(len(poses)) / scene.path.frames_per_second * 1e9).astype(np.int64)
-    trajectory = Trajectory(times_ns=stamps + FIRST_STAMP_NS, reference_from_camera=poses)
     return SyntheticRecording(parts, truth, trajectory, intrinsics, scene.sensor, seed)
 
 
@@ -115,11 +144,11 @@ def _draw_pile(
     raise AssertionError("unreachable")
 
 
-def _clutter(
+def clutter_parts(
     count: int, pile: Sequence[RestingObject], support: Table, rng: np.random.Generator
 ) -> list[Part]:
     """Things of no known shape, standing apart on the table where there is room for them."""
-    standing = RayCaster([_object_part(resting, rng) for resting in pile])
+    standing = RayCaster([object_part(resting) for resting in pile])
     parts: list[Part] = []
     for _ in range(20 * count):
         if len(parts) == count:
@@ -137,16 +166,18 @@ def _clutter(
     return parts
 
 
-def _object_part(resting: RestingObject, rng: np.random.Generator) -> Part:
+def object_part(resting: RestingObject) -> Part:
+    """The object's surface in the world, in its shape's colour."""
     return Part(
         name=resting.name,
         mesh=resting.mesh,
         world_from_part=resting.world_from_object,
-        colour=_vivid_colour(rng),
+        colour=shape_colour(resting.shape),
     )
 
 
-def _true_object(resting: RestingObject) -> TrueObject:
+def true_object(resting: RestingObject) -> TrueObject:
+    """What the truth says of an object at rest; nothing has been seen of it yet."""
     return replace(
         _truth(resting.name, resting.shape, resting.mesh, resting.world_from_object),
         parent=resting.parent,
@@ -166,10 +197,3 @@ def _truth(name: str, shape: str, mesh: trimesh.Trimesh, pose: NDArray[np.float6
         contact_faces=None,
         visible_fraction=0.0,
     )
-
-
-def _vivid_colour(rng: np.random.Generator) -> tuple[int, int, int]:
-    """A random saturated colour."""
-    hue = rng.uniform(0, 2 * np.pi) + np.array([0, 2, 4]) * np.pi / 3
-    red, green, blue = (int(value) for value in 140 + 95 * np.cos(hue))
-    return red, green, blue

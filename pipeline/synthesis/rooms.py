@@ -13,6 +13,7 @@ import trimesh
 from manifold3d import Manifold
 from numpy.typing import NDArray
 
+from pipeline.synthesis.colours import muted_colour
 from pipeline.synthesis.furniture import clutter_piece, free_piece, wall_piece
 from pipeline.synthesis.solids import block, surface_of
 from pipeline.synthesis.world import Part
@@ -83,12 +84,6 @@ def on_floor(place_m: NDArray[np.float64], yaw_rad: float) -> NDArray[np.float64
     pose = trimesh.transformations.rotation_matrix(yaw_rad, [0, 0, 1])
     pose[:2, 3] = place_m
     return pose
-
-
-def muted_colour(rng: np.random.Generator) -> tuple[int, int, int]:
-    """A random colour of low saturation."""
-    red, green, blue = (int(value) for value in rng.uniform(70, 215) + rng.uniform(-35, 35, size=3))
-    return red, green, blue
 
 
 def _outline(config: RoomConfig, clear_radius_m: float, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -56,19 +56,28 @@ class CameraConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilmedScene:
+class SyntheticScene:
     """What every scene has.
 
     Attributes:
         camera: image size and lens.
         sensor: noise, and what does not return.
         room: what surrounds the scene.
-        path: how the camera moves round it.
     """
 
     camera: CameraConfig = field(default_factory=CameraConfig)
     sensor: DepthSensor = field(default_factory=DepthSensor)
     room: RoomConfig = field(default_factory=RoomConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmedScene(SyntheticScene):
+    """A scene round which the camera is led.
+
+    Attributes:
+        path: how it moves.
+    """
+
     path: PathConfig = field(default_factory=PathConfig)
 
 

@@ -113,34 +113,5 @@ def pixel_directions(intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
     return intrinsics.rays(np.arange(intrinsics.width)[None, :], np.arange(intrinsics.height)[:, None])
 
 
-def visible_fraction(
-    caster: RayCaster, part: int, intrinsics: CameraIntrinsics, world_from_camera: NDArray[np.float64]
-) -> float:
-    """Share of a part's pixels that the image shows, out of those of an image that holds all of it.
-
-    Zero where the part stands wholly or partly behind the camera.
-    """
-    posed = caster.parts[part]
-    points = trimesh.transform_points(
-        posed.mesh.vertices, np.linalg.inv(world_from_camera) @ posed.world_from_part
-    )
-    if points[:, 2].min() <= 0:
-        return 0.0
-    u = intrinsics.fx * points[:, 0] / points[:, 2] + intrinsics.cx
-    v = intrinsics.fy * points[:, 1] / points[:, 2] + intrinsics.cy
-    left, top = int(np.floor(u.min())), int(np.floor(v.min()))
-    window = CameraIntrinsics(
-        width=int(np.ceil(u.max())) - left + 1,
-        height=int(np.ceil(v.max())) - top + 1,
-        fx=intrinsics.fx,
-        fy=intrinsics.fy,
-        cx=intrinsics.cx - left,
-        cy=intrinsics.cy - top,
-    )
-    alone = np.isfinite(RayCaster([posed]).view(window, world_from_camera).depth_m).sum()
-    shown = (caster.view(intrinsics, world_from_camera).part == part).sum()
-    return float(shown / alone) if alone else 0.0
-
-
 def _tensor(values: NDArray) -> o3d.core.Tensor:
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(values))

@@ -4,7 +4,8 @@ import numpy as np
 import open3d as o3d
 import trimesh
 
-from pipeline.synthesis.world import NOTHING, Part, RayCaster, pixel_directions, visible_fraction
+from pipeline.synthesis.visibility import pixel_counts, silhouette
+from pipeline.synthesis.world import NOTHING, Part, RayCaster, pixel_directions
 from recordings.types import CameraIntrinsics
 
 LENS = CameraIntrinsics(width=64, height=48, fx=61.3, fy=59.1, cx=30.2, cy=25.7)
@@ -79,7 +80,9 @@ def test_visible_fraction_counts_what_hides_and_what_the_image_cuts_off() -> Non
     screen = part(trimesh.creation.box((1, 1, 0.001)), (0.5, 0, 1.9))
 
     def visible(offset_m: tuple[float, float, float], *others: Part) -> float:
-        return visible_fraction(RayCaster([part(square, offset_m), *others]), 0, LENS, np.eye(4))
+        parts = [part(square, offset_m), *others]
+        shown = RayCaster(parts).view(LENS, np.eye(4)).part == 0
+        return pixel_counts(silhouette(parts[0], LENS, np.eye(4)), shown).visible_fraction
 
     assert visible((0, 0, 2)) == 1
     assert abs(visible((0, 0, 2), screen) - 0.5) < 0.06
