@@ -22,13 +22,14 @@ from pipeline.synthesis.paths import PathConfig, camera_path
 from pipeline.synthesis.placement import Table, rest_on_table
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.resting import RestingObject
+from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, SyntheticScene
 from pipeline.synthesis.sensor import DepthSensor
 from pipeline.synthesis.solids import surface_of
 from pipeline.synthesis.visibility import PixelCounts, Silhouette, pixel_counts, silhouette
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.truth import TABLE
-from recordings.types import CameraIntrinsics, Trajectory
+from recordings.types import CameraIntrinsics, DepthNoise, Trajectory
 
 KINDS: Mapping[str, tuple[float, float]] = {
     "single": (0.95, 1.0),
@@ -37,14 +38,18 @@ KINDS: Mapping[str, tuple[float, float]] = {
     "occluded": (0.1, 0.6),
 }
 """The kinds of images with the limits of the target's visible fraction."""
+DEPTH_UNIT_M = 0.0001
+"""Of a stored 1, as in YCB-Video."""
+MOST_STORED = 65534
+"""Of 16 bits; 65535 reads as saturated."""
 BAND = 0.03
 """A wanted visible fraction is met within so much."""
 ARRANGEMENTS = 60
 """Arrangements of objects tried for one image."""
 CAMERAS = 10
 """Cameras tried for one arrangement."""
-WANTED_FOR = 2
-"""Arrangements after which another visible fraction is wanted: some are out of a shape's reach."""
+WANTED_FOR = 4
+"""Arrangements after which any fraction within the limits will do: some are out of a shape's reach."""
 PREVIEW = 4
 """The camera is drawn and steered in images so many times smaller."""
 STEPS = 9
@@ -55,6 +60,8 @@ BORDER_RAD = np.radians(60.0)
 """Turned by so much, a camera of any usual lens has lost what it looked at."""
 BESIDE_RAD = np.radians(60.0)
 """Seen from so far beside the line through both objects, one hides little of the other."""
+Wanted = tuple[float, float]
+"""A visible fraction, and how far from it will do."""
 HIDDEN_BY_OBJECT = 0.9
 """Share of the hidden pixels that another object, and not clutter, must hide."""
 
@@ -75,7 +82,12 @@ class ChallengingScene(SyntheticScene):
     """
 
     camera: CameraConfig = field(default_factory=lambda: CameraConfig(width=640, height=480))
-    sensor: DepthSensor = field(default_factory=lambda: DepthSensor(quantisation_m=0.0001))
+    sensor: DepthSensor = field(
+        default_factory=lambda: DepthSensor(
+            quantisation_m=DEPTH_UNIT_M, noise=DepthNoise(max_range_m=MOST_STORED * DEPTH_UNIT_M)
+        )
+    )
+    room: RoomConfig = field(default_factory=lambda: RoomConfig(kind="none"))
     distance_m: tuple[float, float] = (0.6, 1.1)
     elevation_deg: tuple[float, float] = (15.0, 65.0)
     aim_error_deg: float = 3.0
@@ -182,27 +194,29 @@ def challenging_image(
     """
     rng = np.random.default_rng(seed)
     low, high = scene.limits(kind)
-    wanted, tried, arranged = 0.0, 0, 0
+    wanted, tried, arranged = low, 0, 0
     for number in range(ARRANGEMENTS):
-        if number % WANTED_FOR == 0:
+        if number == 0 or number >= WANTED_FOR:
             wanted = rng.uniform(low, high)
+        band = BAND if number < WANTED_FOR else np.inf
         arrangement = _arranged(shapes, kind, target, scene, rng)
         arranged += arrangement is not None
         for _ in range(CAMERAS if arrangement else 0):
             assert arrangement is not None
             tried += 1
-            pose = _CAMERAS[kind](arrangement, scene, wanted, rng)
-            if pose is not None and _is_wanted(kind, arrangement, scene, pose, wanted):
+            pose = _CAMERAS[kind](arrangement, scene, (wanted, band), rng)
+            if pose is not None and _is_wanted(kind, arrangement, scene, pose, (wanted, band)):
                 return _filmed(kind, arrangement, scene, pose, rng)
     if not arranged:
         raise PipelineError(f"{target} finds no place in a {kind} arrangement ({ARRANGEMENTS} tried)")
     raise PipelineError(
-        f"no {kind} image shows {low:g} to {high:g} of {target}: {tried} cameras tried in {arranged} arrangements"
+        f"no {kind} image shows {low:g} to {high:g} of {target}:"
+        f" {tried} cameras tried in {arranged} arrangements"
     )
 
 
 def unplaceable(shapes: Mapping[str, trimesh.Trimesh], kind: str, scene: ChallengingScene) -> dict[str, str]:
-    """Shapes that cannot be the target of a kind, with the reason: none rests, or stands on or under another."""
+    """Shapes that cannot be the target of a kind, with the reason."""
     refused = {}
     for number, name in enumerate(sorted(shapes)):
         rng = np.random.default_rng([number, *map(ord, kind)])
@@ -254,16 +268,16 @@ def _looking_at_target(
 
 
 def _any_camera(
-    arrangement: _Arrangement, scene: ChallengingScene, wanted: float, rng: np.random.Generator
+    arrangement: _Arrangement, scene: ChallengingScene, wanted: Wanted, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """In any direction, unless a small image shows already that it is not what is wanted."""
     pose = _looking_at_target(arrangement, scene, rng.uniform(0, 2 * np.pi), rng)
     fraction = _target_counts(arrangement, _preview(scene), pose).visible_fraction
-    return pose if abs(fraction - wanted) < 2 * BAND else None
+    return pose if abs(fraction - wanted[0]) < 2 * wanted[1] else None
 
 
 def _camera_that_cuts(
-    arrangement: _Arrangement, scene: ChallengingScene, wanted: float, rng: np.random.Generator
+    arrangement: _Arrangement, scene: ChallengingScene, wanted: Wanted, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """Turned away from the target until the image's border leaves the wanted share of it."""
     straight = _looking_at_target(arrangement, scene, rng.uniform(0, 2 * np.pi), rng)
@@ -281,12 +295,12 @@ def _camera_that_cuts(
         inside = alone.in_image(preview.width, preview.height).sum()
         return 1 - float(inside) / max(alone.pixels, 1)
 
-    angle = _where(cut, 1 - wanted, BORDER_RAD)
+    angle = _where(cut, 1 - wanted[0], BORDER_RAD)
     return None if angle is None else turned(angle)
 
 
 def _camera_behind_another(
-    arrangement: _Arrangement, scene: ChallengingScene, wanted: float, rng: np.random.Generator
+    arrangement: _Arrangement, scene: ChallengingScene, wanted: Wanted, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """Led round from where the other object hides most until the wanted share of the target shows."""
     towards = arrangement.others_m - arrangement.target_m
@@ -300,13 +314,13 @@ def _camera_behind_another(
     def shown(angle: float) -> float:
         return _target_counts(arrangement, _preview(scene), beside(angle)).visible_fraction
 
-    angle = _where(shown, wanted, BESIDE_RAD)
+    angle = _where(shown, wanted[0], BESIDE_RAD)
     return None if angle is None else beside(angle)
 
 
 _CAMERAS: Mapping[
     str,
-    Callable[[_Arrangement, ChallengingScene, float, np.random.Generator], NDArray[np.float64] | None],
+    Callable[[_Arrangement, ChallengingScene, Wanted, np.random.Generator], NDArray[np.float64] | None],
 ] = {
     "single": _any_camera,
     "stacked": _any_camera,
@@ -340,14 +354,15 @@ def _target_counts(
 
 
 def _is_wanted(
-    kind: str, arrangement: _Arrangement, scene: ChallengingScene, pose: NDArray[np.float64], wanted: float
+    kind: str, arrangement: _Arrangement, scene: ChallengingScene, pose: NDArray[np.float64], wanted: Wanted
 ) -> bool:
     """Whether the full image has what its kind asks for."""
     low, high = scene.limits(kind)
     intrinsics = scene.camera.intrinsics
     target = _target_counts(arrangement, intrinsics, pose)
     fraction = target.visible_fraction
-    if not low <= fraction <= high or (high - low > 2 * BAND and abs(fraction - wanted) > BAND):
+    share, band = wanted
+    if not low <= fraction <= high or (high - low > 2 * BAND and abs(fraction - share) > band):
         return False
     if kind == "partial":
         return target.shown >= (1 - BAND) * target.inside

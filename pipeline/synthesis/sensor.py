@@ -57,7 +57,8 @@ class DepthSensor:
         noise_key, edge_key = jax.random.split(key)
         depth = np.array(sample(noise_key, self.noise, jnp.asarray(view.depth_m)))
         if self.quantisation_m > 0:
-            depth = np.round(depth / self.quantisation_m) * self.quantisation_m
+            # by division, as files are read: the same bits as a stored depth
+            depth = np.round(depth / self.quantisation_m) / np.float32(1 / self.quantisation_m)
         hit = np.isfinite(view.depth_m)
         depth[hit & (view.cos_incidence < np.cos(np.radians(self.grazing_limit_deg)))] = NO_RETURN
         drop = jax.random.bernoulli(edge_key, self.edge_none_probability, depth.shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from pipeline.synthesis.recording import SyntheticRecording
@@ -13,11 +13,20 @@ MILLIMETRE_M = 0.001
 
 
 def write_recording(
-    recording: SyntheticRecording, path: Path, progress: Callable[[int, int], None] | None = None
+    recording: SyntheticRecording,
+    path: Path,
+    progress: Callable[[int, int], None] | None = None,
+    metadata: Mapping[str, Mapping[str, str]] | None = None,
 ) -> None:
-    """Write an MCAP file whole or not at all; `progress` is told frames done and frames in all.
+    """Write an MCAP file whole or not at all.
 
     Depth is stored in 16-bit millimetres where the sensor's quantisation allows, else in 32-bit metres.
+
+    Args:
+        recording: what is filmed.
+        path: of the file.
+        progress: is told frames done and frames in all.
+        metadata: records of the file by name.
 
     Raises:
         RecordingError: the file cannot be written.
@@ -26,6 +35,8 @@ def write_recording(
     unit_m = MILLIMETRE_M if recording.sensor.in_millimetres else None
     with RecordingWriter(path, recording.intrinsics, depth_unit_m=unit_m) as writer:
         write_scene_truth(writer, recording.truth, int(recording.trajectory.times_ns[0]))
+        for name, values in (metadata or {}).items():
+            writer.write_metadata(name, values)
         for index, frame in enumerate(recording):
             writer.write_camera_pose(frame.time_ns, poses[index])
             writer.write_depth(frame)
