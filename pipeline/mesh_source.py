@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from pipeline.bop_numbers import ids_of_models, ids_of_names, numbered
 from pipeline.errors import PipelineError
 from pipeline.meshes import Units, load_meshes
 
@@ -53,6 +54,14 @@ class MeshSource:
         """
         known = _loaded(self.folder, self.units)
         return {name: known[name] for name in self.names} if self.names else known
+
+    @property
+    def ids(self) -> dict[str, int]:
+        """BOP's number of each mesh: that of its name, of models_info.json, or its place in the folder."""
+        known = _loaded(self.folder, self.units)
+        listed = ids_of_models(self.folder) if self.folder else {}
+        ids = numbered(known, ids_of_names(known), listed)
+        return {name: ids[name] for name in self.meshes}
 
     @property
     def hashes(self) -> dict[str, str]:

@@ -1,78 +1,122 @@
-"""What `bench poses` found, object by object, and the figures of its rows."""
+"""The figures of `bench poses`: errors by kind, shape and visible fraction, differences between columns."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from pipeline.errors import PipelineError
+from pipeline.benchmarks.paired_intervals import compared
+from pipeline.benchmarks.pose_images import ImageKey
+from pipeline.benchmarks.pose_rows import Judged
 from pipeline.evaluation.object_poses import error_figures
 
+RIGHT_M = 0.01
+"""Errors under this count as right."""
+BIN_EDGES = (0.0, 0.05, 0.25, 0.5, 0.75, 1.0)
+"""Between the bins of the visible fraction."""
+TABLE_KIND = "table"
 
-@dataclass(frozen=True, kw_only=True)
-class Judged:
-    """One method's error on one object.
 
-    Attributes:
-        method: its name.
-        setting: the one that was chosen for it; empty where there is no choice.
-        table: number of the table.
-        shape: of the object.
-        error_m: ADD-S.
-        visible_fraction: of the object.
-        stacked: the object rests on another.
-        flush: it rests on a face of its bounding box.
-        parent_right: where the method tells parents.
-        seconds: that the method took for the whole table, without compiling.
+def pose_figures(judged: Sequence[Judged], seconds: Mapping[str, Mapping[ImageKey, float]]) -> dict[str, Any]:
+    """Everything that is printed.
+
+    Args:
+        judged: rows of all methods.
+        seconds: of each method on each image.
     """
-
-    method: str
-    setting: str
-    table: int
-    shape: str
-    error_m: float
-    visible_fraction: float
-    stacked: bool
-    flush: bool
-    parent_right: bool | None
-    seconds: float
-
-
-def pose_figures(judged: Sequence[Judged]) -> dict[str, Any]:
-    """The figures of each method: rows of errors, edges, seconds."""
-    methods = dict.fromkeys(one.method for one in judged)
+    methods = list(dict.fromkeys(one.method for one in judged))
+    by_method = {method: [one for one in judged if one.method == method] for method in methods}
     return {
-        "tables": len({one.table for one in judged}),
-        "methods": {method: _figures([one for one in judged if one.method == method]) for method in methods},
+        "images": len({one.image for one in judged}),
+        "methods": {method: _figures(rows, seconds.get(method, {})) for method, rows in by_method.items()},
+        "by_shape": _by_shape(judged, methods),
+        "by_visible_fraction": _by_visible_fraction(judged, methods),
+        "differences": differences(judged, methods),
     }
 
 
-def _figures(judged: Sequence[Judged]) -> dict[str, Any]:
-    rows = {
-        "all": judged,
-        "on the table": [one for one in judged if not one.stacked],
-        "stacked": [one for one in judged if one.stacked],
-    }
-    seconds = list({one.table: one.seconds for one in judged}.values())
+def groups(judged: Sequence[Judged]) -> dict[str, list[Judged]]:
+    """All rows, those of each kind, and on tables those that stand on it and those that are stacked."""
+    kinds = list(dict.fromkeys(one.kind for one in judged))
+    found = {"all": list(judged)}
+    if len(kinds) > 1:
+        found |= {kind: [one for one in judged if one.kind == kind] for kind in kinds}
+    tables = [one for one in judged if one.kind == TABLE_KIND]
+    found["on the table"] = [one for one in tables if not one.stacked]
+    found["stacked on tables"] = [one for one in tables if one.stacked]
+    return {name: rows for name, rows in found.items() if rows}
+
+
+def differences(judged: Sequence[Judged], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """The first method's share of right objects less each other's, by kind and by visible fraction."""
+    if len(methods) < 2:
+        return []
+    found = []
+    for group, rows in groups(judged).items():
+        for bin_, members in {"": rows, **_bins(rows)}.items():
+            right = {
+                method: {_object(one): one.error_m < RIGHT_M for one in members if one.method == method}
+                for method in methods
+            }
+            images = {_object(one): one.image for one in members}
+            for other in methods[1:]:
+                difference = compared(right, methods[0], other, images)
+                if difference is not None:
+                    about = {"group": group, "visible": bin_, "first": methods[0], "second": other}
+                    found.append(about | asdict(difference))
+    return found
+
+
+def _figures(rows: Sequence[Judged], seconds: Mapping[ImageKey, float]) -> dict[str, Any]:
+    times = list(seconds.values())
     return {
-        "setting": judged[0].setting,
-        "rows": {
-            row: {"objects": len(ones), **error_figures([one.error_m for one in ones])}
-            for row, ones in rows.items()
-            if ones
-        },
+        "setting": rows[0].setting,
+        "rows": {group: _errors(ones) for group, ones in groups(rows).items()},
         "edges": {
-            "flush": _edges(one for one in judged if one.flush),
-            "other": _edges(one for one in judged if not one.flush),
+            "flush": _edges(one for one in rows if one.flush),
+            "other": _edges(one for one in rows if not one.flush),
         },
-        "seconds_median": float(np.median(seconds)),
-        "seconds_most": float(np.max(seconds)),
+        "seconds_median": float(np.median(times)) if times else None,
+        "seconds_most": float(np.max(times)) if times else None,
     }
+
+
+def _by_shape(judged: Sequence[Judged], methods: Sequence[str]) -> list[dict[str, Any]]:
+    places = dict.fromkeys((one.kind, one.shape) for one in judged)
+    return [
+        {"kind": kind, "shape": shape, "method": method, **_errors(rows)}
+        for kind, shape in sorted(places)
+        for method in methods
+        if (rows := [one for one in judged if (one.kind, one.shape, one.method) == (kind, shape, method)])
+    ]
+
+
+def _by_visible_fraction(judged: Sequence[Judged], methods: Sequence[str]) -> list[dict[str, Any]]:
+    return [
+        {"visible": bin_, "method": method, **_errors(rows)}
+        for bin_, members in _bins(judged).items()
+        for method in methods
+        if (rows := [one for one in members if one.method == method])
+    ]
+
+
+def _bins(judged: Iterable[Judged]) -> dict[str, list[Judged]]:
+    """Rows by how much of the object is seen, where somebody counted."""
+    bins: dict[str, list[Judged]] = {f"{low:.0%} to {high:.0%}": [] for low, high in pairwise(BIN_EDGES)}
+    names = list(bins)
+    for one in judged:
+        if one.visible_fraction is not None:
+            place = int(np.digitize(one.visible_fraction, BIN_EDGES[1:-1]))
+            bins[names[place]].append(one)
+    return {name: rows for name, rows in bins.items() if rows}
+
+
+def _errors(rows: Sequence[Judged]) -> dict[str, Any]:
+    return {"objects": len(rows), **error_figures([one.error_m for one in rows])}
 
 
 def _edges(judged: Iterable[Judged]) -> dict[str, Any]:
@@ -80,33 +124,5 @@ def _edges(judged: Iterable[Judged]) -> dict[str, Any]:
     return {"rests": len(told), "right": float(np.mean(told)) if told else None}
 
 
-def append_rows(path: Path, judged: Sequence[Judged]) -> None:
-    """Add rows to a CSV file, which is begun if there is none."""
-    begun = path.exists() and path.stat().st_size > 0
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Judged)])
-        if not begun:
-            writer.writeheader()
-        writer.writerows(asdict(one) for one in judged)
-
-
-def read_rows(path: Path) -> list[Judged]:
-    """What `append_rows` wrote; nothing where there is no file.
-
-    Raises:
-        PipelineError: the file holds something else.
-    """
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        try:
-            return [_judged(row) for row in csv.DictReader(file)]
-        except (KeyError, ValueError, TypeError) as error:
-            raise PipelineError(f"{path} was not written by bench poses: {error}") from error
-
-
-def _judged(row: dict[str, str]) -> Judged:
-    truth = {"True": True, "False": False, "": None}
-    flags = {name: truth[row[name]] for name in ("stacked", "flush", "parent_right")}
-    numbers = {name: float(row[name]) for name in ("error_m", "visible_fraction", "seconds")}
-    return Judged(**(row | flags | numbers | {"table": int(row["table"])}))  # pyright: ignore[reportArgumentType]
+def _object(one: Judged) -> tuple[ImageKey, str]:
+    return one.image, one.name

@@ -1,241 +1,199 @@
-"""Poses of known objects on synthetic tables: ours, ours without a graph (3DP3*), and registration peers.
+"""Poses of known objects, judged image by image: ours, ours without a graph (3DP3*), peers, other programs.
 
-Only depth is given. Peers get the points over the true table plane, or those of the object alone (its true
-mask); their settings are chosen on other tables.
+A task is one image with the methods that have not been tried on it; whatever is random in it comes from its
+numbers, so that rows do not depend on where and in which order images are judged.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
-import trimesh
 
-from pipeline.benchmarks.learned_objects import Sought
-from pipeline.benchmarks.pose_figures import Judged
-from pipeline.benchmarks.pose_presence import Reported
-from pipeline.benchmarks.pose_tables import FilmedTable, make_table, observed_points
-from pipeline.evaluation.object_poses import add_s_m, model_points
-from pipeline.evaluation.scenes import ObjectError, object_errors, parents_right
-from pipeline.peers.registration import Model, Register, settings
-from pipeline.timing import Timing, timed
-from recordings.truth import TrueObject
-from recordings.types import DepthNoise
-from scene.config import ParseConfig
-from scene.parsing import parse_scene
-from scene.result import SceneResult
+from pipeline.benchmarks.pose_images import ImageKey, PoseImage
+from pipeline.benchmarks.pose_methods import Estimated, Method, Registration, registration_error_m
+from pipeline.benchmarks.pose_rows import Judged, KeptRows
+from pipeline.benchmarks.pose_sources import PoseSource, Tables
+from pipeline.errors import PipelineError
+from pipeline.evaluation.scenes import ObjectError, object_errors
+from pipeline.fingerprints import METHOD, source_hash
+from pipeline.mesh_source import MeshSource
+from pipeline.quiet_stdout import stdout_to_stderr
+from pipeline.task_engine import Executors, Task, run_tasks
+from recordings.truth import TABLE
 
-OURS = {"voxscene": ParseConfig(), "3DP3* (fixed graph)": ParseConfig(graph="fixed")}
-TUNING_SEED, TUNING_TABLES = 900_000, 2
-TUNING_S = 15.0
-"""Time that a peer's settings get on the tuning tables, all of them on the same objects."""
-FEWEST_POINTS = 60
-GROWTH_TABLES = 3
-GROWTH_SEED = 800_000
+TUNING_SEED, TUNING_TABLES = 900_000, 1
+TUNING_OBJECTS = 3
+"""On each tuning table, on which the settings of peers are tried."""
+COMPUTES = (*METHOD, *(f"pipeline.{part}" for part in ("benchmarks", "evaluation", "peers", "synthesis")))
+"""Where the sources are that decide a row."""
+MOST_ERROR_M = 0.1
+"""Larger errors count as this when settings are compared."""
 
-
-@dataclass(frozen=True)
-class Peer:
-    """A registration method: its name among `settings()`, and whether it gets true masks."""
-
-    name: str
-    masked: bool
+Found = list[tuple[str, list[Judged], float]]
+"""Method, rows and seconds."""
 
 
-PEERS = {
-    "FPFH + RANSAC + ICP": Peer("fpfh", masked=False),
-    "FPFH + RANSAC + ICP, true masks": Peer("fpfh", masked=True),
-    "24-start ICP": Peer("icp24", masked=False),
-    "24-start ICP, true masks": Peer("icp24", masked=True),
-}
+def judged_images(
+    source: PoseSource,
+    methods: Sequence[Method],
+    executors: Executors,
+    at_once: int,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[tuple[ImageKey, Found]]:
+    """Rows of every image, those that were kept before first.
+
+    The first image of each kind is judged before the others start: it compiles for all.
+
+    Args:
+        source: of the images.
+        methods: the columns.
+        executors: where images are judged.
+        at_once: so many of them.
+        folder: rows found there are taken from it, and new ones are kept there.
+        progress: is told images done and in all.
+
+    Raises:
+        PipelineError: an image cannot be made or judged; the rows of others are kept.
+    """
+    before = dict(kept_images(source, methods, folder))
+    yield from ((key, found) for key, found in before.items() if len(found) == len(methods))
+    missing = {
+        key: tuple(one for one in methods if one.title not in {title for title, *_ in before.get(key, [])})
+        for key in source.places()
+    }
+    missing = {key: untried for key, untried in missing.items() if untried}
+    done, total = len(source.places()) - len(missing), len(source.places())
+    if progress:
+        progress(done, total)
+    first = list({key.kind: key for key in reversed(missing)}.values())
+    for batch, limit in ((first, 1), ([key for key in missing if key not in first], at_once)):
+        tasks = {
+            str(key): Task(name=str(key), call=judge_image, arguments=(source, key, missing[key]))
+            for key in batch
+        }
+        keys = {str(key): key for key in batch}
+        for outcome in run_tasks(list(tasks.values()), executors, limit):
+            if outcome.error is not None or outcome.result is None:
+                raise PipelineError(f"image {outcome.task.name}: {outcome.error}") from outcome.error
+            key, found = keys[outcome.task.name], outcome.result
+            _keep(folder, source, missing[key], key, found)
+            done += 1
+            if progress:
+                progress(done, total)
+            yield key, [*before.get(key, []), *found]
 
 
-class PoseBench:
-    """The bench over a set of meshes."""
+def kept_images(
+    source: PoseSource, methods: Sequence[Method], folder: Path | None
+) -> Iterator[tuple[ImageKey, Found]]:
+    """What a folder holds of every image, without judging any."""
+    kept = {method.title: KeptRows(folder, _about(source, method)) for method in methods}
+    for key in source.places():
+        rows = [(title, one.find(key, title)) for title, one in kept.items()]
+        found = [(title, *one) for title, one in rows if one is not None]
+        if found:
+            yield key, found
 
-    def __init__(
-        self,
-        meshes: Mapping[str, trimesh.Trimesh],
-        objects: int,
-        seed: int,
-        sought: Callable[[str, trimesh.Trimesh], Sought],
-    ) -> None:
-        """Prepare the meshes for every method.
 
-        Args:
-            meshes: by name; tables draw from them.
-            objects: on each table.
-            seed: of the first table.
-            sought: what is looked for in place of a mesh.
-        """
-        self._meshes, self._count, self._seed = meshes, objects, seed
-        self._sought, self._make = {}, sought
-        self._models = {name: Model.of(mesh) for name, mesh in meshes.items()}
+def _keep(
+    folder: Path | None, source: PoseSource, methods: Sequence[Method], key: ImageKey, found: Found
+) -> None:
+    for method, (title, rows, seconds) in zip(methods, found, strict=True):
+        KeptRows(folder, _about(source, method)).keep(key, title, rows, seconds)
 
-    def tuned(self, peers: Sequence[str]) -> dict[str, str]:
-        """The setting of each peer that does best on the tuning tables, in the time that it gets."""
-        tables = [
-            make_table(self._meshes, self._count, TUNING_SEED + number)
-            for number in range(TUNING_TABLES if peers else 0)
+
+def judge_image(source: PoseSource, key: ImageKey, methods: Sequence[Method]) -> Found:
+    """What each method makes of one image."""
+    with stdout_to_stderr():
+        image = source.image(key)
+        found = []
+        for method in methods:
+            estimated = method.estimate(image, source.shapes)
+            found.append((method.title, judgements(image, method, estimated), estimated.seconds))
+    return found
+
+
+def judgements(image: PoseImage, method: Method, estimated: Estimated) -> list[Judged]:
+    """The rows of an image's objects."""
+    errors: dict[str, ObjectError] = {
+        one.name: one
+        for one in object_errors(image.objects, image.meshes, image.camera_from_world, estimated.poses)
+    }
+    return [
+        Judged(
+            method=method.title,
+            setting=method.setting,
+            kind=image.key.kind,
+            scene_id=image.key.scene_id,
+            im_id=image.key.im_id,
+            name=one.name,
+            shape=one.shape,
+            error_m=errors[one.name].add_s_m,
+            visible_fraction=one.visible_fraction,
+            stacked=one.parent not in {TABLE, None},
+            flush=one.contact_faces is not None,
+            parent_right=estimated.parents_right.get(one.name),
+            score=estimated.scores.get(one.shape),
+            estimate=_rows_of(errors[one.name].estimate),
+        )
+        for one in image.objects
+    ]
+
+
+def tuned(method: Registration, shapes: MeshSource, choices: Sequence[str]) -> Registration:
+    """The peer with its setting of least mean error, 10 cm at most each, on tables of their own."""
+    if len(choices) == 1:
+        return replace(method, setting=choices[0])
+    objects = min(TUNING_OBJECTS, len(shapes.meshes))
+    numbers = tuple(range(TUNING_TABLES))
+    tables = Tables(shapes=shapes, objects=objects, seed=TUNING_SEED, numbers=numbers)
+    images = [tables.image(key) for key in tables.places()]
+
+    def mean_error(setting: str) -> float:
+        tried = replace(method, setting=setting)
+        errors = [
+            min(registration_error_m(tried, image, shapes, index), MOST_ERROR_M)
+            for image in images
+            for index in range(len(image.objects))
         ]
-        return {title: self._best_setting(PEERS[title], tables) for title in peers}
+        return float(np.mean(errors))
 
-    def judge(self, number: int, peers: Mapping[str, str]) -> list[Judged]:
-        """Every method's errors on table `number`.
-
-        Args:
-            number: of the table.
-            peers: names of `PEERS` with their settings.
-        """
-        table = make_table(self._meshes, self._count, self._seed + number)
-        judged = []
-        for name, config in OURS.items():
-            scene, timing = self._parsed(table, config)
-            judged += self._judged(number, table, name, scene, timing.seconds)
-        for title, setting in peers.items():
-            begun = time.perf_counter()
-            errors = self._peer_errors(table, PEERS[title], setting)
-            seconds = time.perf_counter() - begun
-            judged += [
-                _judgement(number, title, setting, one, error, None, seconds)
-                for one, error in zip(table.judged, errors, strict=True)
-            ]
-        return judged
-
-    def growth(self, most: int) -> Iterator[dict[str, Any]]:
-        """Seconds of a parse against the number of objects, 1 to `most`, and what was compiled before."""
-        for count in range(1, most + 1):
-            seconds, compile_s, errors = [], 0.0, []
-            for number in range(GROWTH_TABLES):
-                table = make_table(self._meshes, count, GROWTH_SEED + number)
-                compile_s += self._parsed(table, OURS["voxscene"])[1].compile_s
-                scene, timing = self._parsed(table, OURS["voxscene"])
-                seconds.append(timing.seconds)
-                errors += [one.error_m for one in self._judged(number, table, "", scene, timing.seconds)]
-            yield {
-                "objects": count,
-                "seconds": float(np.median(seconds)),
-                "compile_s": compile_s,
-                "under_1cm": float(np.mean(np.array(errors) < 0.01)) if errors else None,
-            }
-
-    def presences(self, number: int, absent: int) -> list[Reported]:
-        """What is said on table `number` if of its objects so many others are asked for in the place of some.
-
-        The prior told is the share of those asked for that are there; those of which too little is seen
-        do not count.
-        """
-        table = make_table(self._meshes, self._count, self._seed + number)
-        names, rng = _shapes(table), np.random.default_rng([self._seed + number, absent])
-        others = [name for name in sorted(self._meshes) if name not in names]
-        swapped = min(absent, len(names), len(others))
-        asked = sorted({*rng.permutation(names)[swapped:], *rng.permutation(others)[:swapped]})
-        share = np.clip(1 - swapped / len(asked), 0.1, 0.9)
-        scene, _ = self._parsed(table, ParseConfig(presence=float(share)), asked)
-        errors = {one.name: one.add_s_m for one in self._errors(table, scene)}
-        judged = {one.shape: errors[one.name] for one in table.judged}
-        return [
-            Reported(
-                shape=name,
-                presence=float(presence),
-                there=name in judged,
-                error_m=judged.get(name, np.inf),
-            )
-            for name, presence in zip(scene.names.tolist(), scene.presence, strict=True)
-            if name in judged or name not in names
-        ]
-
-    def _errors(self, table: FilmedTable, scene: SceneResult) -> list[ObjectError]:
-        truth = table.recording.truth.objects
-        frames = {name: one.shape_from_object for name, one in self._sought.items()}
-        return object_errors(truth, self._meshes, table.camera_from_world, scene.found_poses, frames)
-
-    def _parsed(
-        self, table: FilmedTable, config: ParseConfig, names: Sequence[str] | None = None
-    ) -> tuple[SceneResult, Timing]:
-        """The scene of the table's own objects or those named, and the time that it took."""
-        names = _shapes(table) if names is None else names
-        for name in names:
-            if name not in self._sought:
-                self._sought[name] = self._make(name, self._meshes[name])
-        with timed() as timing:
-            scene = parse_scene(
-                jax.random.key(self._seed),
-                [table.frame],
-                [0],
-                np.eye(4)[None],
-                table.recording.intrinsics,
-                DepthNoise(),
-                [self._sought[name].scene_object for name in names],
-                config,
-            )
-        return scene, timing
-
-    def _judged(
-        self, number: int, table: FilmedTable, method: str, scene: SceneResult, seconds: float
-    ) -> list[Judged]:
-        by_name = {error.name: error.add_s_m for error in self._errors(table, scene)}
-        parents = parents_right(scene, table.recording.truth.objects)
-        return [
-            _judgement(number, method, "", one, by_name[one.name], parents.get(one.name), seconds)
-            for one in table.judged
-        ]
-
-    def _peer_errors(self, table: FilmedTable, peer: Peer, setting: str) -> list[float]:
-        """Errors of the objects that are judged, in their order."""
-        points = observed_points(table, self._meshes, masked=peer.masked)
-        register = settings()[peer.name][setting]
-        pairs = zip(table.recording.truth.objects, points, strict=True)
-        judged = {one.name for one in table.judged}
-        return [self._peer_error(table, one, register, seen) for one, seen in pairs if one.name in judged]
-
-    def _peer_error(
-        self, table: FilmedTable, one: TrueObject, register: Register, points: np.ndarray
-    ) -> float:
-        estimate = register(self._models[one.shape], points) if len(points) >= FEWEST_POINTS else None
-        pose = table.camera_from_world @ one.world_from_object
-        return add_s_m(model_points(self._meshes[one.shape]), pose, estimate)
-
-    def _best_setting(self, peer: Peer, tables: Sequence[FilmedTable]) -> str:
-        """The setting with the least mean error, 10 cm at most each, over the objects there was time for."""
-        begun = time.perf_counter()
-        registers = settings()[peer.name]
-        scores: dict[str, list[float]] = {setting: [] for setting in registers}
-        for table in tables:
-            points = observed_points(table, self._meshes, masked=peer.masked)
-            for one, seen in zip(table.recording.truth.objects, points, strict=True):
-                if one in table.judged and time.perf_counter() - begun < TUNING_S:
-                    for setting, register in registers.items():
-                        scores[setting].append(min(self._peer_error(table, one, register, seen), 0.1))
-        return min(scores, key=lambda setting: float(np.mean(scores[setting] or [0.0])))
+    return replace(method, setting=min(choices, key=mean_error))
 
 
-def _shapes(table: FilmedTable) -> list[str]:
-    return list(dict.fromkeys(one.shape for one in table.recording.truth.objects))
+class RemainingTime:
+    """Says once, after some images, how long the rest will take.
+
+    Args:
+        after: so many images.
+        say: is given the sentence.
+    """
+
+    def __init__(self, after: int, say: Callable[[str], None]) -> None:
+        self._after, self._say = after, say
+        self._begun: tuple[float, int] | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        """Images done and in all."""
+        now = time.monotonic()
+        if self._begun is None:
+            self._begun = now, done
+            return
+        begun_s, first = self._begun
+        if done - first == self._after and total > done:
+            seconds = (now - begun_s) / self._after * (total - done)
+            self._say(f"{done} of {total} images: about {seconds / 60:.0f} minutes for the rest")
 
 
-def _judgement(
-    number: int,
-    method: str,
-    setting: str,
-    one: TrueObject,
-    error_m: float,
-    parent_right: bool | None,
-    seconds: float,
-) -> Judged:
-    return Judged(
-        method=method,
-        setting=setting,
-        table=number,
-        shape=one.shape,
-        error_m=error_m,
-        visible_fraction=one.visible_fraction or 0.0,
-        stacked=one.parent != "table",
-        flush=one.contact_faces is not None,
-        parent_right=parent_right,
-        seconds=seconds,
-    )
+def _about(source: PoseSource, method: Method) -> list[Any]:
+    return [source.about(), repr(method), source_hash(__name__, within=COMPUTES)]
+
+
+def _rows_of(estimate: np.ndarray | None) -> tuple[float, ...] | None:
+    return None if estimate is None else tuple(float(value) for value in estimate[:3].ravel())

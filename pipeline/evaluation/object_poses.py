@@ -44,8 +44,8 @@ def add_s_m(
 
 
 def accuracy(errors_m: ArrayLike, threshold_m: float) -> float:
-    """Share of errors at most as large as a threshold."""
-    return float((np.asarray(errors_m) <= threshold_m).mean())
+    """Share of errors under a threshold, strictly, as the supplement counts them."""
+    return float((np.asarray(errors_m) < threshold_m).mean())
 
 
 def area_under_accuracy(errors_m: ArrayLike, largest_m: float = 0.1) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from recordings.truth import TrueObject
 from scene.result import TABLE, SceneResult
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ObjectError:
     """How well one true object was found.
 
@@ -24,12 +24,14 @@ class ObjectError:
         add_s_m: error of its pose; `MISSING_M` where it was not found.
         found: an estimate of its shape was matched with it.
         visible_fraction: share of it that the first frame shows, where the truth says so.
+        estimate: (4, 4) camera_from_object that was matched with it, of the true object's frame.
     """
 
     name: str
     add_s_m: float
     found: bool
     visible_fraction: float | None
+    estimate: NDArray[np.float64] | None = None
 
 
 def object_errors(
@@ -69,6 +71,7 @@ def object_errors(
                 add_s_m=float(error),
                 found=row in matches,
                 visible_fraction=one.visible_fraction,
+                estimate=poses[matches[row]] if row in matches else None,
             )
     return [errors[one.name] for one in objects]
 
@@ -95,7 +98,11 @@ def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str
 def summary_of_errors(errors: Sequence[ObjectError], parents: Mapping[str, bool]) -> dict[str, Any]:
     """The figures that are printed."""
     return {
-        "objects": [{**asdict(one), "parent_right": parents.get(one.name)} for one in errors],
+        "objects": [_plain(one) | {"parent_right": parents.get(one.name)} for one in errors],
         **error_figures([one.add_s_m for one in errors]),
         "parents_right": float(np.mean(list(parents.values()))) if parents else None,
     }
+
+
+def _plain(one: ObjectError) -> dict[str, Any]:
+    return {name: value for name, value in vars(one).items() if name != "estimate"}

@@ -58,7 +58,7 @@ def bop_models(
         number = numbers[model.name]
         path = f"{MODELS}/obj_{number:06d}.ply"
         files[path] = mesh_bytes(mesh, "ply")
-        info[str(number)] = _model_info(np.asarray(mesh.vertices))
+        info[str(number)] = model_info(np.asarray(mesh.vertices))
         own_from_bop = model.own_from_model("middle")
         entries[model.name] = {"id": number, "file": path, "object_from_bop": own_from_bop.tolist()}
     files[f"{MODELS}/models_info.json"] = _json(dict(sorted(info.items(), key=lambda one: int(one[0]))))
@@ -66,7 +66,8 @@ def bop_models(
     return files, entries
 
 
-def _model_info(vertices_mm: NDArray[np.float64]) -> dict[str, float]:
+def model_info(vertices_mm: NDArray[np.float64]) -> dict[str, float]:
+    """A model's entry in models_info.json: diameter and bounding box in millimetres."""
     corners = vertices_mm[ConvexHull(vertices_mm).vertices]
     low, size = vertices_mm.min(axis=0), np.ptp(vertices_mm, axis=0)
     return {

@@ -1,10 +1,11 @@
-"""Registration of known objects by Open3D: FPFH features with RANSAC and ICP, and ICP from 24 rotations."""
+"""Registration of known objects: FPFH features with RANSAC, point-pair features, ICP from 24 rotations."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -16,10 +17,15 @@ from scene.objects.orientations import cube_rotations
 MODEL_POINTS = 4000
 RANSAC_ITERATIONS = 50_000
 ICP_ITERATIONS = 40
+PAIR_STEP = 0.05
+"""Sampling of model and scene as a share of the model's diameter: OpenCV's default."""
+PAIR_VOXEL_M = 0.003
+PAIR_POSES = 5
+"""Of the poses that most pairs vote for, so many are refined."""
 NORMAL_NEIGHBOURS, FEATURE_NEIGHBOURS = 30, 100
 
-Register = Callable[["Model", "NDArray[np.float64]"], "NDArray[np.float64]"]
-"""(model, observed points (N, 3) in the camera frame) -> camera_from_object (4, 4)."""
+Register = Callable[["Model", "NDArray[np.float64]"], "NDArray[np.float64] | None"]
+"""(model, observed points (N, 3) in the camera frame) -> camera_from_object (4, 4), if any is found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +49,7 @@ def settings() -> Mapping[str, Mapping[str, Register]]:
         "icp24": {
             f"{1000 * voxel:g} mm": partial(icp_from_rotations, voxel_m=voxel) for voxel in (0.003, 0.005)
         },
+        "ppf": {f"step {PAIR_STEP:g}": partial(point_pair_features_icp, step=PAIR_STEP)},
     }
 
 
@@ -94,6 +101,31 @@ def icp_from_rotations(
             best = result
     assert best is not None
     return np.asarray(best.transformation)
+
+
+def point_pair_features_icp(
+    model: Model, observed_m: NDArray[np.float64], *, step: float
+) -> NDArray[np.float64] | None:
+    """Drost et al. 2010, as OpenCV has it; the best of the first few poses after ICP."""
+    target = _cloud(observed_m, PAIR_VOXEL_M)
+    scene = np.hstack([np.asarray(target.points), np.asarray(target.normals)]).astype(np.float32)
+    found = _pair_detector(model, step).match(scene, 1 / 5, step)
+    source = _model_cloud(model, PAIR_VOXEL_M)
+    refined = [
+        _icp(source, target, np.asarray(one.pose, np.float64), 2 * PAIR_VOXEL_M) for one in found[:PAIR_POSES]
+    ]
+    best = max(refined, key=lambda result: result.fitness, default=None)
+    return None if best is None else np.asarray(best.transformation)
+
+
+@lru_cache(maxsize=64)
+def _pair_detector(model: Model, step: float) -> Any:
+    """A trained detector of one model (extra `bench`)."""
+    import cv2
+
+    detector = cv2.ppf_match_3d.PPF3DDetector(step, step)
+    detector.trainModel(np.hstack([model.points_m, model.normals]).astype(np.float32))
+    return detector
 
 
 def _icp(

@@ -12,16 +12,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from recordings.dataset_numbers import DatasetNumbers
 
 from pipeline.atomic import atomic_path, write_json
 from pipeline.config import plain_values
 from pipeline.errors import PipelineError
-from pipeline.export.bop import bop_models
+from pipeline.export.bop import model_info
 from pipeline.export.bop_images import PosedObject, camera_document, targets, write_image, write_scene
-from pipeline.fingerprints import canonical_hash
+from pipeline.export.meshes import mesh_bytes, moved
+from pipeline.fingerprints import canonical_hash, source_hash
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.challenging import (
     DEPTH_UNIT_M,
@@ -35,7 +36,6 @@ from pipeline.synthesis.visibility import silhouette
 from pipeline.synthesis.writing import write_recording
 from pipeline.task_engine import Executors, Task, run_tasks
 
-FORMAT = 1
 SPLIT = "test"
 MANIFEST = "challenging.json"
 OWN = (SPLIT, "models", "recordings", "camera.json", "test_targets_bop19.json", MANIFEST)
@@ -65,13 +65,8 @@ class ChallengingSet:
     @property
     def fingerprint(self) -> str:
         """Of everything that decides an image besides its kind and number."""
-        about = [FORMAT, plain_values(self.scene), self.shapes.hashes, self.seed]
-        return canonical_hash(about)
-
-    @property
-    def model_ids(self) -> dict[str, int]:
-        """BOP's number of each shape."""
-        return {name: entry["id"] for name, entry in _models(self.shapes)[2].items()}
+        version = source_hash(challenging_image.__module__, within=("pipeline.synthesis",))
+        return canonical_hash([version, plain_values(self.scene), self.shapes.hashes, self.seed])
 
     def image(self, kind: str, number: int) -> ChallengingImage:
         """The image of that number, the same wherever it is made; every shape is the target equally often.
@@ -122,10 +117,7 @@ def write_set(
     """
     _begin(wanted, out, force=force)
     remarks = _checked_shapes(wanted)
-    files, info, _ = _models(wanted.shapes)
-    for path, content in files.items():
-        _write_bytes(out / path, content)
-    write_json(out / "models" / "models_info.json", info)
+    _write_models(wanted.shapes, out / "models")
     names = [(kind, number) for kind in wanted.kinds for number in range(wanted.images)]
     missing = [(kind, number) for kind, number in names if not _entry_path(out, kind, number).is_file()]
     progress(len(names) - len(missing), len(names))
@@ -148,13 +140,10 @@ def _make_image(wanted: ChallengingSet, out: Path, kind: str, number: int) -> No
     frame, pose = recording.frame(0), recording.trajectory.reference_from_camera[0]
     camera_from_world = np.linalg.inv(pose)
     shown = recording.ideal_view(0).part
-    models = _models(wanted.shapes)[2]
     objects = [
         PosedObject(
-            obj_id=models[one.shape]["id"],
-            camera_from_model=camera_from_world
-            @ one.world_from_object
-            @ np.array(models[one.shape]["object_from_bop"]),
+            obj_id=wanted.shapes.ids[one.shape],
+            camera_from_model=camera_from_world @ one.world_from_object,
             silhouette=silhouette(image.parts[index], recording.intrinsics, pose),
             shown=shown == index,
         )
@@ -164,10 +153,12 @@ def _make_image(wanted: ChallengingSet, out: Path, kind: str, number: int) -> No
     entry = write_image(
         scene, number, frame, recording.intrinsics, camera_from_world, objects, depth_unit_m=DEPTH_UNIT_M
     )
-    ids = {"scene_id": str(scene_id(kind)), "im_id": str(number)}
     path = out / "recordings" / kind / f"{number:06d}.mcap"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_recording(recording, path, metadata={"image": {**ids, "kind": kind, "target": image.target}})
+    numbers = DatasetNumbers(
+        scene_id=scene_id(kind), image_ids={frame.time_ns: number}, object_ids=wanted.shapes.ids
+    )
+    write_recording(recording, path, numbers=numbers)
     entry |= {"kind": kind, "target": image.target, "names": [one.name for one in recording.truth.objects]}
     _entry_path(out, kind, number).parent.mkdir(parents=True, exist_ok=True)
     write_json(_entry_path(out, kind, number), entry)
@@ -177,7 +168,9 @@ def _begin(wanted: ChallengingSet, out: Path, *, force: bool) -> None:
     """Make the folder a set of this fingerprint."""
     manifest = out / MANIFEST
     if manifest.is_file() and not force and _fingerprint_of(manifest) != wanted.fingerprint:
-        raise PipelineError(f"{out} holds images made with other settings or meshes; --force replaces them")
+        raise PipelineError(
+            f"{out} holds images made with other settings, meshes or version; --force replaces them"
+        )
     if out.is_dir() and not manifest.is_file() and any(out.iterdir()) and not force:
         raise PipelineError(f"{out} holds something else; name another folder, or --force to write into it")
     if not manifest.is_file() or _fingerprint_of(manifest) != wanted.fingerprint:
@@ -192,7 +185,7 @@ def _begin(wanted: ChallengingSet, out: Path, *, force: bool) -> None:
             "kinds": {kind: {"scene_id": scene_id(kind), "images": wanted.images} for kind in wanted.kinds},
             "seed": wanted.seed,
             "settings": plain_values(wanted.scene),
-            "objects": wanted.model_ids,
+            "objects": wanted.shapes.ids,
         },
     )
 
@@ -238,15 +231,16 @@ def _entry_path(out: Path, kind: str, number: int) -> Path:
     return out / SPLIT / f"{scene_id(kind):06d}" / "entries" / f"{number:06d}.json"
 
 
-def _write_bytes(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as partial:
-        partial.write_bytes(content)
-
-
-@lru_cache(maxsize=4)
-def _models(shapes: MeshSource) -> tuple[dict[str, bytes], dict[str, Any], dict[str, dict[str, Any]]]:
-    return bop_models(shapes.meshes)
+def _write_models(shapes: MeshSource, folder: Path) -> None:
+    """The shapes in millimetres in their own frames, so that poses are those of the truth."""
+    info = {}
+    for name, mesh in shapes.meshes.items():
+        model = moved(mesh, np.eye(4), "mm")
+        number = shapes.ids[name]
+        with atomic_path(folder / f"obj_{number:06d}.ply") as partial:
+            partial.write_bytes(mesh_bytes(model, "ply"))
+        info[str(number)] = model_info(np.asarray(model.vertices))
+    write_json(folder / "models_info.json", dict(sorted(info.items(), key=lambda one: int(one[0]))))
 
 
 @lru_cache(maxsize=16)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
+
+from recordings.dataset_numbers import DatasetNumbers, write_dataset_numbers
 
 from pipeline.synthesis.recording import SyntheticRecording
 from recordings.truth import write_scene_truth
@@ -16,7 +18,7 @@ def write_recording(
     recording: SyntheticRecording,
     path: Path,
     progress: Callable[[int, int], None] | None = None,
-    metadata: Mapping[str, Mapping[str, str]] | None = None,
+    numbers: DatasetNumbers | None = None,
 ) -> None:
     """Write an MCAP file whole or not at all.
 
@@ -26,7 +28,7 @@ def write_recording(
         recording: what is filmed.
         path: of the file.
         progress: is told frames done and frames in all.
-        metadata: records of the file by name.
+        numbers: of the scene, image and objects, where it belongs to a data set.
 
     Raises:
         RecordingError: the file cannot be written.
@@ -35,8 +37,8 @@ def write_recording(
     unit_m = MILLIMETRE_M if recording.sensor.in_millimetres else None
     with RecordingWriter(path, recording.intrinsics, depth_unit_m=unit_m) as writer:
         write_scene_truth(writer, recording.truth, int(recording.trajectory.times_ns[0]))
-        for name, values in (metadata or {}).items():
-            writer.write_metadata(name, values)
+        if numbers is not None:
+            write_dataset_numbers(writer, numbers, int(recording.trajectory.times_ns[0]))
         for index, frame in enumerate(recording):
             writer.write_camera_pose(frame.time_ns, poses[index])
             writer.write_depth(frame)

@@ -36,8 +36,19 @@ _STILL_RAD = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Annotated:
-    """One frame with what is known of it; `camera_from_world` None where the data set does not say."""
+class Annotated:
+    """One frame with what is known of it.
+
+    Attributes:
+        number: of the frame in its scene.
+        files: its images.
+        intrinsics: of its camera.
+        depth_unit_m: metres for a stored 1.
+        objects: shape and camera_from_object (4, 4) of each.
+        camera_from_world: (4, 4); None where the data set does not say.
+        visible_fractions: of the objects, where somebody counted.
+        object_ids: the data set's number of each shape.
+    """
 
     number: int
     files: ImageFiles
@@ -58,16 +69,7 @@ def read_bop(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
     Raises:
         RecordingError: the folder is no such scene, or a file of it is malformed.
     """
-    existing_folder(folder)
-    try:
-        if (folder / "scene_camera.json").exists():
-            frames = _bop_frames(folder)[wanted]
-        elif (folder / "gt.json").exists():
-            frames = _ycb_video_frames(folder)[wanted]
-        else:
-            raise RecordingError(f"{folder} has neither scene_camera.json (BOP) nor gt.json (YCB-Video)")
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
-        raise RecordingError(f"{folder}: its annotations are malformed ({error!r})") from error
+    frames = annotated_frames(folder)[wanted]
     if not frames:
         raise RecordingError(f"{folder} has no annotated depth images")
     _check_one_camera(folder, frames)
@@ -77,13 +79,13 @@ def read_bop(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
         intrinsics=frames[0].intrinsics,
         depth_unit_m=frames[0].depth_unit_m,
         poses=poses,
-        truth=_truth(frames[0], poses[0][1]),
+        truth=scene_truth(frames[0], poses[0][1]) if frames[0].objects else None,
         assumptions=assumptions,
         numbers=_numbers(folder, frames),
     )
 
 
-def _numbers(folder: Path, frames: list[_Annotated]) -> DatasetNumbers:
+def _numbers(folder: Path, frames: list[Annotated]) -> DatasetNumbers:
     """The numbers of a scene: its folder's name, its images' and those of the objects annotated in it."""
     name = folder.resolve().name
     return DatasetNumbers(
@@ -93,7 +95,24 @@ def _numbers(folder: Path, frames: list[_Annotated]) -> DatasetNumbers:
     )
 
 
-def _bop_frames(folder: Path) -> list[_Annotated]:
+def annotated_frames(folder: Path) -> list[Annotated]:
+    """Every frame of a scene with what is known of it, by number.
+
+    Raises:
+        RecordingError: the folder is no scene, or a file of it is malformed.
+    """
+    existing_folder(folder)
+    try:
+        if (folder / "scene_camera.json").exists():
+            return _bop_frames(folder)
+        if (folder / "gt.json").exists():
+            return _ycb_video_frames(folder)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+        raise RecordingError(f"{folder}: its annotations are malformed ({error!r})") from error
+    raise RecordingError(f"{folder} has neither scene_camera.json (BOP) nor gt.json (YCB-Video)")
+
+
+def _bop_frames(folder: Path) -> list[Annotated]:
     cameras = _json(folder / "scene_camera.json")
     truths = _json(folder / "scene_gt.json") if (folder / "scene_gt.json").exists() else {}
     visible = _json(folder / "scene_gt_info.json") if (folder / "scene_gt_info.json").exists() else {}
@@ -106,7 +125,7 @@ def _bop_frames(folder: Path) -> list[_Annotated]:
         if infos and len(infos) != len(truths.get(key, [])):
             raise ValueError(f"frame {number} has {len(infos)} entries in scene_gt_info.json")
         frames.append(
-            _Annotated(
+            Annotated(
                 number=number,
                 files=ImageFiles(stamp_ns(number), depth, _bop_colour(folder, number)),
                 intrinsics=(k[0, 0], k[1, 1], k[0, 2], k[1, 2]),
@@ -127,14 +146,14 @@ def _bop_frames(folder: Path) -> list[_Annotated]:
     return frames
 
 
-def _ycb_video_frames(folder: Path) -> list[_Annotated]:
+def _ycb_video_frames(folder: Path) -> list[Annotated]:
     frames = []
     for entry in _json(folder / "gt.json"):
         name, number = str(entry["frame"]), int(entry["frame"])
         colour = next((p for s in _COLOUR_SUFFIXES if (p := folder / f"{name}-color{s}").exists()), None)
         k = np.array(entry["K"], np.float64).reshape(3, 3)
         frames.append(
-            _Annotated(
+            Annotated(
                 number=number,
                 files=ImageFiles(stamp_ns(number), folder / f"{name}-depth.png", colour),
                 intrinsics=(k[0, 0], k[1, 1], k[0, 2], k[1, 2]),
@@ -179,7 +198,7 @@ def _json(path: Path) -> Any:
         raise RecordingError(f"{path} is not JSON: {error}") from error
 
 
-def _check_one_camera(folder: Path, frames: list[_Annotated]) -> None:
+def _check_one_camera(folder: Path, frames: list[Annotated]) -> None:
     first = frames[0]
     for frame in frames[1:]:
         if np.abs(np.subtract(frame.intrinsics, first.intrinsics)).max() > _SAME_CAMERA_PX:
@@ -192,7 +211,7 @@ def _check_one_camera(folder: Path, frames: list[_Annotated]) -> None:
 
 
 def _poses(
-    frames: list[_Annotated],
+    frames: list[Annotated],
 ) -> tuple[list[tuple[int, NDArray[np.float64]]], tuple[str, ...]]:
     """Stamped world_from_camera; the first frame always has one."""
     if all(frame.camera_from_world is not None for frame in frames):
@@ -206,7 +225,7 @@ def _poses(
     return poses, (f"objects do not stand still, or none is common: {left} frames have no camera truth",)
 
 
-def _relative_camera(first: _Annotated, frame: _Annotated) -> NDArray[np.float64] | None:
+def _relative_camera(first: Annotated, frame: Annotated) -> NDArray[np.float64] | None:
     """first_from_camera by the objects that stand in both frames, if they agree on it.
 
     One object alone cannot disagree: it is believed only where it is all that the frames show.
@@ -227,9 +246,8 @@ def _relative_camera(first: _Annotated, frame: _Annotated) -> NDArray[np.float64
     return orthonormalised(np.mean(motions, axis=0))
 
 
-def _truth(first: _Annotated, world_from_camera: NDArray[np.float64]) -> SceneTruth | None:
-    if not first.objects:
-        return None
+def scene_truth(first: Annotated, world_from_camera: NDArray[np.float64]) -> SceneTruth:
+    """The objects of a frame in the world; instances of one shape are numbered."""
     seen: Counter[str] = Counter()
     objects = []
     for index, (shape, camera_from_object) in enumerate(first.objects):

@@ -83,7 +83,7 @@ def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], No
         )
     metric = MetricDepth(dataset.depth_unit_m)
     height, width = _depth(dataset.frames[0].depth).shape
-    camera = _camera(dataset, width, height)
+    camera = _camera(dataset.intrinsics, width, height)
     _check_times(dataset.frames)
     begin, end = dataset.frames[0].time_ns - _MARGIN_NS, dataset.frames[-1].time_ns + _MARGIN_NS
     poses = sorted((p for p in dataset.poses if begin <= p[0] <= end), key=lambda stamped: stamped[0])
@@ -110,8 +110,8 @@ def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], No
             writer.write_camera_pose(time_ns, pose)
 
 
-def _camera(dataset: Dataset, width: int, height: int) -> CameraIntrinsics:
-    fx, fy, cx, cy = dataset.intrinsics
+def _camera(intrinsics: Intrinsics, width: int, height: int) -> CameraIntrinsics:
+    fx, fy, cx, cy = intrinsics
     try:
         return CameraIntrinsics(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
     except ValueError as error:
@@ -124,6 +124,21 @@ def _check_times(frames: Sequence[ImageFiles]) -> None:
             raise RecordingError(
                 f"{frame.depth} has the time {frame.time_ns / 1e9:g} s, outside of 0 to {_LAST_NS / 1e9:g} s"
             )
+
+
+def read_frame(
+    files: ImageFiles, intrinsics: Intrinsics, depth_unit_m: float
+) -> tuple[Frame, CameraIntrinsics]:
+    """One frame of a data set, with its camera.
+
+    Raises:
+        RecordingError: a file is missing, damaged or of another size than its depth image.
+    """
+    depth_m = MetricDepth(depth_unit_m)(_depth(files.depth))
+    height, width = depth_m.shape
+    camera = _camera(intrinsics, width, height)
+    rgb = None if files.colour is None else _colour(files.colour, (height, width))
+    return Frame(time_ns=files.time_ns, depth_m=depth_m, rgb=rgb), camera
 
 
 def stamp_ns(number: int) -> int:

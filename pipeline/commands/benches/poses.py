@@ -1,35 +1,69 @@
-"""`voxscene bench poses`: known objects in clutter, beside registration peers."""
+"""`voxscene bench poses`: known objects in synthetic images or a data set, beside other methods."""
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pipeline.errors import PipelineError
+from pipeline.executors import Workers, executors_for
 from pipeline.options import Common, common_options, words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pipeline.benchmarks.pose_figures import Judged
-    from pipeline.benchmarks.poses import PoseBench
+    from pipeline.benchmarks.pose_methods import Method
+    from pipeline.benchmarks.pose_sources import PoseSource
 
-PEERS = ("fpfh", "icp24")
+PEERS = ("fpfh", "icp24", "ppf")
+KINDS = ("single", "stacked", "partial", "occluded")
 MOST_OBJECTS = 10
+ESTIMATE_AFTER = 8
+"""Images after which the remaining time is told."""
+TABLES = 100
+"""Unless another source is asked for."""
+
+
+class NamedFile(click.ParamType):
+    """`NAME=FILE`."""
+
+    name = "NAME=FILE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Name and path."""
+        if isinstance(value, tuple):
+            return value
+        name, separator, path = str(value).partition("=")
+        if not separator or not name or not path:
+            return self.fail(f"{value!r} is not NAME=FILE", param, ctx)
+        return name, Path(path).resolve()
 
 
 @click.command(name="poses")
-@click.option("--tables", type=click.IntRange(min=1), default=100, show_default=True)
+@click.option(
+    "--tables", type=click.IntRange(min=1), metavar="N", help=f"Synthetic tables; {TABLES} by default."
+)
 @click.option(
     "--first", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first table."
 )
 @click.option("--objects", type=click.IntRange(min=1), default=5, show_default=True, help="On each table.")
 @click.option(
-    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of the built-in objects."
+    "--challenging", type=click.IntRange(min=1), metavar="N", help="N images of each kind instead of tables."
+)
+@click.option(
+    "--kinds", default=",".join(KINDS), show_default=True, metavar="KIND,...", help="Of these images."
+)
+@click.option(
+    "--data", type=click.Path(path_type=Path), metavar="DIR", help="A BOP data set, or YCB-Video frames."
+)
+@click.option("--split", default="test", show_default=True, help="Folder of the data set's scenes.")
+@click.option(
+    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of built-in or the data's."
 )
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
+@click.option("--only", metavar="NAME,...", help="These objects alone.")
 @click.option(
     "--learned",
     type=click.IntRange(min=1),
@@ -39,9 +73,12 @@ MOST_OBJECTS = 10
 @click.option(
     "--against",
     metavar="PEER,...",
-    default=",".join(PEERS),
+    default="fpfh,icp24",
     show_default=True,
-    help="Peers to run on the same tables; an empty word for none.",
+    help=f"Peers of {', '.join(PEERS)} to run on the same images; an empty word for none.",
+)
+@click.option(
+    "--results", multiple=True, type=NamedFile(), help="Another program's BOP results file as a column."
 )
 @click.option(
     "--growth", is_flag=True, help="Instead: seconds of a table against its number of objects, 1 to 10."
@@ -53,114 +90,207 @@ MOST_OBJECTS = 10
     help="Instead: ask for so many shapes that are not there in place of so many that are.",
 )
 @click.option(
-    "--csv",
-    "csv_path",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Add the rows of each table as it is done; tables that the file holds already are not run again.",
+    "--keep",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Keep rows; what is there is not run again.",
 )
+@click.option(
+    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write all rows as one table."
+)
+@click.option(
+    "--curves",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png|svg",
+    help="Draw accuracy curves.",
+)
+@click.option(
+    "--sheets", type=click.Path(path_type=Path), metavar="DIR", help="Draw the images of largest difference."
+)
+@click.option("--watch", is_flag=True, help="Print the tables so far of --keep, and judge nothing.")
+@click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
 @common_options()
 def command(
     common: Common,
-    tables: int,
+    tables: int | None,
     first: int,
     objects: int,
+    challenging: int | None,
+    kinds: str,
+    data: Path | None,
+    split: str,
     meshes: Path | None,
     units: Any,
+    only: str | None,
     learned: int | None,
     against: str,
+    results: tuple[tuple[str, Path], ...],
     growth: bool,
     absent: int | None,
+    keep: Path | None,
     csv_path: Path | None,
+    curves: Path | None,
+    sheets: Path | None,
+    watch: bool,
+    workers: int | str,
 ) -> None:
-    """ADD-S on synthetic tables, beside registration and ICP.
+    """ADD-S of known objects, beside registration, ICP and other programs.
 
-    A third of the objects is stacked; depth only, no masks, objects known.
-
-    Objects of which less than a quarter is seen are not judged. Seconds are of a table, without compiling.
-    Each table's line is printed when it is done; an interrupted run prints the figures of those before.
+    In synthetic tables, in images in which objects are hard to find (--challenging), or in a data set
+    (--data). Depth only, no masks, objects known; all of them are judged, however little is seen of them.
+    Seconds are of an image, without compiling. With --keep an interrupted run goes on where it stopped.
     """
     from pipeline.jax_setup import keep_compiled_kernels
 
     keep_compiled_kernels()
-    from pipeline.benchmarks.learned_objects import learned_object, true_object
-    from pipeline.benchmarks.poses import PoseBench
-    from pipeline.meshes import load_meshes
-    from pipeline.synthesis.objects import built_in_names, built_in_object
+    from pipeline.benchmarks.pose_methods import OURS
+    from pipeline.mesh_source import MeshSource
 
-    peers = words("--against", against, PEERS)
-    if meshes is None:
-        known = {name: built_in_object(name) for name in built_in_names()}
-    else:
-        known = load_meshes(meshes, units)
-    sought = partial(learned_object, views=learned, seed=common.seed) if learned else true_object
-    bench = PoseBench(known, objects, common.seed, sought)
+    if sum(one is not None for one in (tables, challenging, data)) > 1:
+        raise click.UsageError("--tables, --challenging and --data are three sources; name one")
+    if watch and keep is None:
+        raise click.UsageError("--watch needs --keep, where the rows are")
+    if data is not None and meshes is None:
+        from pipeline.benchmarks.bop_targets import models_folder
+
+        meshes, units = models_folder(data), units or "mm"
+    shapes = MeshSource.of(meshes, units, only)
+    numbers = tuple(range(first, first + (tables or TABLES)))
     if growth:
-        _growth(common, bench)
+        _growth(common, shapes)
     elif absent:
-        _presences(common, bench, range(first, first + tables), absent)
+        _presences(common, shapes, objects, numbers, absent)
     else:
-        _tables(common, bench, range(first, first + tables), peers, csv_path)
+        source = _source(common, shapes, objects, numbers, challenging, kinds, data, split)
+        ours = [one.of(common.seed, learned or 0) for one in OURS]
+        methods = [*ours, *_others(shapes, source, words("--against", against, PEERS), results)]
+        _judge(common, source, methods, workers, (keep, csv_path, curves, sheets), watch=watch)
 
 
-def _tables(
-    common: Common, bench: PoseBench, numbers: range, peers: Sequence[str], csv_path: Path | None
-) -> None:
-    from pipeline.benchmarks.pose_figures import append_rows, pose_figures, read_rows
+def _source(
+    common: Common,
+    shapes: Any,
+    objects: int,
+    numbers: tuple[int, ...],
+    challenging: int | None,
+    kinds: str,
+    data: Path | None,
+    split: str,
+) -> PoseSource:
+    from pipeline.benchmarks.pose_sources import BopImages, Tables, challenging_images
+    from pipeline.synthesis.challenging import ChallengingScene
 
-    judged = read_rows(csv_path) if csv_path else []
-    done = {one.table for one in judged}
-    try:
-        for table in _judged_tables(bench, [one for one in numbers if one not in done], peers, judged):
-            judged += table
-            if csv_path:
-                append_rows(csv_path, table)
-            _say(common, _table_line(table))
-    finally:
-        document = pose_figures(judged)
-        common.report(document, _lines(document))
+    if data is not None:
+        return BopImages(root=data.resolve(), split=split, shapes=shapes)
+    if challenging is not None:
+        chosen = tuple(words("--kinds", kinds, KINDS))
+        return challenging_images(shapes, chosen, challenging, ChallengingScene(), common.seed)
+    return Tables(shapes=shapes, objects=objects, seed=common.seed, numbers=numbers)
 
 
-def _judged_tables(bench: PoseBench, numbers: Sequence[int], peers: Sequence[str], before: Sequence[Judged]):
-    """The rows of one table after another; peers keep the settings of the rows before."""
-    from pipeline.benchmarks.poses import PEERS as TITLES
+def _others(
+    shapes: Any, source: PoseSource, peers: Sequence[str], results: Sequence[tuple[str, Path]]
+) -> list[Method]:
+    """Peers with the settings that suit them best, and results files, which are looked through first."""
+    from pipeline.benchmarks.bop_results import check_results
+    from pipeline.benchmarks.pose_methods import Results, registrations
+    from pipeline.benchmarks.poses import tuned
+    from pipeline.peers.registration import settings
     from pipeline.quiet_stdout import stdout_to_stderr
 
-    titles = [title for title, peer in TITLES.items() if peer.name in peers]
-    settings = {one.method: one.setting for one in before if one.method in titles}
+    images = {(key.scene_id, key.im_id) for key in source.places()}
+    for _, path in results:
+        check_results(path, shapes.ids.values(), images)
+    if "ppf" in peers:
+        try:
+            import cv2  # noqa: F401
+        except ImportError as error:
+            raise PipelineError("ppf needs OpenCV's contributions: pip install 'voxscene[bench]'") from error
     with stdout_to_stderr():
-        settings |= bench.tuned([title for title in titles if title not in settings]) if numbers else {}
-    for number in numbers:
-        with stdout_to_stderr():
-            rows = bench.judge(number, settings)
-        yield rows
+        chosen = [
+            tuned(method, shapes, list(settings()[peer])) for peer in peers for method in registrations(peer)
+        ]
+    return [*chosen, *(Results(title=name, path=path) for name, path in results)]
 
 
-def _growth(common: Common, bench: PoseBench) -> None:
+def _judge(
+    common: Common,
+    source: PoseSource,
+    methods: Sequence[Method],
+    workers: int | str,
+    files: tuple[Path | None, Path | None, Path | None, Path | None],
+    *,
+    watch: bool,
+) -> None:
+    from pipeline.benchmarks.pose_figures import pose_figures
+    from pipeline.benchmarks.pose_report import image_line, report_lines
+    from pipeline.benchmarks.pose_rows import write_csv
+    from pipeline.benchmarks.poses import RemainingTime, judged_images, kept_images
+
+    keep, csv_path, curves, sheets = files
+    judged, seconds = [], {method.title: {} for method in methods}
+    executors, at_once = executors_for(workers)
+    remaining = RemainingTime(ESTIMATE_AFTER, lambda line: _say(common, line))
+    images = (
+        kept_images(source, methods, keep)
+        if watch
+        else judged_images(source, methods, executors, at_once, keep, remaining)
+    )
+    try:
+        for key, found in images:
+            for title, rows, spent in found:
+                judged += rows
+                seconds[title][key] = spent
+            if not watch:
+                _say(common, image_line(found))
+    finally:
+        judged.sort(key=lambda one: (one.image, one.name))
+        document = pose_figures(judged, seconds)
+        common.report(document, report_lines(document))
+        if csv_path and judged:
+            write_csv(csv_path, judged)
+    if curves:
+        from pipeline.figures.accuracy_curves import draw_curves
+
+        draw_curves(judged, curves)
+    if sheets:
+        from pipeline.figures.pose_sheets import draw_sheets
+
+        for path in draw_sheets(judged, source, sheets):
+            _say(common, str(path))
+
+
+def _growth(common: Common, shapes: Any) -> None:
+    from pipeline.benchmarks.pose_growth import growth
+    from pipeline.benchmarks.pose_methods import OURS
     from pipeline.quiet_stdout import stdout_to_stderr
 
     rows: list[dict[str, Any]] = []
-    remaining = bench.growth(MOST_OBJECTS)
+    remaining = growth(shapes, OURS[0].of(common.seed, 0), MOST_OBJECTS)
     _say(common, "objects  seconds  compiled before  under 1 cm")
     while len(rows) < MOST_OBJECTS:
         with stdout_to_stderr():
             rows.append(next(remaining))
         row = rows[-1]
         cells = (f"{row['objects']:>7}", f"{row['seconds']:>7.2f}", f"{row['compile_s']:>13.1f} s")
-        _say(common, "  ".join((*cells, f"{_share(row['under_1cm']):>10}")))
+        share = "" if row["under_1cm"] is None else f"{row['under_1cm']:.1%}"
+        _say(common, "  ".join((*cells, f"{share:>10}")))
     each = rows[-1]["seconds"] / MOST_OBJECTS
     common.report(
         {"growth": rows}, [f"{each:.2f} s an object of {MOST_OBJECTS}, {rows[0]['seconds']:.2f} s of one"]
     )
 
 
-def _presences(common: Common, bench: PoseBench, numbers: range, absent: int) -> None:
-    from pipeline.benchmarks.pose_presence import presence_figures
+def _presences(common: Common, shapes: Any, objects: int, numbers: Sequence[int], absent: int) -> None:
+    from pipeline.benchmarks.pose_presence import presence_figures, presences
+    from pipeline.benchmarks.pose_sources import Tables
     from pipeline.quiet_stdout import stdout_to_stderr
 
+    tables = Tables(shapes=shapes, objects=objects, seed=common.seed, numbers=tuple(numbers))
     reported = []
     for number in numbers:
         with stdout_to_stderr():
-            table = bench.presences(number, absent)
+            table = presences(tables, number, absent, common.seed)
         reported += table
         said = (f"{one.shape}{'' if one.there else ' (absent)'} {one.presence:.2f}" for one in table)
         _say(common, f"table {number}: {', '.join(said)}")
@@ -183,49 +313,3 @@ def _bin_line(row: dict[str, Any]) -> str:
 def _say(common: Common, line: str) -> None:
     if not (common.as_json or common.quiet):
         click.echo(line)
-
-
-def _table_line(judged: Sequence[Judged]) -> str:
-    """Number, and of each method how many objects are right in how many seconds."""
-    methods = dict.fromkeys(one.method for one in judged)
-    cells = []
-    for method in methods:
-        own = [one for one in judged if one.method == method]
-        right = sum(one.error_m < 0.01 for one in own)
-        cells.append(f"{method} {right}/{len(own)} in {own[0].seconds:.1f} s")
-    return f"table {judged[0].table}: {'; '.join(cells)}" if judged else "a table on which nothing is judged"
-
-
-def _lines(document: dict[str, Any]) -> list[str]:
-    if not document["methods"]:
-        return ["no table was finished"]
-    titles = {
-        name: f"{name} ({figures['setting']})" if figures["setting"] else name
-        for name, figures in document["methods"].items()
-    }
-    width = max(map(len, titles.values()))
-    lines = [f"{document['tables']} tables"]
-    for row in ("all", "on the table", "stacked"):
-        lines.append(f"{row:<{width}}  objects   <5 mm  <10 mm  <20 mm     AUC  median mm")
-        for name, figures in document["methods"].items():
-            if row not in figures["rows"]:
-                continue
-            one = figures["rows"][row]
-            shares = "  ".join(f"{share:>6.1%}" for share in one["accuracy"].values())
-            lines.append(
-                f"{titles[name]:<{width}}  {one['objects']:>7}  {shares}  {one['auc_0_10cm']:>6.1%}"
-                f"  {1000 * one['median_m']:>9.1f}"
-            )
-    for name, figures in document["methods"].items():
-        timing = f"{figures['seconds_median']:.2f} s a table (most {figures['seconds_most']:.2f})"
-        edges = "".join(
-            f", {_share(one['right'])} of {one['rests']} {kind} rests right"
-            for kind, one in figures["edges"].items()
-            if one["rests"]
-        )
-        lines.append(f"{titles[name]:<{width}}  {timing}{edges}")
-    return lines
-
-
-def _share(share: float | None) -> str:
-    return "" if share is None else f"{share:.1%}"

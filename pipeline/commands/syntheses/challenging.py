@@ -1,4 +1,4 @@
-"""`voxscene synth challenging`: images in which objects are hard to find, as BOP keeps them and as recordings."""
+"""`voxscene synth challenging`: images in which objects are hard to find, in two formats."""
 
 from __future__ import annotations
 

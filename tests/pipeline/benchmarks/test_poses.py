@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from pipeline.benchmarks.pose_tables import VISIBLE, Table, make_table, observed_points
 
 from pipeline.benchmarks.learned_objects import true_object
 from pipeline.benchmarks.pose_figures import Judged, append_rows, pose_figures, read_rows
 from pipeline.benchmarks.pose_presence import Reported, presence_figures
-from pipeline.benchmarks.pose_tables import VISIBLE, FilmedTable, make_table, observed_points
 from pipeline.benchmarks.poses import PoseBench
 from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import add_s_m, model_points
@@ -29,12 +29,12 @@ def meshes() -> dict[str, trimesh.Trimesh]:
 
 
 @pytest.fixture(scope="module")
-def table(meshes: dict[str, trimesh.Trimesh]) -> FilmedTable:
+def table(meshes: dict[str, trimesh.Trimesh]) -> Table:
     """They, one of them stacked."""
     return make_table(meshes, 3, 1)
 
 
-def test_tables_repeat_and_differ(meshes: dict[str, trimesh.Trimesh], table: FilmedTable) -> None:
+def test_tables_repeat_and_differ(meshes: dict[str, trimesh.Trimesh], table: Table) -> None:
     """The same number gives the same depth, and a third of the objects are stacked."""
     again, other = make_table(meshes, 3, 1), make_table(meshes, 3, 2)
     np.testing.assert_array_equal(table.frame.depth_m, again.frame.depth_m)
@@ -43,7 +43,7 @@ def test_tables_repeat_and_differ(meshes: dict[str, trimesh.Trimesh], table: Fil
 
 
 def test_the_truth_is_judged_perfect_and_hidden_objects_are_not(
-    meshes: dict[str, trimesh.Trimesh], table: FilmedTable
+    meshes: dict[str, trimesh.Trimesh], table: Table
 ) -> None:
     """Poses and parents from the truth itself."""
     bench = PoseBench(meshes, 3, 0, true_object)
@@ -62,7 +62,7 @@ def test_the_truth_is_judged_perfect_and_hidden_objects_are_not(
     assert {one.error_m for one in nothing} == {1.0}
 
 
-def test_true_masks_hold_the_object_alone(meshes: dict[str, trimesh.Trimesh], table: FilmedTable) -> None:
+def test_true_masks_hold_the_object_alone(meshes: dict[str, trimesh.Trimesh], table: Table) -> None:
     """Masked points lie on the object; unmasked ones hold them all."""
     everything = observed_points(table, meshes, masked=False)[0]
     masked = observed_points(table, meshes, masked=True)
@@ -161,7 +161,7 @@ def test_absent_shapes_are_asked_for_in_place_of_present_ones(
     present = {one.shape for one in table.recording.truth.objects}
     asked: list[str] = []
 
-    def parsed(_: PoseBench, table: FilmedTable, config: object, names: list[str]) -> tuple[object, None]:
+    def parsed(_: PoseBench, table: Table, config: object, names: list[str]) -> tuple[object, None]:
         assert config == ParseConfig(presence=0.5)
         asked[:] = names
         truth = table.recording.truth.objects
