@@ -14,7 +14,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from recordings.dataset_numbers import DatasetNumbers
 
 from pipeline.atomic import atomic_path, write_json
 from pipeline.config import plain_values
@@ -35,6 +34,7 @@ from pipeline.synthesis.challenging import (
 from pipeline.synthesis.visibility import silhouette
 from pipeline.synthesis.writing import write_recording
 from pipeline.task_engine import Executors, Task, run_tasks
+from recordings.dataset_numbers import DatasetNumbers
 
 SPLIT = "test"
 MANIFEST = "challenging.json"

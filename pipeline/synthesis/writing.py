@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from recordings.dataset_numbers import DatasetNumbers, write_dataset_numbers
-
 from pipeline.synthesis.recording import SyntheticRecording
+from recordings.dataset_numbers import DatasetNumbers, write_dataset_numbers
 from recordings.truth import write_scene_truth
 from recordings.writer import RecordingWriter
 

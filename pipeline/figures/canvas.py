@@ -1,0 +1,56 @@
+"""The one place that imports matplotlib (extra `bench`) and writes its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.atomic import atomic_path
+from pipeline.errors import PipelineError
+
+FORMATS = (".png", ".svg")
+DOTS_PER_INCH = 100
+METADATA: dict[str, dict[str, Any]] = {".png": {"Software": None}, ".svg": {"Date": None, "Creator": None}}
+"""Clocks and versions are left out: equal figures give equal files."""
+
+
+def panels(rows: int, columns: int, width: float, height: float) -> tuple[Any, list[list[Any]]]:
+    """A figure of so many axes.
+
+    Args:
+        rows: of axes.
+        columns: of axes.
+        width: of each in inches.
+        height: of each in inches.
+
+    Returns:
+        The figure, and its axes by row and column.
+
+    Raises:
+        PipelineError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise PipelineError(
+            "figures need matplotlib; install it with: pip install 'voxscene[bench]'"
+        ) from error
+    matplotlib.rcParams["svg.hashsalt"] = "voxscene"
+    figure = Figure(figsize=(columns * width, rows * height), layout="constrained", dpi=DOTS_PER_INCH)
+    return figure, figure.subplots(rows, columns, squeeze=False).tolist()
+
+
+def write_figure(figure: Any, paths: Sequence[Path]) -> None:
+    """Write a figure in the format of each path's suffix, whole or not at all.
+
+    Raises:
+        PipelineError: a format is unknown, or a file cannot be written.
+    """
+    for path in paths:
+        if path.suffix not in FORMATS:
+            raise PipelineError(f"{path}: figures are written as {', '.join(FORMATS)}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_path(path) as partial:
+            figure.savefig(partial, metadata=METADATA[path.suffix])
