@@ -98,7 +98,7 @@ def _group(rows: Sequence[Mapping[str, Any]], views: int, poses: str) -> list[Ma
 def _mean(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     figures: dict[str, Any] = {
         key: float(np.mean([row[key] for row in rows]))
-        for key in ("solid", "shell", "observed", "ceiling", "ratio", "seconds")
+        for key in ("solid", "shell", "observed", "ceiling", "ratio", "reachable", "seconds")
     }
     draws = np.random.default_rng(0).integers(len(rows), size=(RESAMPLES, len(rows)))
     solid = np.asarray([row["solid"] for row in rows])[draws].mean(axis=1)

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from pipeline.benchmarks.shape_ceiling import reached_voxels
-from pipeline.benchmarks.shape_films import ObjectFilm, PosedFilm, film_of, with_slam, with_true_poses
+from pipeline.benchmarks.shape_films import (
+    Conditions,
+    ObjectFilm,
+    PosedFilm,
+    film_of,
+    with_slam,
+    with_true_poses,
+)
 from pipeline.benchmarks.shape_row import KeptRows, ShapeRow
 from pipeline.errors import PipelineError
 from pipeline.evaluation.calibration import calibration
@@ -27,7 +34,7 @@ from shapes.learning.distillation import learn_shape
 from shapes.prior import ShapePrior
 from shapes.voxel_grid import VoxelGrid
 
-Poses = Literal["true", "slam"]
+Poses = Literal["true", "slam", "orbit"]
 SUPPLEMENT_IOU: Mapping[str, float] = {
     "002_master_chef_can": 0.9544,
     "003_cracker_box": 0.9716,
@@ -89,6 +96,9 @@ def shape_rows(
     config: LearnConfig,
     seed: int,
     folder: Path | None = None,
+    conditions: Conditions = "rings",
+    *,
+    noise_free: bool = False,
 ) -> Iterator[ShapeRow]:
     """Learn meshes from every number of views, with every kind of poses.
 
@@ -101,8 +111,11 @@ def shape_rows(
         config: of learning.
         seed: of the films.
         folder: rows found there are taken from it, and new ones are kept there.
+        conditions: of the films.
+        noise_free: they measure exactly.
     """
-    kept = KeptRows(folder, {"config": asdict(config), "seed": seed, "peers": sorted(peers)})
+    films = {"conditions": conditions, "noise_free": noise_free}
+    kept = KeptRows(folder, {"config": asdict(config), "seed": seed, "peers": sorted(peers), **films})
     for count in views:
         for number, (name, mesh) in enumerate(sorted(meshes.items())):
             if name not in only:
@@ -111,8 +124,10 @@ def shape_rows(
             for kind in kinds:
                 row = kept.find(f"{name} {count} {kind}")
                 if row is None:
-                    film = film or film_of(mesh, count, SEED + 1000 * seed + number)
-                    about = {"object": name, "views": count, "poses": kind}
+                    film = film or film_of(
+                        mesh, count, SEED + 1000 * seed + number, conditions, noise_free=noise_free
+                    )
+                    about = {"object": name, "views": count, "poses": kind, **films}
                     row = _filmed_row(film, about, peers, config, seed)
                     kept.keep(f"{name} {count} {kind}", row)
                 yield row
@@ -138,7 +153,8 @@ def _filmed_row(
         if about["poses"] == "true":
             row = _row(film, with_true_poses(film), peers, config)
         else:
-            row = _row(film, with_slam(film, seed), peers, config.for_tracked_poses)
+            posed = with_slam(film, seed, orbit=about["poses"] == "orbit")
+            row = _row(film, posed, peers, config.for_tracked_poses)
     except (ValueError, PipelineError) as error:  # there is no object where slam says the views looked
         row = ShapeRow(figures=_failure(film.mesh, config, str(error)), scored={})
     return replace(row, figures=told | row.figures)
@@ -171,13 +187,15 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
     scored: dict[str, NDArray[np.floating]] = {OURS: _pair(shape.phi, truth, seen)}
     above = np.arange(shape.phi.shape[2]) * shape.pitch_m >= plane_m - 1e-6  # below it nobody has voxels
     agreement = asdict(shape_agreement(shape, film.mesh, posed.reference_from_mesh))
-    ceiling = _ceiling(film, posed, shape.grid, (truth, above))
+    within_reach = _not_reached(film, posed, shape.grid) & above | truth
+    ceiling = intersection_over_union(within_reach, truth)
     calibrated = calibration(scored[OURS][0], scored[OURS][1] > 0.5)
     figures = {
         "thin": _is_thin(film.mesh, config.pitch_m),
         "voxels": int(truth.sum()),
         **agreement,
         "ceiling": ceiling,
+        "reachable": intersection_over_union(shape.solid, within_reach),
         "ratio": agreement["solid"] / ceiling,
         **{score: getattr(calibrated, score) if calibrated.count else None for score in SCORES},
         "seconds": seconds,
@@ -209,7 +227,7 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
 
 def _failure(mesh: trimesh.Trimesh, config: LearnConfig, problem: str) -> dict[str, Any]:
     """What is counted where no shape could be learned: no agreement at all, and nothing for peers to fill."""
-    nothing = dict.fromkeys(("solid", "shell", "observed", "ceiling", "ratio", "seconds"), 0.0)
+    nothing = dict.fromkeys(("solid", "shell", "observed", "ceiling", "ratio", "reachable", "seconds"), 0.0)
     unknown = dict.fromkeys(SCORES)
     return {"thin": _is_thin(mesh, config.pitch_m), **nothing, **unknown, "peers": {}, "failed": problem}
 
@@ -220,21 +238,12 @@ def _pair(
     return np.stack([phi[seen].astype(np.float64), truth[seen].astype(np.float64)])
 
 
-def _ceiling(film: ObjectFilm, posed: PosedFilm, grid: VoxelGrid, solid: tuple[NDArray, NDArray]) -> float:
-    """Agreement of the truth and of all voxels that no noise-free ray reaches from the true poses.
-
-    Args:
-        film: the views.
-        posed: the frame in which the grid stands.
-        grid: to be judged on.
-        solid: the true voxels, and where there may be any.
-    """
-    truth, above = solid
+def _not_reached(film: ObjectFilm, posed: PosedFilm, grid: VoxelGrid) -> NDArray[np.bool_]:
+    """Voxels that no noise-free ray reaches from the true poses; `posed` says where the grid stands."""
     moved = film.reference_from_mesh @ np.linalg.inv(posed.reference_from_mesh) @ grid.reference_from_grid
     ideal = [film.recording.ideal_view(number).depth_m for number in range(len(film.frames))]
     at_truth = replace(grid, reference_from_grid=moved)
-    reached = reached_voxels(ideal, film.recording.intrinsics, film.trajectory, at_truth)
-    return intersection_over_union(truth | (~reached & above), truth)
+    return ~reached_voxels(ideal, film.recording.intrinsics, film.trajectory, at_truth)
 
 
 def _filled(occupied: NDArray[np.bool_], above: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The one place that imports matplotlib (extra `bench`) and writes its figures."""
+"""The one place that imports matplotlib and writes its figures."""
 
 from __future__ import annotations
 
@@ -26,9 +26,6 @@ def panels(rows: int, columns: int, width: float, height: float) -> tuple[Any, l
 
     Returns:
         The figure, and its axes by row and column.
-
-    Raises:
-        PipelineError: matplotlib is not installed.
     """
     try:
         import matplotlib

@@ -54,6 +54,8 @@ PREVIEW = 4
 """The camera is drawn and steered in images so many times smaller."""
 STEPS = 9
 """Halvings of the angle by which a camera is steered: to a tenth of a degree."""
+CROWDED_AFTER = 15
+"""Arrangements after which one object more is to hide the target: a large one needs several."""
 TOWERS = 0.25
 """Share of stacks of three."""
 BORDER_RAD = np.radians(60.0)
@@ -199,7 +201,7 @@ def challenging_image(
         if number == 0 or number >= WANTED_FOR:
             wanted = rng.uniform(low, high)
         band = BAND if number < WANTED_FOR else np.inf
-        arrangement = _arranged(shapes, kind, target, scene, rng)
+        arrangement = _arranged(shapes, kind, target, scene, rng, hiding=1 + number // CROWDED_AFTER)
         arranged += arrangement is not None
         for _ in range(CAMERAS if arrangement else 0):
             assert arrangement is not None
@@ -231,10 +233,12 @@ def _arranged(
     target: str,
     scene: ChallengingScene,
     rng: np.random.Generator,
+    *,
+    hiding: int = 1,
 ) -> _Arrangement | None:
-    """The target with the neighbours that its kind wants, if they find a place."""
+    """The target with the neighbours that its kind wants, if they find a place; `hiding` may hide it."""
     others = [name for name in sorted(shapes) if name != target]
-    count = {"single": 0, "partial": 0, "occluded": 1, "stacked": 1 + int(rng.random() < TOWERS)}[kind]
+    count = {"single": 0, "partial": 0, "occluded": hiding, "stacked": 1 + int(rng.random() < TOWERS)}[kind]
     names = [target, *rng.permutation(others)[:count].tolist()]
     if len(names) == 1 and count:
         return None

@@ -13,12 +13,12 @@ import click
 from pipeline.options import Common, common_options, words
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
-POSES = ("true", "slam")
-FIGURES = ("solid", "shell", "observed", "ceiling", "ratio")
+POSES = ("true", "slam", "orbit")
+FIGURES = ("solid", "shell", "observed", "ceiling", "ratio", "reachable")
 SCORES = ("brier", "log_loss", "ece")
-TITLES = ("solid", "shell", "observed", "ceiling", "ratio", *PEERS, "Brier", "log loss", "ECE", "seconds")
+TITLES = (*FIGURES, *PEERS, "Brier", "log loss", "ECE", "seconds")
 COLUMNS: tuple[str, ...] = (
-    *("object", "thin", "poses", "views", *FIGURES, *PEERS, *SCORES),
+    *("object", "thin", "conditions", "noise_free", "poses", "views", *FIGURES, *PEERS, *SCORES),
     *("seconds", "supplement", "particles", "hidden_occupied", "failed"),
 )
 
@@ -26,7 +26,7 @@ COLUMNS: tuple[str, ...] = (
 @click.command(name="shapes")
 @click.option("--meshes", type=click.Path(path_type=Path), required=True, metavar="DIR", help="True shapes.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
-@click.option("--views", default="5,10,20", show_default=True, metavar="T,...", help="Numbers of views.")
+@click.option("--views", metavar="T,...", help="Numbers of views; 5,10,20, or the paper's 5.")
 @click.option(
     "--only",
     metavar="TEXT,...",
@@ -44,11 +44,18 @@ COLUMNS: tuple[str, ...] = (
 )
 @click.option(
     "--poses",
-    default=",".join(POSES),
-    show_default=True,
     metavar="KIND,...",
-    help="The true poses, those that our slam finds, or both.",
+    help="true; those that our slam finds (slam), or finds where the distance is known and the object's "
+    "first pose given (orbit). true,slam by default, orbit under the paper's conditions.",
 )
+@click.option(
+    "--conditions",
+    type=click.Choice(["rings", "paper"]),
+    default="rings",
+    show_default=True,
+    help="Films from two rings in a furnished room, or as in the paper: one circle of 5 in a bare room.",
+)
+@click.option("--noise-free", is_flag=True, help="The films measure exactly.")
 @click.option(
     "--against",
     metavar="PEER,...",
@@ -64,11 +71,13 @@ def command(
     common: Common,
     meshes: Path,
     units: Any,
-    views: str,
+    views: str | None,
     only: str,
     keep: Path | None,
     growth: bool,
-    poses: str,
+    poses: str | None,
+    conditions: Any,
+    noise_free: bool,
     against: str,
     csv_path: Path | None,
 ) -> None:
@@ -82,6 +91,8 @@ def command(
     observed  voxels that some ray decided, alone
     ceiling   solid, of the true object and all voxels that no noise-free ray reaches
     ratio     solid to ceiling
+    reachable solid against the true object and all voxels that no noise-free ray reaches: 1 where all that
+              these views can show was learned
     peers     solid of each, in a row at its best setting for that object, in means at its best for all
     Brier ... of voxels that some ray decided, within three voxels of the true surface
     paper     what Table 1 of the supplement says of the object
@@ -99,7 +110,10 @@ def command(
 
     keep_compiled_kernels()
     peers = _installed(words("--against", against, PEERS))
-    kinds, counts = _asked(poses, views)
+    paper = conditions == "paper"
+    kinds, counts = _asked(
+        poses or ("orbit" if paper else "true,slam"), views or ("5" if paper else "5,10,20")
+    )
     all_meshes = load_meshes(meshes, units)
     chosen = _chosen(all_meshes, only)
     config = common.settings.section("learn", LearnConfig)
@@ -110,7 +124,9 @@ def command(
         )
         click.echo(_line(["object", "poses", "T", *TITLES, "paper"]))
     rows, grown, total = [], [], len(counts) * len(chosen) * len(kinds)
-    remaining = shape_rows(all_meshes, chosen, counts, kinds, peers, config, common.seed, keep)
+    remaining = shape_rows(
+        all_meshes, chosen, counts, kinds, peers, config, common.seed, keep, conditions, noise_free=noise_free
+    )
     try:
         with common.progress("shapes", "films") as progress:
             while len(rows) < total:
