@@ -30,6 +30,7 @@ COMMANDS = (
     "report",
     "eval",
     "bench",
+    "reproduce",
     "doctor",
 )
 """Subcommands in the order of a user's work."""

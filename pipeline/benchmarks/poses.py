@@ -7,7 +7,7 @@ numbers, so that rows do not depend on where and in which order images are judge
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,6 +108,18 @@ def _keep(
         KeptRows(folder, _about(source, method)).keep(key, title, rows, seconds)
 
 
+def collected(
+    images: Iterable[tuple[ImageKey, Found]],
+) -> tuple[list[Judged], dict[str, dict[ImageKey, float]]]:
+    """All rows in the order of the images, and the seconds of each method on each image."""
+    judged, seconds = list[Judged](), dict[str, dict[ImageKey, float]]()
+    for key, found in images:
+        for title, rows, spent in found:
+            judged += rows
+            seconds.setdefault(title, {})[key] = spent
+    return sorted(judged, key=lambda one: (one.image, one.name)), seconds
+
+
 def judge_image(source: PoseSource, key: ImageKey, methods: Sequence[Method]) -> Found:
     """What each method makes of one image."""
     with stdout_to_stderr():
@@ -179,14 +191,14 @@ class RemainingTime:
         self._after, self._say = after, say
         self._begun: tuple[float, int] | None = None
 
-    def __call__(self, done: int, total: int) -> None:
+    def __call__(self, done: int, total: int | None = None) -> None:
         """Images done and in all."""
         now = time.monotonic()
         if self._begun is None:
             self._begun = now, done
             return
         begun_s, first = self._begun
-        if done - first == self._after and total > done:
+        if total is not None and done - first == self._after and total > done:
             seconds = (now - begun_s) / self._after * (total - done)
             self._say(f"{done} of {total} images: about {seconds / 60:.0f} minutes for the rest")
 

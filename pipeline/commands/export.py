@@ -11,6 +11,8 @@ from pipeline.errors import ConfigError
 from pipeline.options import Common, common_options
 
 DEFAULT_FORMATS = "ply,glb"
+OVERLAY = "overlay"
+"""A picture, where the other formats are models."""
 
 
 @click.command(name="export")
@@ -21,7 +23,7 @@ DEFAULT_FORMATS = "ply,glb"
     default=DEFAULT_FORMATS,
     show_default=True,
     metavar="FORMAT,...",
-    help="npz, ply, obj, glb, stl, bop (BOP data set), urdf, mjcf (simulators).",
+    help="npz, ply, obj, glb, stl, bop (BOP data set), urdf, mjcf (simulators), overlay (picture of a RUN).",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of shapes in ply, obj and stl; m.")
@@ -57,7 +59,13 @@ DEFAULT_FORMATS = "ply,glb"
     "--recording",
     type=click.Path(path_type=Path),
     metavar="REC",
-    help="What RUN was made from, where --mesh does not find it by itself.",
+    help="What RUN was made from, where --mesh and overlay do not find it by themselves.",
+)
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    metavar="REC",
+    help="Of overlay: outlines of the true poses in REC as well.",
 )
 @click.option("--force", is_flag=True, help="Replace files in DIR that say something else.")
 @common_options()
@@ -74,12 +82,14 @@ def command(
     mesh: bool,
     pitch_m: float | None,
     recording: Path | None,
+    truth: Path | None,
     force: bool,
 ) -> None:
     """Write learned shapes, or what a RUN found, for other programs.
 
     Of a SHAPE.npz or a DIR of them, every shape in every format. Of a RUN, the room with its objects where
     they stand (ply, glb), and its objects one by one in the other formats; of a project's run, all of it.
+    An overlay is the parsed image with the outlines of what was found, hidden edges dotted.
 
     A manifest.json beside them says what is what. Surfaces of shapes are closed and wound outward, with
     enclosed voxels filled. Meshes are in metres unless --units says otherwise; BOP is in millimetres, GLB in
@@ -94,10 +104,11 @@ def command(
 
     wanted = tuple(dict.fromkeys(part.strip() for part in formats.split(",")))
     for form in wanted:
-        if form not in MODEL_FORMATS:
-            raise ConfigError(f"--format {form}: write some of {', '.join(MODEL_FORMATS)}")
-    if (mesh or pitch_m or recording) and not is_run(source):
-        raise ConfigError("--mesh, --pitch and --recording are for the run of one recording")
+        if form not in (*MODEL_FORMATS, OVERLAY):
+            raise ConfigError(f"--format {form}: write some of {', '.join((*MODEL_FORMATS, OVERLAY))}")
+    models = tuple(form for form in wanted if form != OVERLAY)
+    if (mesh or pitch_m or recording or OVERLAY in wanted) and not is_run(source):
+        raise ConfigError("--mesh, --pitch, --recording and overlay are for the run of one recording")
     options = ExportOptions(
         units=units or "m",
         origin=origin,
@@ -107,7 +118,11 @@ def command(
         force=force,
     )
     room = run_room(source, recording, pitch_m or PITCH_M, common) if mesh or pitch_m else None
-    paths = export(source, wanted, output, options, room)
+    paths = export(source, models, output, options, room) if models else []
+    if OVERLAY in wanted:
+        from pipeline.figures.run_overlay import export_overlay
+
+        paths += export_overlay(source, output, recording, truth)
     lines = [str(path) for path in paths]
     if room is not None:
         lines.append(f"room: {len(room.faces)} triangles")

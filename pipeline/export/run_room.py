@@ -71,6 +71,21 @@ def tracked_frames(run: Path, recording: Path | None = None) -> TrackedFrames:
     return TrackedFrames(recording=open_recording(path, options), poses=poses)
 
 
+def open_parsed(run: Path, recording: Path | None = None) -> McapRecording:
+    """The recording that a run's parse was made from, read as it was then.
+
+    Args:
+        run: run folder with a finished parse.
+        recording: where it is; None looks for it near the run and in the working directory.
+
+    Raises:
+        PipelineError: it is not found.
+    """
+    record = RunFolder(run, force=False).record("parse")
+    read = record.settings.get("recording", {}) if record else {}
+    return open_recording(recording or _recording_of(run), build(ReadOptions, read, "recording"))
+
+
 def run_room(run: Path, recording: Path | None, pitch_m: float, common: Common) -> trimesh.Trimesh:
     """The room of a run as coloured triangles in its reference frame.
 

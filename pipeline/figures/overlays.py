@@ -11,6 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from skimage.measure import find_contours
 
+from pipeline.report.pictures import depth_pixels
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import CameraIntrinsics, Frame
 
@@ -40,13 +41,8 @@ class Outline:
 
 
 def picture_of(frame: Frame) -> NDArray[np.uint8]:
-    """The frame's colours (H, W, 3), or its depth in grey, nearer brighter."""
-    if frame.rgb is not None:
-        return frame.rgb
-    measured = frame.depth_m > 0
-    near, far = np.percentile(frame.depth_m[measured], [1, 99]) if measured.any() else (0.0, 1.0)
-    grey = np.clip((far - frame.depth_m) / max(far - near, 1e-6), 0, 1) * measured
-    return np.repeat((40 + 200 * grey).astype(np.uint8)[..., None], 3, axis=2)
+    """The frame's colours (H, W, 3), or its depth as colours, nearer brighter."""
+    return depth_pixels(frame.depth_m).astype(np.uint8) if frame.rgb is None else frame.rgb
 
 
 def draw_overlay(

@@ -225,10 +225,9 @@ def _judge(
     from pipeline.benchmarks.pose_figures import pose_figures
     from pipeline.benchmarks.pose_report import image_line, report_lines
     from pipeline.benchmarks.pose_rows import write_csv
-    from pipeline.benchmarks.poses import RemainingTime, judged_images, kept_images
+    from pipeline.benchmarks.poses import RemainingTime, collected, judged_images, kept_images
 
     keep, csv_path, curves, sheets = files
-    judged, seconds = [], {method.title: {} for method in methods}
     executors, at_once = executors_for(workers)
     remaining = RemainingTime(ESTIMATE_AFTER, lambda line: _say(common, line))
     images = (
@@ -236,15 +235,14 @@ def _judge(
         if watch
         else judged_images(source, methods, executors, at_once, keep, remaining)
     )
+    done = []
     try:
         for key, found in images:
-            for title, rows, spent in found:
-                judged += rows
-                seconds[title][key] = spent
+            done.append((key, found))
             if not watch:
                 _say(common, image_line(found))
     finally:
-        judged.sort(key=lambda one: (one.image, one.name))
+        judged, seconds = collected(done)
         document = pose_figures(judged, seconds)
         common.report(document, report_lines(document))
         if csv_path and judged:

@@ -1,0 +1,109 @@
+"""`voxscene reproduce`: the supplement's tables, curves and pictures, or the same for one's own objects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pipeline.executors import Workers, executors_for
+from pipeline.options import Common, common_options, words
+
+SECTIONS = ("C", "D", "E", "F", "G", "H", "O")
+PEERS = ("fpfh", "icp24", "ppf")
+ESTIMATE_AFTER = 8
+"""Images after which the remaining time is told."""
+
+
+@click.command(name="reproduce")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), required=True, metavar="DIR"
+)
+@click.option("--only", metavar="LETTER,...", help=f"Sections of the supplement: {', '.join(SECTIONS)}.")
+@click.option("--images", type=click.IntRange(min=1), default=25, show_default=True, help="Of each kind.")
+@click.option(
+    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of the built-in objects."
+)
+@click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
+@click.option("--objects", metavar="NAME,...", help="These objects alone.")
+@click.option(
+    "--data", type=click.Path(path_type=Path), metavar="BOP_ROOT", help="Real images, for section F."
+)
+@click.option("--split", default="test", show_default=True, help="Folder of the data set's scenes.")
+@click.option(
+    "--against", default="fpfh", show_default=True, metavar="PEER,...", help=f"Of {', '.join(PEERS)}."
+)
+@click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
+@common_options()
+def command(
+    common: Common,
+    output: Path,
+    only: str | None,
+    images: int,
+    meshes: Path | None,
+    units: Any,
+    objects: str | None,
+    data: Path | None,
+    split: str,
+    against: str,
+    workers: int | str,
+) -> None:
+    """The experiments of the supplement on one page, DIR/report.html, with tables and figures beside it.
+
+    \b
+    C  shapes from five views under the paper's conditions
+    D  images in which objects are hard to find
+    E  accuracy of poses in them, with curves; G, H: outlines on the images
+    F  the same in a data set of real images (--data)
+    O  the sampler of scene graphs against enumeration
+
+    With --meshes the page tells how well it works on one's own objects. An interrupted run goes on with the
+    same command.
+    """  # noqa: D301  (click reads the \b)
+    from pipeline.jax_setup import keep_compiled_kernels
+
+    keep_compiled_kernels()
+    from pipeline.atomic import write_text
+    from pipeline.benchmarks.bop_targets import models_folder
+    from pipeline.benchmarks.pose_sources import BopImages
+    from pipeline.benchmarks.poses import RemainingTime
+    from pipeline.mesh_source import MeshSource
+    from pipeline.quiet_stdout import stdout_to_stderr
+    from pipeline.reproduction.reproduce import reproduce
+    from pipeline.reproduction.request import Request
+
+    chosen = set(
+        words("--only", only, SECTIONS) if only else set(SECTIONS) - ({"F"} if data is None else set())
+    )
+    if chosen & {"G", "H"} and not chosen & {"E", "F"}:
+        chosen.add("E")  # the outlines are of its poses
+    if data is not None and meshes is None:
+        meshes, units = models_folder(data), units or "mm"
+    shapes = MeshSource.of(meshes, units, objects)
+    executors, at_once = executors_for(workers)
+
+    def say(sentence: str) -> None:
+        if not common.quiet:
+            click.echo(sentence, err=True)
+
+    request = Request(
+        out=output.resolve(),
+        shapes=shapes,
+        images=images,
+        data=None if data is None else BopImages(root=data.resolve(), split=split, shapes=shapes),
+        peers=tuple(words("--against", against, PEERS)),
+        seed=common.seed,
+        executors=executors,
+        at_once=at_once,
+        say=say,
+        progress=RemainingTime(ESTIMATE_AFTER, say),
+    )
+    for part in ("tables", "figures"):
+        (output / part).mkdir(parents=True, exist_ok=True)
+    with stdout_to_stderr():
+        page = reproduce(request, sorted(chosen))
+    path = output / "report.html"
+    write_text(path, page.html())
+    megabytes = path.stat().st_size / 1e6
+    common.report({"report": str(path), "megabytes": megabytes}, [f"wrote {path} ({megabytes:.1f} MB)"])

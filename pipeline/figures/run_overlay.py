@@ -1,0 +1,86 @@
+"""What a run's parse found, outlined on the image that it was found in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from pipeline.errors import PipelineError
+from pipeline.evaluation.truth import RecordedTruth, true_mesh
+from pipeline.export.run_room import open_parsed
+from pipeline.figures.canvas import panels, write_figure
+from pipeline.figures.overlays import Outline, draw_overlay
+from pipeline.publishing.values import RunValues
+from pipeline.run_folder import RunFolder
+from recordings.reading import McapRecording
+from recordings.types import Frame
+
+FOUND, TRUE = "tab:green", "white"
+INCHES = 6.4
+FILES = ("overlay.png", "overlay.svg")
+
+
+def export_overlay(run: Path, out: Path, recording: Path | None, truth: Path | None) -> list[Path]:
+    """Write overlay.png and overlay.svg.
+
+    Args:
+        run: run folder with a finished parse.
+        out: folder.
+        recording: that the run was made from; None looks for it near the run.
+        truth: recording that holds the true poses, outlined in white; None leaves them out.
+
+    Raises:
+        PipelineError: the run has no parse, or its recording is not found.
+    """
+    values = RunValues.load(RunFolder(run, force=False))
+    scene = values.scene
+    if scene is None or values.surfaces is None:
+        raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
+    film = open_parsed(run, recording)
+    frame = _frame(film, int(scene.frames[0]))
+    outlines = _true_outlines(truth, frame) if truth else []
+    captions = []
+    for one in np.flatnonzero(scene.found):
+        name = str(scene.names[one])
+        surface = values.surfaces.by_name[name]
+        outlines.append(
+            Outline(
+                mesh=trimesh.Trimesh(surface.vertices_m, surface.faces, process=False),
+                camera_from_mesh=scene.camera_from_object[one],
+                colour=FOUND,
+                label="found",
+            )
+        )
+        captions.append(f"{name} {scene.presence[one]:.2f}")
+    figure, axes = panels(1, 1, INCHES, INCHES * film.intrinsics.height / film.intrinsics.width + 0.5)
+    draw_overlay(axes[0][0], frame, film.intrinsics, outlines, crop=False)
+    axes[0][0].set_title("presence: " + (", ".join(captions) or "nothing was found"), fontsize=7)
+    paths = [out / name for name in FILES]
+    write_figure(figure, paths)
+    return paths
+
+
+def _frame(film: McapRecording, number: int) -> Frame:
+    for index, frame in enumerate(film):
+        if index == number:
+            return frame
+    raise PipelineError(
+        f"the recording has no depth frame {number}, which was parsed; name it with --recording"
+    )
+
+
+def _true_outlines(truth: Path, frame: Frame) -> list[Outline]:
+    known = RecordedTruth(truth)
+    camera_from_world = known.camera_from_world(frame.time_ns)
+    return [
+        Outline(
+            mesh=true_mesh(one),
+            camera_from_mesh=camera_from_world @ one.world_from_object,
+            colour=TRUE,
+            label="truth",
+        )
+        for one in known.scene.objects
+        if one.vertices_m is not None
+    ]

@@ -1,0 +1,81 @@
+"""The page of `voxscene reproduce`: a chapter for each section of the supplement that was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from pipeline.benchmarks.sampler import document_of, measure_sampler
+from pipeline.errors import PipelineError
+from pipeline.machine import machine
+from pipeline.report.page import Page
+from pipeline.reproduction.pose_chapters import challenging_source, image_chapter, pose_chapters
+from pipeline.reproduction.request import Request
+from pipeline.reproduction.shape_chapter import shape_chapter
+
+SAMPLER_MOVES = 2_000_000
+
+
+def reproduce(request: Request, sections: Sequence[str]) -> Page:
+    """Measure what was asked for; whatever is done is kept, so that the same command goes on.
+
+    Args:
+        request: what is measured.
+        sections: letters of `CHAPTERS`, in any order.
+
+    Raises:
+        PipelineError: a part cannot be measured.
+    """
+    about = machine()
+    versions = ", ".join(f"{name} {version}" for name, version in dict(about["versions"]).items())  # pyright: ignore
+    page = Page(
+        "The supplement's experiments",
+        f"seed {request.seed}; {about['cores']} cores, {about['processor']}; {versions}",
+    )
+    for letter, chapter in CHAPTERS.items():
+        if letter in sections:
+            request.say(f"section {letter}")
+            chapter(request, page)
+    return page
+
+
+def _poses(request: Request, page: Page) -> None:
+    made_by = request.command("bench", "poses", "--challenging", str(request.images))
+    source = challenging_source(request)
+    pose_chapters(request, page, source, "E, G, H. Poses in challenging images", "challenging", made_by)
+
+
+def _real_images(request: Request, page: Page) -> None:
+    if request.data is None:
+        raise PipelineError("section F needs a data set: --data BOP_ROOT, or leave F out of --only")
+    made_by = request.command("bench", "poses", "--data", str(request.data.root))
+    pose_chapters(request, page, request.data, "F, G, H. Poses in real images", "data", made_by)
+
+
+def _sampler(request: Request, page: Page) -> None:
+    document = document_of(measure_sampler(request.seed, SAMPLER_MOVES, lambda *_: None))
+    page.chapter("O. The sampler of scene graphs")
+    page.text("Total variation of visited scene graphs from the enumerated posterior.")
+    page.listing(request.command("bench", "sampler", meshes=False))
+    page.table(
+        ("objects", "graphs", "without data", "independent draws", "with data"),
+        [
+            (
+                count,
+                str(document["trees"][count]),
+                f"{distance:.4f}",
+                f"{document['independent_draws'][count]:.4f}",
+                f"{document['with_data'][count]:.4f}",
+            )
+            for count, distance in document["total_variation"].items()
+        ],
+    )
+
+
+CHAPTERS: Mapping[str, Callable[[Request, Page], None]] = {
+    "C": shape_chapter,
+    "D": image_chapter,
+    "E": _poses,
+    "F": _real_images,
+    "O": _sampler,
+}
+"""By the supplement's letters; pictures (G, H) stand with the poses of E and F."""
