@@ -37,8 +37,8 @@ def compile_in_background(*kernels: Callable[[], object]) -> Iterator[None]:
         kernel.result()
 
 
-FEWEST_PER_CORE = 64
-"""Hypotheses of a share."""
+MOST_PER_SHARE = 128
+"""Hypotheses of a share: as many as keep a core busy for some milliseconds, and a batch several cores."""
 
 Batch = TypeVar("Batch")
 
@@ -48,10 +48,14 @@ Done = TypeVar("Done")
 
 
 def score_on_all_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDArray[np.float32]:
-    """The scores (N,) of a batch, leaves (N, ...); shares have one size, for one kernel to serve them all."""
+    """The scores (N,) of a batch, leaves (N, ...).
+
+    Shares have one size, for one kernel to serve them all, and it depends on the batch alone: the number of
+    cores changes no byte.
+    """
     count = len(jax.tree.leaves(batch)[0])
-    shares = max(min(_cores(), count // FEWEST_PER_CORE), 1)
-    if shares == 1:
+    shares = -(-count // MOST_PER_SHARE)
+    if shares == 1 or jax.default_backend() != "cpu":
         return np.asarray(score(batch))
     length = -(-count // shares)
     batch = jax.tree.map(np.asarray, batch)
@@ -70,4 +74,7 @@ def map_parallel(work: Callable[[Item], Done], items: Iterable[Item]) -> list[Do
 
 
 def _cores() -> int:
-    return (os.cpu_count() or 1) if jax.default_backend() == "cpu" else 1
+    """Those that this process may use: a worker has one."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

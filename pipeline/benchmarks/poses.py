@@ -71,7 +71,7 @@ def judged_images(
     done, total = len(source.places()) - len(missing), len(source.places())
     if progress:
         progress(done, total)
-    first = list({key.kind: key for key in reversed(missing)}.values())
+    first = list({key.kind: key for key in reversed(missing)}.values())[::-1]
     for batch, limit in ((first, 1), ([key for key in missing if key not in first], at_once)):
         tasks = {
             str(key): Task(name=str(key), call=judge_image, arguments=(source, key, missing[key]))

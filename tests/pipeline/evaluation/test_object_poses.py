@@ -54,7 +54,8 @@ def test_accuracy_and_its_area() -> None:
     thresholds = (np.arange(100_000) + 0.5) / 100_000 * 0.1
     curve = (errors[:, None] <= thresholds).mean()
 
-    assert accuracy(errors, 0.02) == 0.5
+    assert accuracy(errors, 0.02) == 1 / 3  # strictly under
+    assert accuracy(errors, 0.021) == 0.5
     assert area_under_accuracy(errors) == pytest.approx(curve, abs=1e-5)
 
 
