@@ -37,6 +37,8 @@ class MeshSource:
         Raises:
             PipelineError: one of these is not there.
         """
+        if folder is not None and not folder.is_dir():
+            raise PipelineError(f"no folder of meshes {folder}")
         source = cls(None if folder is None else folder.resolve(), units)
         names = tuple(name.strip() for name in only.split(",")) if only else ()
         known = source.meshes

@@ -63,14 +63,20 @@ def log_density(
     )
 
 
-def sample(key: jax.Array, noise: DepthNoise, rendered_m: jax.Array) -> jax.Array:
-    """Draw of every pixel given a rendered depth (infinite where the ray meets nothing)."""
+def sample(
+    key: jax.Array, noise: DepthNoise, rendered_m: jax.Array, normals: jax.Array | None = None
+) -> jax.Array:
+    """Draw of every pixel given a rendered depth (infinite where the ray meets nothing).
+
+    `normals` are the pixels' residuals in standard deviations, where they are not independent.
+    """
     none_key, outlier_key, uniform_key, normal_key = jax.random.split(key, 4)
     shape = rendered_m.shape
     hit = jnp.isfinite(rendered_m)
     surface = jnp.where(hit, rendered_m, 1.0)
     outlier = jax.random.uniform(uniform_key, shape, maxval=noise.max_range_m)
-    inlier = surface + standard_deviation(noise, surface) * jax.random.normal(normal_key, shape)
+    residuals = jax.random.normal(normal_key, shape) if normals is None else normals
+    inlier = surface + standard_deviation(noise, surface) * residuals
     is_outlier = ~hit | jax.random.bernoulli(outlier_key, noise.outlier_probability, shape)
     none_probability = jnp.where(hit, noise.none_hit_probability, noise.none_miss_probability)
     is_none = jax.random.bernoulli(none_key, none_probability)

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.benchmarks.paired_intervals import compared
 from pipeline.benchmarks.pose_images import ImageKey
 from pipeline.benchmarks.pose_rows import Judged
+from pipeline.benchmarks.presence_figures import VISIBLE, Reported, presence_figures
 from pipeline.evaluation.object_poses import error_figures
 
 RIGHT_M = 0.01
@@ -29,6 +30,8 @@ def pose_figures(judged: Sequence[Judged], seconds: Mapping[str, Mapping[ImageKe
         seconds: of each method on each image.
     """
     methods = list(dict.fromkeys(one.method for one in judged))
+    presence = {method: _presence([one for one in judged if one.method == method]) for method in methods}
+    judged = [one for one in judged if one.there]
     by_method = {method: [one for one in judged if one.method == method] for method in methods}
     return {
         "images": len({one.image for one in judged}),
@@ -36,7 +39,26 @@ def pose_figures(judged: Sequence[Judged], seconds: Mapping[str, Mapping[ImageKe
         "by_shape": _by_shape(judged, methods),
         "by_visible_fraction": _by_visible_fraction(judged, methods),
         "differences": differences(judged, methods),
+        "presence": {method: figures for method, figures in presence.items() if figures is not None},
     }
+
+
+def _presence(rows: Sequence[Judged]) -> dict[str, Any] | None:
+    """Whether what was told with a probability was so, where some that was asked for was not there."""
+    if all(one.there for one in rows):
+        return None
+    return presence_figures(
+        [
+            Reported(
+                shape=one.shape,
+                presence=one.score,
+                there=one.there,
+                error_m=one.error_m if one.there else np.inf,
+            )
+            for one in rows
+            if one.score is not None and (not one.there or (one.visible_fraction or 0) >= VISIBLE)
+        ]
+    )
 
 
 def groups(judged: Sequence[Judged]) -> dict[str, list[Judged]]:

@@ -57,6 +57,7 @@ class PoseImage:
         truth: the objects; all of them are judged.
         camera_from_world: (4, 4), the world being that of the truth.
         meshes: true surfaces by shape.
+        absent: shapes that are asked for and not there.
     """
 
     key: ImageKey
@@ -65,6 +66,7 @@ class PoseImage:
     truth: SceneTruth
     camera_from_world: NDArray[np.float64]
     meshes: Mapping[str, trimesh.Trimesh]
+    absent: tuple[str, ...] = ()
 
     @property
     def objects(self) -> tuple[TrueObject, ...]:

@@ -68,7 +68,7 @@ class Method(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Parse:
-    """Our parse of the depth image, asked for the shapes that are there.
+    """Our parse of the depth image, asked for the shapes that are there, and those that the image adds.
 
     Attributes:
         title: of the column.
@@ -89,7 +89,7 @@ class Parse:
 
     def estimate(self, image: PoseImage, shapes: MeshSource) -> Estimated:
         """Depth alone is given, no masks."""
-        scene, timing = self.parsed(image, shapes, image.shapes)
+        scene, timing = self.parsed(image, shapes, [*image.shapes, *image.absent])
         return Estimated(
             poses=self.poses(scene, shapes),
             scores=dict(zip(scene.names.tolist(), scene.presence.tolist(), strict=True)),

@@ -29,7 +29,21 @@ def report_lines(document: Mapping[str, Any]) -> list[str]:
         lines += ["", *_table(document["by_visible_fraction"], "visible", "of it seen")]
     if document["differences"]:
         lines += ["", *_differences(document["differences"])]
+    for method, figures in document["presence"].items():
+        lines += ["", method, *presence_lines(figures)]
     return lines
+
+
+def presence_lines(figures: Mapping[str, Any]) -> list[str]:
+    """What `presence_figures` found."""
+    lines = [
+        f"{figures['asked']} asked for, {figures['absent']} of them absent:"
+        f" {figures['false']} found where they are not, {figures['missed']} missed",
+        "presence   count  right",
+    ]
+    return lines + [
+        f"{row['presence']:>8.2f}  {row['count']:>6}  {row['right']:>5.2f}" for row in figures["calibration"]
+    ]
 
 
 def _groups(methods: Mapping[str, Any]) -> list[str]:

@@ -34,6 +34,7 @@ class Judged:
         stacked: the object rests on another.
         flush: it rests on a face of its bounding box.
         parent_right: where the method tells parents and the truth has one.
+        there: whether it is; what is asked for and not there has no error, and is judged by its score.
         score: that the method gives to what it found; our presence.
         estimate: camera_from_object by rows (12 numbers); None where the object was not found.
     """
@@ -50,6 +51,7 @@ class Judged:
     stacked: bool
     flush: bool
     parent_right: bool | None
+    there: bool
     score: float | None
     estimate: tuple[float, ...] | None
 

@@ -5,7 +5,7 @@ A source is a few numbers and paths, so that any process makes or reads the same
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.benchmarks.bop_targets import bop_images, target_counts
 from pipeline.benchmarks.pose_images import ImageKey, PoseImage
+from pipeline.config import plain_values
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.challenging import ChallengingScene
 from pipeline.synthesis.challenging_set import ChallengingSet, scene_id
@@ -21,6 +22,7 @@ from pipeline.synthesis.filming import film_table
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
+from pipeline.synthesis.worlds import WorldScene, film_world
 from recordings.importers.bop import Annotated, scene_truth
 from recordings.importers.dataset import read_frame
 
@@ -106,6 +108,41 @@ class ChallengingImages:
     def about(self) -> dict[str, Any]:
         """The set's fingerprint."""
         return {"challenging": self.made_of.fingerprint}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worlds:
+    """Synthetic worlds like the real ones, with things that nobody asks for and shapes that are not there.
+
+    Attributes:
+        shapes: that may be asked for.
+        others: meshes of things that nobody asks for; None leaves clutter alone.
+        scene: what a world consists of.
+        seed: of the first.
+        numbers: of the worlds.
+    """
+
+    shapes: MeshSource
+    others: MeshSource | None
+    scene: WorldScene
+    seed: int
+    numbers: tuple[int, ...]
+
+    def places(self) -> list[ImageKey]:
+        """One a world."""
+        return [ImageKey("world", 0, number) for number in self.numbers]
+
+    def image(self, key: ImageKey) -> PoseImage:
+        """The world of a number."""
+        others = self.others.meshes if self.others else {}
+        world = film_world(self.shapes.meshes, others, self.scene, self.seed + key.im_id)
+        return replace(filmed_image(key, world.recording, self.shapes), absent=world.absent)
+
+    def about(self) -> dict[str, Any]:
+        """Objects, others, settings and the seed."""
+        others = self.others.hashes if self.others else {}
+        settings = plain_values(self.scene)
+        return {"worlds": settings, "seed": self.seed, "shapes": self.shapes.hashes, "others": others}
 
 
 @dataclass(frozen=True, kw_only=True)

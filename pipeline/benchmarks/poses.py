@@ -19,6 +19,7 @@ from pipeline.benchmarks.pose_methods import Estimated, Method, Registration, re
 from pipeline.benchmarks.pose_rows import Judged, KeptRows
 from pipeline.benchmarks.pose_sources import PoseSource, Tables
 from pipeline.errors import PipelineError
+from pipeline.evaluation.object_poses import MISSING_M
 from pipeline.evaluation.scenes import ObjectError, object_errors
 from pipeline.fingerprints import METHOD, source_hash
 from pipeline.mesh_source import MeshSource
@@ -151,11 +152,34 @@ def judgements(image: PoseImage, method: Method, estimated: Estimated) -> list[J
             stacked=one.parent not in {TABLE, None},
             flush=one.contact_faces is not None,
             parent_right=estimated.parents_right.get(one.name),
+            there=True,
             score=estimated.scores.get(one.shape),
             estimate=_rows_of(errors[one.name].estimate),
         )
         for one in image.objects
-    ]
+    ] + [_absent(image, method, estimated, shape) for shape in image.absent if shape in estimated.scores]
+
+
+def _absent(image: PoseImage, method: Method, estimated: Estimated, shape: str) -> Judged:
+    """The row of a shape that was asked for and is not there."""
+    poses = [pose for name, pose in estimated.poses if name == shape]
+    return Judged(
+        method=method.title,
+        setting=method.setting,
+        kind=image.key.kind,
+        scene_id=image.key.scene_id,
+        im_id=image.key.im_id,
+        name=shape,
+        shape=shape,
+        error_m=MISSING_M,
+        visible_fraction=None,
+        stacked=False,
+        flush=False,
+        parent_right=None,
+        there=False,
+        score=estimated.scores[shape],
+        estimate=_rows_of(poses[0] if poses else None),
+    )
 
 
 def tuned(method: Registration, shapes: MeshSource, choices: Sequence[str]) -> Registration:

@@ -23,7 +23,7 @@ _PROBLEMS_SHOWN = 10
 @common_options("recording")
 @click.pass_context
 def command(ctx: click.Context, source: RecordingSource, hashes: bool, common: Common) -> None:
-    """Topics, frames, rates, gaps, intrinsics and damage of a recording.
+    """Topics, frames, rates, gaps, intrinsics and damage.
 
     REC is an MCAP file or a rosbag2 folder. Exit code 3 says that part of it is lost.
     """

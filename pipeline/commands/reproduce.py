@@ -49,7 +49,9 @@ def command(
     against: str,
     workers: int | str,
 ) -> None:
-    """The experiments of the supplement on one page, DIR/report.html, with tables and figures beside it.
+    """The paper's experiments on one page.
+
+    DIR/report.html, with tables and figures beside it.
 
     \b
     C  shapes from five views under the paper's conditions

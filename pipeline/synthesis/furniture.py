@@ -50,7 +50,8 @@ def clutter_piece(rng: np.random.Generator, size: float) -> Manifold:
     return polygon([(0, 0), (x, 0), (0, z)]).extrude(y).rotate((90, 0, 0)).translate((-x / 2, y / 2, 0))
 
 
-def _chair(rng: np.random.Generator) -> Manifold:
+def chair(rng: np.random.Generator) -> Manifold:
+    """A chair that faces along positive y."""
     seat = table(0.45, 0.45, rng.uniform(0.42, 0.48))
     return seat + block(0.45, 0.04, rng.uniform(0.85, 1.0), y=-0.2)
 
@@ -60,7 +61,8 @@ def _desk(rng: np.random.Generator) -> Manifold:
     return table(width, 0.7, 0.74) + block(0.5, 0.06, 0.36, x=rng.uniform(-0.2, 0.2), y=-0.1, z=0.74)
 
 
-def _shelf(rng: np.random.Generator) -> Manifold:
+def shelf(rng: np.random.Generator) -> Manifold:
+    """An open shelf."""
     width, height = rng.uniform(0.6, 1.2), rng.uniform(1.2, 2.1)
     boards = [block(width, 0.3, 0.02, z=z) for z in np.linspace(0, height - 0.02, rng.integers(4, 7))]
     frame = [block(0.02, 0.3, height, x=side * width / 2) for side in (-1, 1)]
@@ -125,5 +127,5 @@ def _round_table(rng: np.random.Generator) -> Manifold:
 
 
 Builder = Callable[[np.random.Generator], Manifold]
-_WALL_PIECES: tuple[Builder, ...] = (_desk, _shelf, _cupboard, _sofa, _bed, _stairs)
-_FREE_PIECES: tuple[Builder, ...] = (_chair, _column, _plant, _lamp, _round_table)
+_WALL_PIECES: tuple[Builder, ...] = (_desk, shelf, _cupboard, _sofa, _bed, _stairs)
+_FREE_PIECES: tuple[Builder, ...] = (chair, _column, _plant, _lamp, _round_table)

@@ -13,6 +13,9 @@ from pipeline.synthesis.world import NOTHING, Part, RayCaster, View
 from recordings.truth import SceneTruth
 from recordings.types import CameraIntrinsics, Damage, Frame, Trajectory
 
+CAMERA = (1 << 32) - 1
+"""In place of a frame's number where what all frames share is drawn."""
+
 
 class SyntheticRecording:
     """Frames of a synthetic world (the `Recording` protocol), drawn anew and alike at each iteration.
@@ -44,6 +47,7 @@ class SyntheticRecording:
         self._palette = np.array([part.colour for part in parts] + [(0, 0, 0)], np.float32)
         self.sensor = sensor
         self._key = jax.random.key(seed)
+        self._depth_scale = sensor.drawn_scale(jax.random.fold_in(self._key, CAMERA))
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -58,7 +62,9 @@ class SyntheticRecording:
         view = self.ideal_view(index)
         return Frame(
             time_ns=int(self.trajectory.times_ns[index]),
-            depth_m=self.sensor.measure(jax.random.fold_in(self._key, index), view),
+            depth_m=self.sensor.measure(
+                jax.random.fold_in(self._key, index), view, self._brightness(view), self._depth_scale
+            ),
             rgb=self._shaded(view),
         )
 
@@ -69,6 +75,10 @@ class SyntheticRecording:
     def clearance_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float32]:
         """Distance of world points (N, 3) from the nearest true surface."""
         return self._caster.clearance_m(points_m)
+
+    def _brightness(self, view: View) -> NDArray[np.float32]:
+        """Mean colour (H, W) of the surfaces as shares of white."""
+        return self._palette.mean(axis=1)[view.part] / 255
 
     def _shaded(self, view: View) -> NDArray[np.uint8]:
         """Flat colours (H, W, 3) under a lamp at the camera."""

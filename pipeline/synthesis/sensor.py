@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
+from pipeline.synthesis.sensor_errors import clustered, correlated_normals
 from pipeline.synthesis.world import View
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.depth_noise import sample
+
+HOLE_PX = 4.0
+"""Over which holes on dark and shining surfaces hang together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +31,13 @@ class DepthSensor:
         grazing_limit_deg: no return where the ray meets the surface at a larger angle to its normal.
         edge_jump_m: a pixel whose neighbours leave its plane by more stands at an edge.
         edge_none_probability: share of the pixels at edges that do not return.
+        correlation: of residuals 1, 2, ... pixels apart; empty leaves pixels independent.
+        quantisation_growth_per_m: growth of the quantisation's step with squared distance, in 1/m.
+        scale_error: standard deviation of the factor by which a camera's depths are too long.
+        dark_level: a surface darker than this share of white returns badly.
+        dark_none_probability: share of such a surface that does not return, in blots.
+        shine_deg: a surface met within this angle of its normal may shine.
+        shine_none_probability: share of such a surface that does not return, in blots.
     """
 
     noise: DepthNoise = field(default_factory=DepthNoise)
@@ -36,34 +47,97 @@ class DepthSensor:
     grazing_limit_deg: float = 80.0
     edge_jump_m: float = 0.05
     edge_none_probability: float = 0.5
+    correlation: tuple[float, ...] = ()
+    quantisation_growth_per_m: float = 0.0
+    scale_error: float = 0.0
+    dark_level: float = 0.25
+    dark_none_probability: float = 0.0
+    shine_deg: float = 8.0
+    shine_none_probability: float = 0.0
 
     def __post_init__(self) -> None:
         if self.quantisation_m < 0 or self.min_range_m < 0 or self.edge_jump_m <= 0:
             raise ValueError("quantisation_m and min_range_m must not be negative, edge_jump_m positive")
         if not 0 <= self.edge_none_probability <= 1:
             raise ValueError(f"edge_none_probability must lie in [0, 1], got {self.edge_none_probability}")
+        if not all(-1 < value < 1 for value in self.correlation):
+            raise ValueError(f"correlation must lie between -1 and 1, got {self.correlation}")
+        for name in ("dark_none_probability", "shine_none_probability"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
+        if min(self.quantisation_growth_per_m, self.scale_error) < 0:
+            raise ValueError("quantisation_growth_per_m and scale_error must not be negative")
 
     @property
     def in_millimetres(self) -> bool:
         """True if every depth is a whole number of millimetres."""
         step_mm = self.quantisation_m * 1000
-        return not self.noise_free and step_mm > 0 and bool(np.isclose(step_mm, round(step_mm)))
+        whole = step_mm > 0 and bool(np.isclose(step_mm, round(step_mm)))
+        return whole and not self.noise_free and self.quantisation_growth_per_m == 0
 
-    def measure(self, key: jax.Array, view: View) -> NDArray[np.float32]:
-        """One depth image (H, W) of an ideal view, in metres, `NO_RETURN` where nothing was measured."""
+    def drawn_scale(self, key: jax.Array) -> float:
+        """The factor by which a camera of this kind measures too long, the same in all its images."""
+        return 1 + self.scale_error * float(jax.random.normal(key)) if self.scale_error > 0 else 1.0
+
+    def measure(
+        self,
+        key: jax.Array,
+        view: View,
+        brightness: NDArray[np.floating] | None = None,
+        depth_scale: float = 1.0,
+    ) -> NDArray[np.float32]:
+        """One depth image (H, W) of an ideal view, in metres, `NO_RETURN` where nothing was measured.
+
+        Args:
+            key: of the image's noise.
+            view: what an ideal camera sees.
+            brightness: (H, W) of the surfaces as shares of white; None is white.
+            depth_scale: factor by which the camera's depths are too long, `drawn_scale`.
+        """
         if self.noise_free:
             depth = np.where(np.isfinite(view.depth_m), view.depth_m, NO_RETURN)
             return self._within_range(depth).astype(np.float32)
         noise_key, edge_key = jax.random.split(key)
-        depth = np.array(sample(noise_key, self.noise, jnp.asarray(view.depth_m)))
-        if self.quantisation_m > 0:
-            # by division, as files are read: the same bits as a stored depth
-            depth = np.round(depth / self.quantisation_m) / np.float32(1 / self.quantisation_m)
+        normals = holes = None
+        if self.dark_none_probability > 0 or self.shine_none_probability > 0:
+            edge_key, hole_key = jax.random.split(edge_key)
+            holes = self._holes(hole_key, view, brightness)
+        if self.correlation:
+            noise_key, field_key = jax.random.split(noise_key)
+            normals = jnp.asarray(correlated_normals(field_key, view.depth_m.shape, self.correlation))
+        depth = np.array(sample(noise_key, self.noise, jnp.asarray(view.depth_m), normals))
+        depth = self._quantised(depth * np.float32(depth_scale))
         hit = np.isfinite(view.depth_m)
         depth[hit & (view.cos_incidence < np.cos(np.radians(self.grazing_limit_deg)))] = NO_RETURN
         drop = jax.random.bernoulli(edge_key, self.edge_none_probability, depth.shape)
         depth[np.asarray(drop) & self._at_edge(view.depth_m)] = NO_RETURN
+        if holes is not None:
+            depth[holes] = NO_RETURN
         return self._within_range(depth).astype(np.float32)
+
+    def _quantised(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Depths in steps that grow with squared distance; even ones by division, as files are read."""
+        if self.quantisation_growth_per_m > 0:
+            step = self.quantisation_m + self.quantisation_growth_per_m * depth_m**2
+            return (np.round(depth_m / step) * step).astype(np.float32)
+        if self.quantisation_m > 0:
+            return np.round(depth_m / self.quantisation_m) / np.float32(1 / self.quantisation_m)
+        return depth_m
+
+    def _holes(
+        self, key: jax.Array, view: View, brightness: NDArray[np.floating] | None
+    ) -> NDArray[np.bool_]:
+        """Blots on dark and on shining surfaces (H, W) that return nothing."""
+        height, width = view.depth_m.shape
+        holes = np.zeros((height, width), bool)
+        dark_key, shine_key = jax.random.split(key)
+        if self.dark_none_probability > 0 and brightness is not None:
+            blots = clustered(dark_key, (height, width), self.dark_none_probability, HOLE_PX)
+            holes |= blots & (brightness < self.dark_level)
+        if self.shine_none_probability > 0:
+            blots = clustered(shine_key, (height, width), self.shine_none_probability, HOLE_PX)
+            holes |= blots & (view.cos_incidence > np.cos(np.radians(self.shine_deg)))
+        return holes
 
     def _at_edge(self, depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Inverse depth is linear over a plane, so its second difference sees jumps and no slopes."""

@@ -56,6 +56,15 @@ class NamedFile(click.ParamType):
     "--kinds", default=",".join(KINDS), show_default=True, metavar="KIND,...", help="Of these images."
 )
 @click.option(
+    "--worlds", type=click.IntRange(min=1), metavar="N", help="N worlds like real ones instead of tables."
+)
+@click.option(
+    "--unasked",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Meshes of things in these worlds that nobody asks for.",
+)
+@click.option(
     "--data", type=click.Path(path_type=Path), metavar="DIR", help="A BOP data set, or YCB-Video frames."
 )
 @click.option("--split", default="test", show_default=True, help="Folder of the data set's scenes.")
@@ -117,6 +126,8 @@ def command(
     objects: int,
     challenging: int | None,
     kinds: str,
+    worlds: int | None,
+    unasked: Path | None,
     data: Path | None,
     split: str,
     meshes: Path | None,
@@ -134,11 +145,12 @@ def command(
     watch: bool,
     workers: int | str,
 ) -> None:
-    """ADD-S of known objects, beside registration, ICP and other programs.
+    """ADD-S of known objects, beside other methods.
 
-    In synthetic tables, in images in which objects are hard to find (--challenging), or in a data set
-    (--data). Depth only, no masks, objects known; all of them are judged, however little is seen of them.
-    Seconds are of an image, without compiling. With --keep an interrupted run goes on where it stopped.
+    In synthetic tables, in images in which objects are hard to find (--challenging), in worlds like real ones
+    (--worlds), or in a data set (--data); beside registration, ICP and other programs. Depth only, no masks,
+    objects known; all of them are judged, however little is seen of them. Seconds are of an image, without
+    compiling. With --keep an interrupted run goes on where it stopped.
     """
     from pipeline.jax_setup import keep_compiled_kernels
 
@@ -146,8 +158,8 @@ def command(
     from pipeline.benchmarks.pose_methods import OURS
     from pipeline.mesh_source import MeshSource
 
-    if sum(one is not None for one in (tables, challenging, data)) > 1:
-        raise click.UsageError("--tables, --challenging and --data are three sources; name one")
+    if sum(one is not None for one in (tables, challenging, worlds, data)) > 1:
+        raise click.UsageError("--tables, --challenging, --worlds and --data are four sources; name one")
     if watch and keep is None:
         raise click.UsageError("--watch needs --keep, where the rows are")
     if data is not None and meshes is None:
@@ -161,7 +173,19 @@ def command(
     elif absent:
         _presences(common, shapes, objects, numbers, absent)
     else:
-        source = _source(common, shapes, objects, numbers, challenging, kinds, data, split)
+        if worlds is not None:
+            from pipeline.benchmarks.pose_sources import Worlds
+            from pipeline.synthesis.worlds import WorldScene
+
+            source = Worlds(
+                shapes=shapes,
+                others=MeshSource.of(unasked, units) if unasked else None,
+                scene=WorldScene(),
+                seed=common.seed,
+                numbers=tuple(range(first, first + worlds)),
+            )
+        else:
+            source = _source(common, shapes, objects, numbers, challenging, kinds, data, split)
         ours = [one.of(common.seed, learned or 0) for one in OURS]
         methods = [*ours, *_others(shapes, source, words("--against", against, PEERS), results)]
         _judge(common, source, methods, workers, (keep, csv_path, curves, sheets), watch=watch)
@@ -280,8 +304,10 @@ def _growth(common: Common, shapes: Any) -> None:
 
 
 def _presences(common: Common, shapes: Any, objects: int, numbers: Sequence[int], absent: int) -> None:
-    from pipeline.benchmarks.pose_presence import presence_figures, presences
+    from pipeline.benchmarks.pose_presence import presences
+    from pipeline.benchmarks.pose_report import presence_lines
     from pipeline.benchmarks.pose_sources import Tables
+    from pipeline.benchmarks.presence_figures import presence_figures
     from pipeline.quiet_stdout import stdout_to_stderr
 
     tables = Tables(shapes=shapes, objects=objects, seed=common.seed, numbers=tuple(numbers))
@@ -293,19 +319,7 @@ def _presences(common: Common, shapes: Any, objects: int, numbers: Sequence[int]
         said = (f"{one.shape}{'' if one.there else ' (absent)'} {one.presence:.2f}" for one in table)
         _say(common, f"table {number}: {', '.join(said)}")
     figures = presence_figures(reported)
-    common.report(
-        figures,
-        [
-            f"{figures['asked']} asked for, {figures['absent']} of them absent:"
-            f" {figures['false']} found where they are not, {figures['missed']} missed",
-            "presence   count  right",
-            *map(_bin_line, figures["calibration"]),
-        ],
-    )
-
-
-def _bin_line(row: dict[str, Any]) -> str:
-    return f"{row['presence']:>8.2f}  {row['count']:>6}  {row['right']:>5.2f}"
+    common.report(figures, presence_lines(figures))
 
 
 def _say(common: Common, line: str) -> None:

@@ -47,7 +47,7 @@ def command(
     workers: int | str,
     force: bool,
 ) -> None:
-    """Write images of objects that are hard to find to the folder OUT.
+    """Images in which objects are hard to find.
 
     \b
     single    one object, all in view
@@ -55,8 +55,8 @@ def command(
     partial   the image's border leaves 0.2 to 0.7 of the object
     occluded  another object leaves 0.1 to 0.6 of it
 
-    As a BOP data set (models, test, targets; depth in 0.1 mm) and as recordings of one frame with the truth
-    in them. An interrupted run goes on with the same command; --images may grow.
+    The folder OUT becomes a BOP data set (models, test, targets; depth in 0.1 mm), with recordings of one
+    frame beside it that hold the truth. An interrupted run goes on with the same command; --images may grow.
     """  # noqa: D301  (click reads the \b)
     from pipeline.jax_setup import keep_compiled_kernels
 

@@ -84,7 +84,7 @@ def test_peers_see_the_same_box(document: dict) -> None:
 def test_a_slice_takes_rows_that_were_kept(document: dict, films: dict, folder: Path) -> None:
     """Nothing is learned again with the same settings, and the rows say the same."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench, "film_of", lambda *_: pytest.fail("filmed again"))
+        patch.setattr(bench, "film_of", lambda *_, **__: pytest.fail("filmed again"))
         (row,) = shape_rows(films, ["thin"], [4], ["true"], ["carving", "tsdf"], CONFIG, 0, folder)
     assert row.figures == next(one for one in document["rows"] if one["object"] == "thin")
     assert row.scored["voxscene"].shape[0] == 2
@@ -94,7 +94,9 @@ def test_a_slice_takes_rows_that_were_kept(document: dict, films: dict, folder: 
 def test_rows_of_other_settings_are_not_taken(folder: Path) -> None:
     """Nor is a file that is no row."""
     (folder / "torn 4 true.npz").write_bytes(b"PK")
-    same = {"config": asdict(CONFIG), "seed": 0, "peers": ["carving", "tsdf"]}
+    films = {"conditions": "rings", "noise_free": False}
+    same = {"config": asdict(CONFIG), "seed": 0, "peers": ["carving", "tsdf"], **films}
+    assert KeptRows(folder, same | {"conditions": "paper"}).find("thin 4 true") is None
     assert KeptRows(folder, same).find("thin 4 true") is not None
     assert KeptRows(folder, same | {"seed": 1}).find("thin 4 true") is None
     assert KeptRows(folder, same).find("torn 4 true") is None
@@ -104,7 +106,7 @@ def test_every_slice_films_a_mesh_alike(films: dict) -> None:
     """The seed of a mesh does not hang on which others are asked for."""
     seeds: list[int] = []
 
-    def seeing(_mesh: trimesh.Trimesh, _views: int, seed: int) -> None:
+    def seeing(_mesh: trimesh.Trimesh, _views: int, seed: int, *_: object, **__: object) -> None:
         seeds.append(seed)
         raise InterruptedError
 

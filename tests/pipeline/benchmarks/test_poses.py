@@ -10,11 +10,12 @@ from scipy.spatial import KDTree
 from pipeline.benchmarks.pose_figures import pose_figures
 from pipeline.benchmarks.pose_images import PoseImage
 from pipeline.benchmarks.pose_methods import Estimated, Parse
-from pipeline.benchmarks.pose_presence import Reported, presence_figures, presences
+from pipeline.benchmarks.pose_presence import presences
 from pipeline.benchmarks.pose_report import report_lines
 from pipeline.benchmarks.pose_rows import Judged, write_csv
 from pipeline.benchmarks.pose_sources import Tables
 from pipeline.benchmarks.poses import judged_images, judgements
+from pipeline.benchmarks.presence_figures import Reported, presence_figures
 from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import MISSING_M, add_s_m, model_points
 from pipeline.executors import executors_for
@@ -158,6 +159,7 @@ def judged() -> list[Judged]:
         stacked=False,
         flush=True,
         parent_right=True,
+        there=True,
         score=0.9,
         estimate=tuple(np.eye(4)[:3].ravel()),
     )

@@ -1,0 +1,67 @@
+"""`voxscene synth worlds`: single frames of worlds like the real ones in which parsing fails."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pipeline.options import Common, common_options
+
+
+@click.command(name="worlds")
+@click.argument("out", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of the built-in objects."
+)
+@click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
+@click.option("--only", metavar="NAME,...", help="These objects alone.")
+@click.option(
+    "--unasked", type=click.Path(path_type=Path), metavar="DIR", help="Meshes of things that nobody asks for."
+)
+@click.option("--objects", type=click.IntRange(1), help="That are there and asked for.")
+@click.option("--absent", type=click.IntRange(0), help="Shapes asked for that are not there.")
+@click.option("--clutter", type=click.IntRange(0), help="Things of no mesh at all.")
+@common_options("synth")
+def command(
+    common: Common,
+    out: tuple[Path, ...],
+    meshes: Path | None,
+    units: Any,
+    only: str | None,
+    unasked: Path | None,
+    objects: int | None,
+    absent: int | None,
+    clutter: int | None,
+) -> None:
+    """Film a world like the real ones in each OUT.
+
+    One frame, with the truth in the file: a small table over a floor, seats and a shelf near by, things that
+    nobody asks for, shapes asked for that are not there; a sensor with errors that hang together over
+    pixels, holes on dark and shining faces, steps that grow with the distance and a wrong scale. What is to
+    be asked for is printed.
+    """
+    from pipeline.jax_setup import keep_compiled_kernels
+
+    keep_compiled_kernels()
+    from pipeline.mesh_source import MeshSource
+    from pipeline.synthesis.worlds import WorldScene, film_world
+    from pipeline.synthesis.writing import write_recording
+
+    own = {"objects": objects, "absent": absent, "clutter": clutter}
+    scene = common.settings.section("synth", WorldScene, own)
+    shapes = MeshSource.of(meshes, units, only).meshes
+    others = MeshSource.of(unasked, units).meshes if unasked else {}
+    document = []
+    with common.progress("worlds", "films") as progress:
+        for index, path in enumerate(out):
+            world = film_world(shapes, others, scene, common.seed + index)
+            write_recording(world.recording, path)
+            there = [one.shape for one in world.recording.truth.objects]
+            document.append({"path": str(path), "there": there, "absent": list(world.absent)})
+            progress(index + 1, len(out))
+    common.report(
+        document,
+        [f"{one['path']}: --objects {','.join(sorted([*one['there'], *one['absent']]))}" for one in document],
+    )
