@@ -16,7 +16,7 @@ from pipeline.benchmarks.bop_targets import bop_images, target_counts
 from pipeline.benchmarks.pose_images import ImageKey, PoseImage
 from pipeline.config import plain_values
 from pipeline.mesh_source import MeshSource
-from pipeline.synthesis.challenging import ChallengingScene
+from pipeline.synthesis.challenging_scene import ChallengingScene
 from pipeline.synthesis.challenging_set import ChallengingSet, scene_id
 from pipeline.synthesis.filming import film_table
 from pipeline.synthesis.recording import SyntheticRecording

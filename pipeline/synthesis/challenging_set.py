@@ -23,14 +23,8 @@ from pipeline.export.bop_images import PosedObject, camera_document, targets, wr
 from pipeline.export.meshes import mesh_bytes, moved
 from pipeline.fingerprints import canonical_hash, source_hash
 from pipeline.mesh_source import MeshSource
-from pipeline.synthesis.challenging import (
-    DEPTH_UNIT_M,
-    KINDS,
-    ChallengingImage,
-    ChallengingScene,
-    challenging_image,
-    unplaceable,
-)
+from pipeline.synthesis.challenging import ChallengingImage, challenging_image, unplaceable
+from pipeline.synthesis.challenging_scene import DEPTH_UNIT_M, KINDS, ChallengingScene
 from pipeline.synthesis.visibility import silhouette
 from pipeline.synthesis.writing import write_recording
 from pipeline.task_engine import Executors, Task, run_tasks

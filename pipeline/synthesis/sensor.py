@@ -32,7 +32,8 @@ class DepthSensor:
         edge_jump_m: a pixel whose neighbours leave its plane by more stands at an edge.
         edge_none_probability: share of the pixels at edges that do not return.
         correlation: of residuals 1, 2, ... pixels apart; empty leaves pixels independent.
-        quantisation_growth_per_m: growth of the quantisation's step with squared distance, in 1/m.
+        quantisation_growth_per_m: growth of the quantisation's step with squared distance, in 1/m, where it
+            has one.
         scale_error: standard deviation of the factor by which a camera's depths are too long.
         dark_level: a surface darker than this share of white returns badly.
         dark_none_probability: share of such a surface that does not return, in blots.
@@ -116,13 +117,15 @@ class DepthSensor:
         return self._within_range(depth).astype(np.float32)
 
     def _quantised(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Depths in steps that grow with squared distance; even ones by division, as files are read."""
-        if self.quantisation_growth_per_m > 0:
-            step = self.quantisation_m + self.quantisation_growth_per_m * depth_m**2
-            return (np.round(depth_m / step) * step).astype(np.float32)
-        if self.quantisation_m > 0:
-            return np.round(depth_m / self.quantisation_m) / np.float32(1 / self.quantisation_m)
-        return depth_m
+        """Depths in steps q + g z^2, even ones by division, as files are read.
+
+        The steps are even in the integral of dz / (q + g z^2), atan(z sqrt(g / q)) / sqrt(q g).
+        """
+        q, g = self.quantisation_m, self.quantisation_growth_per_m
+        if q > 0 and g > 0:
+            steps = np.round(np.arctan(depth_m * np.sqrt(g / q)) / np.sqrt(q * g))
+            return (np.tan(steps * np.sqrt(q * g)) * np.sqrt(q / g)).astype(np.float32)
+        return np.round(depth_m / q) / np.float32(1 / q) if q > 0 else depth_m
 
     def _holes(
         self, key: jax.Array, view: View, brightness: NDArray[np.floating] | None

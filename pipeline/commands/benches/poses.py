@@ -202,7 +202,7 @@ def _source(
     split: str,
 ) -> PoseSource:
     from pipeline.benchmarks.pose_sources import BopImages, Tables, challenging_images
-    from pipeline.synthesis.challenging import ChallengingScene
+    from pipeline.synthesis.challenging_scene import ChallengingScene
 
     if data is not None:
         return BopImages(root=data.resolve(), split=split, shapes=shapes)

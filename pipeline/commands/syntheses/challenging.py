@@ -62,7 +62,7 @@ def command(
 
     keep_compiled_kernels()
     from pipeline.mesh_source import MeshSource
-    from pipeline.synthesis.challenging import ChallengingScene
+    from pipeline.synthesis.challenging_scene import ChallengingScene
     from pipeline.synthesis.challenging_set import ChallengingSet, write_set
 
     width, height = image_size(size) if size else (None, None)

@@ -11,7 +11,7 @@ from PIL import Image
 from pipeline.errors import PipelineError
 from pipeline.executors import executors_for
 from pipeline.mesh_source import MeshSource
-from pipeline.synthesis.challenging import ChallengingScene
+from pipeline.synthesis.challenging_scene import ChallengingScene
 from pipeline.synthesis.challenging_set import ChallengingSet, write_set
 from pipeline.synthesis.scenarios import CameraConfig
 from recordings.importers.bop import read_bop

@@ -63,7 +63,7 @@ def test_a_sensor_with_correlation_keeps_its_deviation(key: jax.Array) -> None:
 
 def test_steps_grow_with_distance_and_scale_is_the_cameras_own(key: jax.Array) -> None:
     """Depths are multiples of 0.5 mm + 1.2 mm z^2 nearly; two images of a camera are too long alike."""
-    still = replace(EXACT, noise=replace(EXACT.noise, sigma_base_m=0.0, sigma_growth_per_m=0.0))
+    still = replace(EXACT, noise=replace(EXACT.noise, sigma_base_m=1e-6, sigma_growth_per_m=0.0))
     first, second, camera = jax.random.split(key, 3)
     stepped = replace(still, quantisation_m=0.0005, quantisation_growth_per_m=0.0012)
     ramp = replace_depth(wall(1.0), np.linspace(1.9, 2.1, SHAPE[1], dtype=np.float32)[None, :])
@@ -71,8 +71,8 @@ def test_steps_grow_with_distance_and_scale_is_the_cameras_own(key: jax.Array) -
     assert 0.004 < np.median(np.diff(levels)) < 0.0065
     long = replace(still, quantisation_m=0.0, scale_error=0.05)
     measured = long.measure(second, wall(1.0), None, long.drawn_scale(camera))
-    assert np.ptp(measured) < 1e-6
-    assert abs(measured[0, 0] - 1) > 1e-5
+    assert np.ptp(measured) < 2e-5
+    assert abs(measured[0, 0] - 1) > 1e-4
     assert still.drawn_scale(camera) == 1.0
 
 
