@@ -9,6 +9,9 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from recordings.types import DepthNoise
+from shapes.depth_noise import standard_deviation
+
 SAMPLED_POINTS = 8000
 
 PLANES, DRAWN_PLANES, REFITS = 6, 400, 3
@@ -24,8 +27,17 @@ FITTED_POINTS = 20000
 BEND_M, SETTLED_M = 0.012, 0.003
 """Scales of the robust fit of the bend, first and last."""
 
-NARROWEST_HALF_M = 0.12
-"""A narrower plane is an object's face."""
+NARROWEST_HALF_M, SHORTEST_HALF_M = 0.09, 0.12
+"""A plane less than 18 cm wide or 24 cm long is a face of what a hand holds."""
+
+STEEPEST = 0.87
+"""Cosine of 30 degrees: what is steeper against the plane that carries most is a wall."""
+
+WARPED_M = 0.04
+"""Planes that go on from each other and differ less in height are one, seen warped: cameras bend what is two
+metres away by so much, and stairs and shelves are further apart."""
+
+LEAST_TOLERANCE_M = 0.006
 
 CONNECTED_M = 0.05
 """A gap in a plane's points at which another piece of furniture of the same height begins."""
@@ -72,48 +84,77 @@ class SupportPlane:
         return inside[..., 2] - _quadratic(within) @ self.bend
 
 
-def support_plane(
+def support_planes(
     points_m: NDArray[np.floating],
     seed: int,
     is_seen: Callable[[SupportPlane], bool],
-    tolerance_m: float = 0.006,
-) -> SupportPlane | None:
-    """The plane with the most points standing over its own extent, seen from above; None where none has.
+) -> list[SupportPlane]:
+    """The planes that can carry things, that with the most points standing over its own extent first.
+
+    Tops of tables, seats, shelves and the floor: what is wide enough, seen from above, and within
+    STEEPEST of the first. Points that lie in one of the planes stand on none.
 
     Args:
         points_m: (N, 3) in the camera frame.
         seed: of the random samples.
         is_seen: whether the image shows a table where it would be seen; others are cuts through things.
-        tolerance_m: distance at which a point lies in a plane.
     """
     rng = np.random.default_rng(seed)
     sampled = points_m[rng.permutation(len(points_m))[:SAMPLED_POINTS]].astype(np.float64)
-    rest = sampled
+    fitted = points_m[rng.permutation(len(points_m))[:FITTED_POINTS]]
+    tables = [_table(members) for members in _planes(sampled, rng)]
+    tables = [table for table in tables if _is_wide(table) and is_seen(table)]
+    left = np.ones(len(sampled), bool)
+    for table in tables:
+        left &= ~_lies_in(table, sampled)
+    standing = np.array([_count_standing(table, sampled[left]) for table in tables])
+    supports: list[SupportPlane] = []
+    if standing.max(initial=0) == 0:
+        return supports
+    for number in np.argsort(-standing, kind="stable").tolist():
+        if all(_is_another(tables[number], one) for one in supports):
+            supports.append(_settled(tables[number], fitted))
+    return supports
+
+
+def _planes(sampled: NDArray[np.float64], rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    """Points (M, 3) of each of the largest planes, each without those of the ones before."""
+    rest, planes = sampled, []
     fewest = max(int(SMALLEST_SHARE * len(rest)), 50)
-    planes = []
     while len(planes) < PLANES and len(rest) > fewest:
-        inliers = _plane_inliers(rest, tolerance_m, rng)
+        inliers = _plane_inliers(rest, rng)
         if len(inliers) < fewest:
             break
         piece = inliers[_largest_piece(rest[inliers], sampled)]
         if len(piece) >= fewest:
             planes.append(rest[piece])
         rest = np.delete(rest, piece, axis=0)
-    tables = [_table(members) for members in planes]
-    tables = [table for table in tables if table.half_size_m.min() > NARROWEST_HALF_M and is_seen(table)]
-    standing = [_count_standing(table, sampled) for table in tables]
-    if not tables or max(standing) == 0:
-        return None
-    return _settled(
-        tables[int(np.argmax(standing))], points_m[rng.permutation(len(points_m))[:FITTED_POINTS]]
-    )
+    return planes
 
 
-def _plane_inliers(
-    points_m: NDArray[np.floating], tolerance_m: float, rng: np.random.Generator
-) -> NDArray[np.int64]:
+def _is_wide(table: SupportPlane) -> bool:
+    narrow, wide = np.sort(table.half_size_m)
+    return bool(narrow > NARROWEST_HALF_M and wide > SHORTEST_HALF_M)
+
+
+def _lies_in(table: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points (N, 3) are as near to a table's surface as warps of it are."""
+    inside = table.in_table_frame(points_m)
+    return (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1) & (np.abs(inside[:, 2]) < LOWEST_M)
+
+
+def _is_another(table: SupportPlane, first: SupportPlane) -> bool:
+    """Whether a plane is no part of another one, which a camera sees warped, and no wall to it."""
+    level = table.camera_from_table[:3, 2] @ first.camera_from_table[:3, 2] > STEEPEST
+    middle = first.in_table_frame(table.camera_from_table[:3, 3])
+    beside = np.maximum(np.abs(middle[:2]) - first.half_size_m, 0).max()
+    return bool(level and (abs(middle[2]) > WARPED_M or beside > CONNECTED_M + table.half_size_m.max()))
+
+
+def _plane_inliers(points_m: NDArray[np.floating], rng: np.random.Generator) -> NDArray[np.int64]:
     """Rows of the points in the best plane, by MSAC (Torr and Zisserman 2000) and a least-squares fit.
 
+    A point lies in a plane within two standard deviations of the sensor, at least LEAST_TOLERANCE_M.
     Open3D's own search runs on several threads, which makes its draws depend on their order.
     """
     corners = points_m[rng.integers(len(points_m), size=(DRAWN_PLANES, 3))]
@@ -121,6 +162,7 @@ def _plane_inliers(
     lengths = np.linalg.norm(normals, axis=1)
     normals = normals[lengths > 0] / lengths[lengths > 0, None]
     offsets = np.sum(normals * corners[lengths > 0, 0], axis=1)
+    tolerance_m = np.maximum(LEAST_TOLERANCE_M, 2 * standard_deviation(DepthNoise(), points_m[:, 2]))
     costs = [
         np.minimum(((points_m @ normal - offset) / tolerance_m) ** 2, 1).sum()
         for normal, offset in zip(normals, offsets, strict=True)
@@ -157,7 +199,7 @@ def _largest_piece(members: NDArray[np.float64], points_m: NDArray[np.float64]) 
 
 def _is_large(members: NDArray[np.float64]) -> bool:
     diagonal_m = np.linalg.norm(np.ptp(members, axis=0))  # spares the fit of the many tiny ones
-    return bool(diagonal_m > 2 * NARROWEST_HALF_M and _table(members).half_size_m.max() > NARROWEST_HALF_M)
+    return bool(diagonal_m > 2 * SHORTEST_HALF_M and _table(members).half_size_m.max() > SHORTEST_HALF_M)
 
 
 def _hidden(members: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np.float64]:

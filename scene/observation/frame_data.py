@@ -22,10 +22,10 @@ class SceneData:
         foreground: (H, W) bool, the view's pixels that may show an object.
         window: the pixels on which scenes are compared.
         window_foreground: its pixels that may show an object.
-        rest_m: the window's background depth: the table's plane, elsewhere what was seen; +inf if nothing.
+        rest_m: the window's background depth: the supports' planes, elsewhere what was seen; +inf if nothing.
         detail: the finer pixels on which chains compare scenes.
         detail_rest_m: their background depth.
-        table: None where nothing supports the objects.
+        supports: planes on which objects can stand, that which carries most first.
         intrinsics: of the image.
         depth_m: the whole image.
         near: (H, W) bool, the image's pixels that may show an object.
@@ -38,7 +38,12 @@ class SceneData:
     rest_m: NDArray[np.float32]
     detail: PixelWindow
     detail_rest_m: NDArray[np.float32]
-    table: SupportPlane | None
+    supports: tuple[SupportPlane, ...]
     intrinsics: CameraIntrinsics
     depth_m: NDArray[np.float32]
     near: NDArray[np.bool_]
+
+    @property
+    def table(self) -> SupportPlane | None:
+        """The support that carries most; None where nothing supports the objects."""
+        return self.supports[0] if self.supports else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -19,7 +20,7 @@ from scipy.ndimage import (
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.observation.depth_view import PooledView, pooled_view, unproject
-from scene.observation.detection import SupportPlane, support_plane
+from scene.observation.detection import SupportPlane, support_planes
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import DETAIL, PixelWindow, window_over
 
@@ -33,6 +34,9 @@ WARP_M, STEP_M, LEVEL_COSINE, SMOOTHED_PX = 0.02, 0.004, 0.9, 5
 """A table may be warped so far; steps this high and slopes are the sides of things on it."""
 
 TABLE_MARGIN_M = 0.05
+
+BEHIND_M = 0.03
+"""What is measured so far behind a support's plane, which may be warped, is seen past its edge."""
 
 UNSEEN_M = 0.2
 """A table that the image cuts off may go on so far."""
@@ -53,7 +57,7 @@ def shows_enough(depth_m: NDArray[np.float32]) -> bool:
 
 
 def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed: int) -> SceneData:
-    """The table, the foreground and the background of a depth image.
+    """The supports, the foreground and the background of a depth image.
 
     Raises:
         ValueError: nothing is in front of the camera.
@@ -62,10 +66,9 @@ def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed:
     if not shows_enough(depth_m):
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
-    table = support_plane(points[_near(depth_m)], seed, partial(_is_seen, view))
-    if table is not None:
-        table = _continued(table, points[_near(depth_m)], view)
-    return _data_over(table, depth_m, points, view, intrinsics)
+    near = points[_near(depth_m)]
+    supports = [_continued(one, near, view) for one in support_planes(near, seed, partial(_is_seen, view))]
+    return _data_over(supports, depth_m, points, view, intrinsics)
 
 
 def frame_data(
@@ -74,49 +77,61 @@ def frame_data(
     first: SceneData,
     first_camera_from_camera: NDArray[np.float64],
 ) -> SceneData:
-    """The same for another frame of the scene, with the table found in the first."""
-    table = first.table
-    if table is not None:
-        moved = np.linalg.inv(first_camera_from_camera) @ table.camera_from_table
-        table = replace(table, camera_from_table=moved)
+    """The same for another frame of the scene, with the supports found in the first."""
+    camera_from_first = np.linalg.inv(first_camera_from_camera)
+    supports = [
+        replace(one, camera_from_table=camera_from_first @ one.camera_from_table) for one in first.supports
+    ]
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
-    return _data_over(table, depth_m, unproject(depth_m, intrinsics), view, intrinsics)
+    return _data_over(supports, depth_m, unproject(depth_m, intrinsics), view, intrinsics)
 
 
 def background(
-    table: SupportPlane | None,
+    supports: Sequence[SupportPlane],
     near: NDArray[np.bool_],
     window: PixelWindow,
     intrinsics: CameraIntrinsics,
 ) -> NDArray[np.float32]:
-    """What was seen where no object may be, else the depth of the table; +inf where there is neither.
+    """What was seen where no object may be, else the depth of the nearest support; +inf without either.
 
     Args:
-        table: under the objects.
+        supports: under the objects.
         near: pixels of the image that may show an object.
         window: for whose pixels (H, W) it is told.
         intrinsics: of the image.
     """
-    observed_m = window.depth_m
-    plane = np.full(observed_m.shape, np.inf)
-    if table is not None:
-        rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
-        plane = _plane_depth(table, rays, TABLE_MARGIN_M)
-    elsewhere = ~window.of(near) & (observed_m != NO_RETURN)
-    return np.where(elsewhere, observed_m, plane).astype(np.float32)
+    elsewhere = ~window.of(near) & (window.depth_m != NO_RETURN)
+    return np.where(elsewhere, window.depth_m, support_depth(supports, window, intrinsics))
+
+
+def support_depth(
+    supports: Sequence[SupportPlane], window: PixelWindow, intrinsics: CameraIntrinsics
+) -> NDArray[np.float32]:
+    """Depth (H, W) of the nearest support in a window's pixels, +inf beside all.
+
+    A support reaches as far as it is seen: where something behind its plane is measured it is not.
+    """
+    nearest_m = np.full(window.depth_m.shape, np.inf)
+    rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
+    for support in supports:
+        plane_m = _plane_depth(support, rays, TABLE_MARGIN_M)
+        nearest_m = np.where(window.depth_m > plane_m + BEHIND_M, nearest_m, np.minimum(nearest_m, plane_m))
+    return nearest_m.astype(np.float32)
 
 
 def _data_over(
-    table: SupportPlane | None,
+    supports: Sequence[SupportPlane],
     depth_m: NDArray[np.float32],
     points: NDArray[np.float64],
     view: PooledView,
     intrinsics: CameraIntrinsics,
 ) -> SceneData:
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
-    foreground = _near(depth_m) & _over(table, points)
-    if table is not None:
-        foreground &= ~_enlarged(_surface_of(table, view), factor, foreground.shape)
+    foreground = _near(depth_m)
+    if supports:
+        foreground &= np.any([_is_over(one, points) for one in supports], axis=0)
+        for one in supports:
+            foreground &= ~_enlarged(_surface_of(one, view), factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
     seen = _in_company(foreground)
     window = window_over(seen, depth_m, intrinsics)
@@ -128,10 +143,10 @@ def _data_over(
         window_foreground=np.asarray(
             binary_dilation(window.of(foreground) & window.inside, iterations=2), bool
         ),
-        rest_m=background(table, foreground, window, intrinsics),
+        rest_m=background(supports, foreground, window, intrinsics),
         detail=detail,
-        detail_rest_m=background(table, foreground, detail, intrinsics),
-        table=table,
+        detail_rest_m=background(supports, foreground, detail, intrinsics),
+        supports=tuple(supports),
         intrinsics=intrinsics,
         depth_m=depth_m,
         near=foreground,
@@ -153,9 +168,11 @@ def _is_seen(view: PooledView, table: SupportPlane) -> bool:
 
 
 def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float) -> NDArray[np.float64]:
-    """Depth (...) of the table along rays (..., 3) of unit depth, +inf beyond its rectangle."""
+    """Depth (...) of the table, as seen, along rays (..., 3) of unit depth, +inf beyond its rectangle."""
     normal, origin = table.camera_from_table[:3, 2], table.camera_from_table[:3, 3]
     depth = (normal @ origin) / (rays @ normal)
+    bend_m = -table.heights(rays * depth[..., None])  # of the plane under the surface that is seen
+    depth = (normal @ origin + bend_m) / (rays @ normal)
     inside = table.in_table_frame(rays * depth[..., None])
     on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + margin_m).all(axis=-1)
     return np.where(on_table, depth, np.inf)
@@ -185,19 +202,20 @@ def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: PooledV
     return table.spanning(np.minimum(feet.min(axis=0), -half), np.maximum(feet.max(axis=0), half))
 
 
-def _over(table: SupportPlane | None, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    if table is None:
-        return np.ones(points_m.shape[:2], bool)
-    inside = table.in_table_frame(points_m)
-    beside = np.abs(inside[..., :2]) - table.half_size_m
-    heights = table.heights(points_m)
+def _is_over(support: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points (H, W, 3) are above a support, as high as things on it."""
+    inside = support.in_table_frame(points_m)
+    beside = np.abs(inside[..., :2]) - support.half_size_m
+    heights = support.heights(points_m)
     return (beside < TABLE_MARGIN_M).all(axis=-1) & (heights > LOWEST_M) & (heights < HIGHEST_M)
 
 
 def _surface_of(table: SupportPlane, view: PooledView) -> NDArray[np.bool_]:
     """Pixels of the view reached from the table's plane without a step or a slope, though it be warped."""
     depth = median_filter(np.asarray(view.depth_m), SMOOTHED_PX)
-    heights = np.where(depth > 0, table.heights(unproject(depth, view.camera)), np.inf)
+    points = unproject(depth, view.camera)
+    inside = (np.abs(table.in_table_frame(points)[..., :2]) < table.half_size_m + UNSEEN_M).all(axis=-1)
+    heights = np.where((depth > 0) & inside, table.heights(points), np.inf)
     upward = np.asarray(view.normals) @ table.camera_from_table[:3, 2]
     low = np.abs(heights) < WARP_M
     level = np.where(low, heights, 0.0)

@@ -79,7 +79,7 @@ def _close_view(
         observed_m=window.depth_m,
         layer_m=layer_m,
         others_m=layers_m[found != one].min(axis=0, initial=np.inf),
-        rest_m=background(data.table, data.near, window, data.intrinsics),
+        rest_m=background(data.supports, data.near, window, data.intrinsics),
         sigma_m=np.asarray(standard_deviation(noise, jnp.where(np.isfinite(layer_m), layer_m, 1.0))),
         focal_px=float(window.camera.fx),
         weight=(window.stride / data.window.stride) ** 2,
