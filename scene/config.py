@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from recordings.settings import check_finite, check_within
 
 MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "sweeps": 10_000_000}
@@ -18,6 +20,9 @@ class ParseConfig:
     Attributes:
         objects: names of the objects to look for; none means all that are known.
         frames: numbers of the depth frames that are used; none means the first that shows enough.
+        support: x, y, z of a point and of the normal of the one support, in the first camera's frame; none
+            means all planes that are found.
+        region: least and greatest x, y, z of what is looked at, in the same frame; none means all.
         graph: `infer` samples scene graphs, `fixed` keeps every object floating, which costs nothing then
             (the ablation 3DP3*).
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
@@ -46,6 +51,8 @@ class ParseConfig:
 
     objects: tuple[str, ...] = ()
     frames: tuple[int, ...] = ()
+    support: tuple[float, ...] = ()
+    region: tuple[float, ...] = ()
     graph: Literal["infer", "fixed"] = "infer"
     likelihood: Literal["depth", "cloud"] = "depth"
     presence: float = 0.9
@@ -73,6 +80,10 @@ class ParseConfig:
             check_within(self, 0, most, (name,))
         if min(self.frames, default=0) < 0 or list(self.frames) != sorted(set(self.frames)):
             raise ValueError(f"frames must be increasing numbers from 0, got {self.frames}")
+        if self.support and (len(self.support) != 6 or not any(self.support[3:])):
+            raise ValueError(f"support must be a point and a normal, x,y,z,nx,ny,nz, got {self.support}")
+        if self.region and (len(self.region) != 6 or any(np.greater_equal(self.region[:3], self.region[3:]))):
+            raise ValueError(f"region must be xmin,ymin,zmin,xmax,ymax,zmax, got {self.region}")
         if not 0 < self.presence < 1:
             raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")
         if not 0 < self.pixel_weight <= 1:

@@ -67,7 +67,7 @@ def parse_scene(
     """
     seed_key, search_key, refine_key, chain_key, again_key, unseen_key = jax.random.split(key, 6)
     seed = int(jax.random.randint(seed_key, (), 0, 2**31 - 1))
-    views = _views(frames, first_camera_from_camera, intrinsics, seed)
+    views = _views(frames, first_camera_from_camera, intrinsics, seed, config)
     renderer = ObjectRenderer.of(objects)
     noise = replace(noise, outlier_probability=config.outlier_probability)
     number, start = _best_start(
@@ -117,9 +117,10 @@ def _views(
     first_camera_from_camera: NDArray[np.float64],
     intrinsics: CameraIntrinsics,
     seed: int,
+    config: ParseConfig,
 ) -> list[SceneData]:
-    """The frames, all with the table that the first one shows."""
-    first = scene_data(frames[0].depth_m, intrinsics, seed)
+    """The frames, all with the supports that the first one shows."""
+    first = scene_data(frames[0].depth_m, intrinsics, seed, config.support, config.region)
     return [first] + [
         frame_data(frame.depth_m, intrinsics, first, pose)
         for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)

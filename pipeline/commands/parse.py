@@ -9,7 +9,7 @@ import click
 
 from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
-from pipeline.options import Common, RecordingSource, common_options, recording_options, run_options
+from pipeline.options import Common, RecordingSource, common_options, numbers, recording_options, run_options
 
 MOST_FRAMES = 1000
 """All are held in memory and compared at once."""
@@ -75,6 +75,16 @@ class FrameNumbers(click.ParamType):
     metavar="R",
     help="Average the likelihood over R random draws of each learned shape; its surface alone by default.",
 )
+@click.option(
+    "--support",
+    metavar="X,Y,Z,NX,NY,NZ",
+    help="A point and the normal of what objects stand on, in the first camera; found by itself by default.",
+)
+@click.option(
+    "--region",
+    metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+    help="Where objects are looked for, metres in the first camera; everywhere by default.",
+)
 @click.option("--presence", type=float, metavar="P", help="Prior probability that an object is there.")
 @recording_options
 @common_options("recording", "parse", "slam")
@@ -93,6 +103,8 @@ def command(
     graph: str | None,
     likelihood: str | None,
     shape_samples: int | None,
+    support: str | None,
+    region: str | None,
     presence: float | None,
 ) -> None:
     """Find the objects in REC, their poses and what rests on what.
@@ -110,11 +122,13 @@ def command(
         "graph": graph,
         "likelihood": likelihood,
         "shape_samples": shape_samples,
+        "support": None if support is None else numbers("--support", support),
+        "region": None if region is None else numbers("--region", region),
         "presence": presence,
     }
-    numbers = read_ids(ids)
+    known_ids = read_ids(ids)
     with open_session(common, source, run_path, force=force) as session:
-        parse_stage(session, shapes, units, options, numbers)
+        parse_stage(session, shapes, units, options, known_ids)
         damage = session.damage
     document = stage_document(session.run, "parse")
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]

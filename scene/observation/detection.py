@@ -117,6 +117,23 @@ def support_planes(
     return supports
 
 
+def given_support(
+    place_m: NDArray[np.floating], normal: NDArray[np.floating], points_m: NDArray[np.floating]
+) -> SupportPlane:
+    """The support in the plane through a place (3,) with a normal (3,), as far as points (N, 3) lie in it.
+
+    Raises:
+        ValueError: fewer than PIECE_POINTS points do.
+    """
+    upward = np.asarray(normal, np.float64) / np.linalg.norm(normal)
+    tolerance_m = np.maximum(LOWEST_M, 2 * standard_deviation(DepthNoise(), points_m[:, 2]))
+    members = points_m[np.abs((points_m - place_m) @ upward) < tolerance_m]
+    if len(members) < PIECE_POINTS:
+        place = ", ".join(f"{value:g}" for value in place_m)
+        raise ValueError(f"no measured point lies in the support through ({place})")
+    return _settled(_rectangle(members, np.asarray(place_m, np.float64), upward), points_m)
+
+
 def _planes(sampled: NDArray[np.float64], rng: np.random.Generator) -> list[NDArray[np.float64]]:
     """Points (M, 3) of each of the largest planes, each without those of the ones before."""
     rest, planes = sampled, []
@@ -241,7 +258,13 @@ def clusters(
 def _table(members: NDArray[np.float64]) -> SupportPlane:
     """The plane's least-squares fit, its normal towards the camera, its extent that of its points."""
     middle, normal = _fitted_plane(members)
-    normal = normal * np.sign(-normal @ middle)
+    return _rectangle(members, middle, normal * np.sign(-normal @ middle))
+
+
+def _rectangle(
+    members: NDArray[np.float64], middle: NDArray[np.float64], normal: NDArray[np.float64]
+) -> SupportPlane:
+    """The rectangle in the plane through a point with a normal that holds nearly all members (N, 3)."""
     right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     if np.linalg.norm(right) < 0.1:
         right = np.array([0.0, 1.0, 0.0]) - normal[1] * normal

@@ -26,6 +26,7 @@ class SceneData:
         detail: the finer pixels on which chains compare scenes.
         detail_rest_m: their background depth.
         supports: planes on which objects can stand, that which carries most first.
+        region: least and greatest x, y, z, in the first frame's camera, where objects are; empty: anywhere.
         intrinsics: of the image.
         depth_m: the whole image.
         near: (H, W) bool, the image's pixels that may show an object.
@@ -39,6 +40,7 @@ class SceneData:
     detail: PixelWindow
     detail_rest_m: NDArray[np.float32]
     supports: tuple[SupportPlane, ...]
+    region: tuple[float, ...]
     intrinsics: CameraIntrinsics
     depth_m: NDArray[np.float32]
     near: NDArray[np.bool_]

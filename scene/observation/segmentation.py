@@ -20,7 +20,7 @@ from scipy.ndimage import (
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.observation.depth_view import PooledView, pooled_view, unproject
-from scene.observation.detection import SupportPlane, support_planes
+from scene.observation.detection import SupportPlane, given_support, support_planes
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import DETAIL, PixelWindow, window_over
 
@@ -49,6 +49,7 @@ FARTHEST_M = 2.5
 FEWEST_PIXELS = 100
 
 COMPANY_PX = 5
+_SAME = np.eye(4)
 
 
 def shows_enough(depth_m: NDArray[np.float32]) -> bool:
@@ -56,19 +57,40 @@ def shows_enough(depth_m: NDArray[np.float32]) -> bool:
     return bool(_near(depth_m).sum() >= FEWEST_PIXELS)
 
 
-def scene_data(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, seed: int) -> SceneData:
+def scene_data(
+    depth_m: NDArray[np.float32],
+    intrinsics: CameraIntrinsics,
+    seed: int,
+    support: tuple[float, ...] = (),
+    region: tuple[float, ...] = (),
+) -> SceneData:
     """The supports, the foreground and the background of a depth image.
 
+    Args:
+        depth_m: (H, W).
+        intrinsics: of the image.
+        seed: of the random samples.
+        support: a point and the normal of the one support, metres in the camera's frame; found by itself
+            where it is empty.
+        region: least and greatest x, y, z between which objects are looked for; everywhere where it is empty.
+
     Raises:
-        ValueError: nothing is in front of the camera.
+        ValueError: nothing is in front of the camera, in the region or on the support.
     """
     points = unproject(depth_m, intrinsics)
     if not shows_enough(depth_m):
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
     view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
     near = points[_near(depth_m)]
-    supports = [_continued(one, near, view) for one in support_planes(near, seed, partial(_is_seen, view))]
-    return _data_over(supports, depth_m, points, view, intrinsics)
+    if support:
+        supports = [given_support(np.array(support[:3]), np.array(support[3:]), near)]
+    else:
+        supports = support_planes(near, seed, partial(_is_seen, view))
+    supports = [_continued(one, near, view) for one in supports]
+    data = _data_over(supports, depth_m, points, view, intrinsics, region)
+    if region and not data.near.any():
+        raise ValueError("nothing stands in the region that was given")
+    return data
 
 
 def frame_data(
@@ -82,8 +104,10 @@ def frame_data(
     supports = [
         replace(one, camera_from_table=camera_from_first @ one.camera_from_table) for one in first.supports
     ]
-    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
-    return _data_over(supports, depth_m, unproject(depth_m, intrinsics), view, intrinsics)
+    view, points = pooled_view(depth_m, intrinsics, VIEW_WIDTH), unproject(depth_m, intrinsics)
+    return _data_over(
+        supports, depth_m, points, view, intrinsics, first.region, first_camera_from_camera
+    )
 
 
 def background(
@@ -125,9 +149,15 @@ def _data_over(
     points: NDArray[np.float64],
     view: PooledView,
     intrinsics: CameraIntrinsics,
+    region: tuple[float, ...],
+    first_from_camera: NDArray[np.float64] = _SAME,
 ) -> SceneData:
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
     foreground = _near(depth_m)
+    if region:
+        in_first = points @ first_from_camera[:3, :3].T + first_from_camera[:3, 3]
+        low, high = np.reshape(region, (2, 3))
+        foreground &= ((in_first >= low) & (in_first <= high)).all(axis=-1)
     if supports:
         foreground &= np.any([_is_over(one, points) for one in supports], axis=0)
         for one in supports:
@@ -147,6 +177,7 @@ def _data_over(
         detail=detail,
         detail_rest_m=background(supports, foreground, detail, intrinsics),
         supports=tuple(supports),
+        region=region,
         intrinsics=intrinsics,
         depth_m=depth_m,
         near=foreground,

@@ -1,6 +1,7 @@
 """The table of a depth image, and what may stand on it."""
 
 import numpy as np
+import pytest
 from scipy.ndimage import binary_erosion
 
 from recordings.types import NO_RETURN, CameraIntrinsics
@@ -73,3 +74,21 @@ def test_a_table_that_the_image_cuts_off_goes_on() -> None:
     np.testing.assert_allclose(data.table.camera_from_table[:3, 2], [0, -1, 0], atol=0.01)
     assert data.foreground[np.asarray(binary_erosion(face | top), bool)].all()
     assert not (data.foreground & ~(face | top)).any()
+
+
+def test_a_given_support_and_region_are_taken() -> None:
+    """The lid of the block as the support has its place and size; nothing outside the region is foreground."""
+    depth_m, lid = image(squares_m=1.0, gaps_m=0.0)
+    normal = CAMERA_FROM_TABLE[:3, 2]
+    top = tuple(CAMERA_FROM_TABLE[:3, 3] + BLOCK_M * normal) + tuple(normal)
+
+    on_lid = scene_data(depth_m, INTRINSICS, 1, support=top)
+    left_half = scene_data(depth_m, INTRINSICS, 1, region=(-1.0, -1.0, 0.0, 0.0, 1.0, 2.0))
+
+    assert on_lid.table is not None
+    np.testing.assert_allclose(on_lid.table.half_size_m, 0.05, atol=0.004)
+    assert not (on_lid.near & lid).any()
+    assert left_half.near[:, :155].any()
+    assert not left_half.near[:, 161:].any()
+    with pytest.raises(ValueError, match="region"):
+        scene_data(depth_m, INTRINSICS, 1, region=(-1.0, -1.0, 0.0, 1.0, 1.0, 0.1))
