@@ -36,7 +36,9 @@ def convergence(scene: SceneResult, middles_m: NDArray[np.float64]) -> Convergen
     chains = int(scene.chain.max(initial=0)) + 1
     found = scene.found
     in_camera = np.einsum("snij,nj->sni", matrices_of(scene.sample_poses), np.insert(middles_m, 3, 1, axis=1))
-    edges = scene.sample_parents[:, found, None] == np.arange(-1, len(scene) + 1)[None, None]
+    edges = (
+        scene.sample_parents[:, found, None] == np.arange(-1, scene.edge_probabilities.shape[1])[None, None]
+    )
     traces = np.concatenate(
         [
             scene.sample_log_posteriors[:, None],

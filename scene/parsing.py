@@ -89,7 +89,7 @@ def parse_scene(
             views,
             poses,
             world_from_camera,
-            data.table,
+            data.supports,
             chosen,
             their_start,
             refined,

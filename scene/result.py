@@ -35,10 +35,10 @@ class SceneResult:
         visible_fraction: (N,) share of its pixels that nothing hides, in the frame that was searched.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.
         mode_probabilities: (N, M), 0 where there are fewer.
-        edge_probabilities: (N, N + 1) of resting on each object, and on the table (last).
-        edge_faces: (N, N + 1, 2) int32 own and parent's face most often seen on that edge; -1 without.
+        edge_probabilities: (N, N + S) of resting on each object, and on the supports, the table first.
+        edge_faces: (N, N + S, 2) int32 own and parent's face most often seen on that edge; -1 without.
         sample_poses: (S, N, 7) float64 camera_from_object, wxyz_xyz.
-        sample_parents: (S, N) int32, -1 floating, N the table.
+        sample_parents: (S, N) int32, -1 floating, N the table, N + 1 the next support.
         sample_log_posteriors: (S,) not normalised.
         chain: (S,) int32 the chain of each sample.
         acceptance: () share of the chains' moves of poses that were accepted.
@@ -72,6 +72,12 @@ class SceneResult:
     def found(self) -> NDArray[np.bool_]:
         """(N,) objects more probably there than not, and seen."""
         return (self.presence >= 0.5) & (self.visible_fraction > 0)
+
+    @property
+    def supports(self) -> list[str]:
+        """Names of what objects stand on that is none itself, that which carries most first."""
+        count = self.edge_probabilities.shape[1] - len(self)
+        return [TABLE, *(f"plane_{number + 2}" for number in range(count - 1))]
 
     @property
     def found_poses(self) -> list[tuple[str, NDArray[np.float64]]]:

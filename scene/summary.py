@@ -64,7 +64,7 @@ def summarise(
     poses = in_camera @ box_from_object
     modes = [_modes(poses[:, one]) for one in range(count)]
     moments = [_moments(poses[:, one], modes[one][0][0]) for one in range(count)]
-    edges, faces = _edges(flat, count)
+    edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
     return SceneResult(
         names=np.array([one.name for one in objects]),
         frames=np.asarray(frames, np.int64),
@@ -136,11 +136,11 @@ def _near(matrices: NDArray[np.float64], centre: NDArray[np.float64]) -> NDArray
     return (distance < MODE_RADIUS_M) & (cosine > np.cos(MODE_RADIUS_RAD))
 
 
-def _edges(flat: Samples, count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Probability (N, N + 1) of every edge, and its most frequent faces (N, N + 1, 2)."""
+def _edges(flat: Samples, count: int, supports: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Probability (N, N + S) of every edge, and its most frequent faces (N, N + S, 2)."""
     pairs = flat.child_faces * 6 + flat.parent_faces
-    probabilities = np.zeros((count, count + 1))
-    faces = np.full((count, count + 1, 2), -1, np.int32)
+    probabilities = np.zeros((count, count + supports))
+    faces = np.full((count, count + supports, 2), -1, np.int32)
     for child in range(count):
         for parent in np.unique(flat.parents[:, child][flat.parents[:, child] != ROOT]):
             on = flat.parents[:, child] == parent

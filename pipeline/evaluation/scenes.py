@@ -82,7 +82,7 @@ def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str
     Objects of one shape stand for each other as parents.
     """
     shapes = {one.name: one.shape for one in objects} | {TABLE: TABLE}
-    names = [*scene.names.tolist(), TABLE]
+    names = [*scene.names.tolist(), *scene.supports]
     right: dict[str, bool] = {}
     for one in objects:
         if one.parent not in shapes:

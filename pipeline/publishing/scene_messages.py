@@ -22,7 +22,10 @@ SAMPLES_SCHEMA = json_schema(
         "properties": {
             "names": {"type": "array", "items": {"type": "string"}},
             "poses": {"description": "[sample][object][w x y z, x y z], metres", **_ROWS},
-            "parents": {"description": "[sample][object]: index, -1 floating, N the table", **_ROWS},
+            "parents": {
+                "description": "[sample][object]: index, -1 floating, N the table, N + 1 plane_2",
+                **_ROWS,
+            },
             "log_posteriors": {"description": "not normalised", "type": "array"},
             "chains": {"type": "array", "items": {"type": "integer"}},
         },

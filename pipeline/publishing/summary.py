@@ -13,7 +13,7 @@ from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import Surfaces
 from scene.diagnostics import convergence
-from scene.result import FACES, TABLE, SceneResult
+from scene.result import FACES, SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
@@ -82,7 +82,7 @@ def _shape(shape: ShapePrior) -> dict[str, Any]:
 def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
     """Objects that were found, and the edges between them, in the camera of the first frame used."""
     found = np.flatnonzero(scene.found).tolist()
-    names = [*scene.names.tolist(), TABLE]
+    names = [*scene.names.tolist(), *scene.supports]
     middles_m = np.stack([surfaces.by_name[name].middle_m for name in scene.names.tolist()])
     with np.errstate(invalid="ignore"):  # a sample of no density leaves nothing to compare
         agreement = convergence(scene, middles_m)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import Surfaces
 from pipeline.views.trajectory_view import ENLARGED
-from scene.result import TABLE, SceneResult
+from scene.result import SceneResult
 
 
 def report_markdown(name: str, values: RunValues) -> str:
@@ -52,7 +52,7 @@ def _paths(probabilities: NDArray[np.float64]) -> list[str]:
 
 def _scene(scene: SceneResult, surfaces: Surfaces) -> list[str]:
     """One line for each object looked for; positions are those of its middle."""
-    names = [*map(str, scene.names), TABLE]
+    names = [*map(str, scene.names), *scene.supports]
     lines = [
         "## Objects",
         "| object | there | mm | deg | rests on |",

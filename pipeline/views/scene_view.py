@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.surfaces import SceneSurface
 from pipeline.views.trajectory_view import ENLARGED, quaternions_xyzw
-from scene.result import TABLE, SceneResult
+from scene.result import SceneResult
 
 OBJECT_COLOURS = (
     *((239, 131, 84), (91, 155, 213), (130, 200, 110), (220, 180, 70)),
@@ -88,15 +88,15 @@ def object_colour(index: int) -> tuple[int, int, int]:
 
 def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
     found = np.flatnonzero(scene.found).tolist()
-    names = [*map(str, scene.names), TABLE]
-    nodes = [*found, len(scene.names)]
+    names = [*map(str, scene.names), *scene.supports]
+    nodes = [*found, *range(len(scene.names), len(names))]
     recording.log(
         "graph",
         rr.GraphNodes(
             [names[node] for node in nodes],
             positions=_node_places(scene, [names[node] for node in nodes]),
             labels=[names[node] for node in nodes],
-            colors=[object_colour(node) for node in found] + [TABLE_COLOUR],
+            colors=[object_colour(node) for node in found] + [TABLE_COLOUR] * len(scene.supports),
         ),
         rr.GraphEdges(
             [
@@ -111,15 +111,17 @@ def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
 
 
 def _node_places(scene: SceneResult, labels: Sequence[str]) -> NDArray[np.float64]:
-    """Pixels (F + 1, 2) of the nodes of what was found and of the table, which is the last.
+    """Pixels (F + S, 2) of the nodes of what was found and of the supports, which are the last.
 
-    Drawn as the most probable scene stands: the table below, what rests on a thing above it. Neighbours
+    Drawn as the most probable scene stands: the supports below, what rests on a thing above it. Neighbours
     alternate in height, so that they may come closer than their labels are wide.
     """
-    found = [*np.flatnonzero(scene.found).tolist(), len(scene.names)]
+    found = np.flatnonzero(scene.found).tolist()
+    supports = [len(scene.names) + number for number in range(len(scene.supports))]
+    nodes = [*found, *supports]
     parents = scene.sample_parents[np.argmax(scene.sample_log_posteriors)]
-    resting = {node: [one for one in found[:-1] if parents[one] == node] for node in found}
-    floating = [one for one in found[:-1] if parents[one] not in found]
+    resting = {node: [one for one in found if parents[one] == node] for node in nodes}
+    floating = [one for one in found if parents[one] not in nodes]
     closest = max(map(len, labels)) * LETTER_PX / 2 + LETTER_PX
     columns, raised = itertools.count(), defaultdict(lambda: itertools.cycle((0, STAGGER_PX)))
     places: dict[int, tuple[float, float]] = {}
@@ -130,10 +132,11 @@ def _node_places(scene: SceneResult, labels: Sequence[str]) -> NDArray[np.float6
         places[node] = closest * column, -LEVEL_PX * level - next(raised[level])
         return column
 
-    place(found[-1], 0)
+    for one in supports:
+        place(one, 0)
     for one in floating:
         place(one, 1)
-    return np.array([places[node] for node in found])
+    return np.array([places[node] for node in nodes])
 
 
 def _normals(surface: SceneSurface) -> NDArray[np.float64]:

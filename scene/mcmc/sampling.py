@@ -34,7 +34,7 @@ from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 from scene.search.importance_sampling import Refinement
 from scene.search.search_result import Initialisation
-from shapes.geometry.poses import compose, pose_of
+from shapes.geometry.poses import compose, matrices_of, pose_of, poses_of
 
 TABLE_HALF_THICKNESS_M = 0.01
 
@@ -44,6 +44,8 @@ FREE_HALF_SIZE_M = 1.5
 SPACE_MARGIN_M = 0.05
 """Of that cuboid round the places where chains start."""
 
+CARRIED_M = 0.05
+"""An object whose lowest point is no further from a support may stand on it: some errors of supports."""
 WALK_M, WALK_RAD = 0.004, 0.05
 
 PRIOR_SHARE = 0.05
@@ -67,7 +69,7 @@ def sample_posterior(
     views: Sequence[SceneData],
     camera_from_world: NDArray[np.float64],
     world_from_camera: NDArray[np.float64],
-    table: SupportPlane | None,
+    supports: Sequence[SupportPlane],
     objects: Sequence[SceneObject],
     start: Initialisation,
     refined: Refinement,
@@ -80,9 +82,9 @@ def sample_posterior(
     Args:
         key: random key.
         views: one a frame.
-        camera_from_world: (F, 4, 4) of the frames; the world is the table's frame.
+        camera_from_world: (F, 4, 4) of the frames; the world is the frame of the first support, the table.
         world_from_camera: (4, 4) of the frame that was searched.
-        table: in that frame's camera.
+        supports: in that frame's camera; those that carry nothing of the best scene are left out.
         objects: that a scene may hold.
         start: the best scene of these objects, in the searched frame's camera.
         refined: Gaussians on their poses.
@@ -93,8 +95,11 @@ def sample_posterior(
     likelihood = _likelihood(views, camera_from_world, objects, noise, config)
     starts = refined.means[start.found, :, 4:].reshape(-1, 3)
     starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
-    model = _model(table, objects, likelihood, prior_space(table, starts), config)
+    table = supports[0] if supports else None
+    supports = carrying(supports, objects, start)
+    model = _model(supports, objects, likelihood, prior_space(table, starts), config)
     world = pose_of(jnp.asarray(world_from_camera))
+    slabs = jnp.asarray(_slabs(supports, world_from_camera))
     bodies = len(model.bodies.movable)
     axes = jax.device_put(np.array([round_axis(one) for one in objects] + [-1] * (bodies - len(objects))))
     kernel = scene_kernel(
@@ -108,7 +113,7 @@ def sample_posterior(
         structure=EdgeMove() if config.graph == "infer" else None,
         repeats=max(len(objects) - 1, 1),
     )
-    return _sample(key, model, kernel, axes, start, world, config, progress)
+    return _sample(key, model, kernel, axes, start, world, slabs, config, progress)
 
 
 def _likelihood(
@@ -138,6 +143,33 @@ def _likelihood(
     )
 
 
+def carrying(
+    supports: Sequence[SupportPlane], objects: Sequence[SceneObject], start: Initialisation
+) -> list[SupportPlane]:
+    """The first support, and those of the others that an object of the best scene may stand on."""
+    placed_m = [
+        objects[one].points_m @ matrices_of(start.poses[one])[:3, :3].T + start.poses[one, 4:]
+        for one in np.flatnonzero(start.found).tolist()
+    ]
+
+    def carries(support: SupportPlane) -> bool:
+        inside = [support.in_table_frame(points_m) for points_m in placed_m]
+        feet = [points_m[np.argmin(points_m[:, 2])] for points_m in inside]
+        return any(
+            abs(foot[2]) < CARRIED_M and (np.abs(foot[:2]) < support.half_size_m).all() for foot in feet
+        )
+
+    return [one for number, one in enumerate(supports) if number == 0 or carries(one)]
+
+
+def _slabs(supports: Sequence[SupportPlane], world_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses (S, 7) of the slabs under the supports in the world."""
+    down = np.eye(4)
+    down[2, 3] = -TABLE_HALF_THICKNESS_M
+    matrices = [world_from_camera @ one.camera_from_table @ down for one in supports]
+    return poses_of(np.stack(matrices)) if matrices else np.zeros((0, 7))
+
+
 def prior_space(
     table: SupportPlane | None, starts_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -158,18 +190,18 @@ def prior_space(
 
 
 def _model(
-    table: SupportPlane | None,
+    supports: Sequence[SupportPlane],
     objects: Sequence[SceneObject],
     likelihood: DepthLikelihood,
     space: tuple[NDArray[np.float64], NDArray[np.float64]],
     config: ParseConfig,
 ) -> SceneModel:
-    """The target in the table's frame; the table is the last body, a slab under z = 0."""
+    """The target in the table's frame; supports are the last bodies, slabs under them."""
     half_extents = [one.half_extents_m for one in objects]
     movable = [True] * len(objects)
     supporting = [[True] * 6 for _ in objects]
-    if table is not None:
-        half_extents.append(np.append(table.half_size_m, TABLE_HALF_THICKNESS_M))
+    for support in supports:
+        half_extents.append(np.append(support.half_size_m, TABLE_HALF_THICKNESS_M))
         movable.append(False)
         supporting.append([face == TOP_FACE for face in range(6)])
     leaves = np.stack(half_extents), np.array(movable), np.array(supporting)
@@ -181,9 +213,9 @@ def _model(
         loose_sigma_m=jnp.asarray(config.loose_sigma_m),
         contact_concentration=jnp.asarray(config.contact_concentration),
         slack_share=jnp.asarray(config.slack_share),
-        upward_concentration=jnp.asarray(config.upward_concentration if table else 0.0),
+        upward_concentration=jnp.asarray(config.upward_concentration if supports else 0.0),
     )
-    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if table else WeightedTrees.uniform()
+    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if supports else WeightedTrees.uniform()
     return SceneModel(bodies, prior, trees, likelihood)
 
 
@@ -194,6 +226,7 @@ def _sample(
     axes: jax.Array,
     start: Initialisation,
     world: jax.Array,
+    slabs: jax.Array,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Samples, float]:
@@ -203,9 +236,8 @@ def _sample(
     drawn anew for a new pose, or a share of them.
     """
     start_key, run_key, variance_key = jax.random.split(key, 3)
-    spare = len(model.bodies.movable) - len(start.poses)
     keys = jax.random.split(start_key, config.chains)
-    states = _start(keys, model, kernel.mixture, axes, start.poses, start.found, world, spare)
+    states = _start(keys, model, kernel.mixture, axes, start.poses, start.found, world, slabs)
     if not start.found.any():
         nothing = jnp.zeros_like(states.log_prior)
         recorded = _samples(_scene_and_value(states), nothing)
@@ -266,7 +298,7 @@ def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
     return kernel.with_mixture(adapt_mixture(kernel.mixture, axes, states.poses))
 
 
-@partial(jax.jit, static_argnames="spare", compiler_options=FAST_COMPILE)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _start(
     keys: jax.Array,
     model: SceneModel,
@@ -275,7 +307,7 @@ def _start(
     poses: jax.Array,
     found: jax.Array,
     world: jax.Array,
-    spare: int,
+    slabs: jax.Array,
 ) -> ChainState:
     """The states of chains, everything floating, that start apart: every object in one of its modes.
 
@@ -287,18 +319,17 @@ def _start(
         poses: (N, 7) camera_from_box of the best scene, where those stay that were not found.
         found: (N,).
         world: (7,) world_from_camera.
-        spare: 1 where there is a table.
+        slabs: (S, 7) poses of the supports.
     """
     poses = jax.vmap(lambda pose: compose(world, pose))(poses)
-    table = jnp.tile(jnp.asarray([[1.0, 0, 0, 0, 0, 0, -TABLE_HALF_THICKNESS_M]]), (spare, 1))
     log_weights = jnp.log(jax.vmap(modes_of)(mixture.log_weights, axes))[: len(poses)]
 
     def start(key: jax.Array) -> ChainState:
         mode_key, chain_key = jax.random.split(key)
         modes = jax.random.categorical(mode_key, log_weights)
         starts = jnp.take_along_axis(mixture.centres[: len(poses)], modes[:, None, None], axis=1)[:, 0]
-        placed = jnp.concatenate([jnp.where(found[:, None], starts, poses), table])
-        scene = floating_scene(placed, jnp.concatenate([found, jnp.ones(spare, bool)]))
+        placed = jnp.concatenate([jnp.where(found[:, None], starts, poses), slabs])
+        scene = floating_scene(placed, jnp.concatenate([found, jnp.ones(len(slabs), bool)]))
         return start_chain(chain_key, model, scene)
 
     return jax.vmap(start)(keys)

@@ -62,9 +62,12 @@ class FoundObjects:
         return every
 
     def parents(self, parents: NDArray[np.integer]) -> NDArray[np.int32]:
-        """Numbers of parents among N objects and the table, of numbers among slots and the table."""
-        numbers = np.append(self.placed, [self.count, -1])  # the last is the root's, -1
-        return numbers[parents].astype(np.int32)
+        """Numbers of parents among N objects and the supports, of numbers among slots and the supports."""
+        after = parents - self.slots
+        numbers = self.placed[np.clip(parents, 0, self.slots - 1)]
+        return np.where(parents < 0, parents, np.where(after < 0, numbers, self.count + after)).astype(
+            np.int32
+        )
 
 
 OUT_OF_SIGHT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)

@@ -105,9 +105,7 @@ def frame_data(
         replace(one, camera_from_table=camera_from_first @ one.camera_from_table) for one in first.supports
     ]
     view, points = pooled_view(depth_m, intrinsics, VIEW_WIDTH), unproject(depth_m, intrinsics)
-    return _data_over(
-        supports, depth_m, points, view, intrinsics, first.region, first_camera_from_camera
-    )
+    return _data_over(supports, depth_m, points, view, intrinsics, first.region, first_camera_from_camera)
 
 
 def background(

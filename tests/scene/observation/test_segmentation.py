@@ -77,7 +77,7 @@ def test_a_table_that_the_image_cuts_off_goes_on() -> None:
 
 
 def test_a_given_support_and_region_are_taken() -> None:
-    """The lid of the block as the support has its place and size; nothing outside the region is foreground."""
+    """The block's lid as the support has its place and size; nothing outside the region is foreground."""
     depth_m, lid = image(squares_m=1.0, gaps_m=0.0)
     normal = CAMERA_FROM_TABLE[:3, 2]
     top = tuple(CAMERA_FROM_TABLE[:3, 3] + BLOCK_M * normal) + tuple(normal)
