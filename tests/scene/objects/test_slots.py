@@ -36,7 +36,7 @@ def test_values_return_to_their_objects(count: int, seed: int) -> None:
     np.testing.assert_array_equal(everywhere, np.where(start.found[:, None], start.poses, elsewhere[0]))
     table, slots = some.slots, np.arange(len(indices))
     np.testing.assert_array_equal(some.parents(slots), indices)
-    np.testing.assert_array_equal(some.parents(np.array([table, -1])), [count, -1])
+    np.testing.assert_array_equal(some.parents(np.array([table, table + 2, -1])), [count, count + 2, -1])
 
 
 def test_few_sizes_are_compiled() -> None:
