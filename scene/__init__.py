@@ -1,5 +1,9 @@
-"""Scene-graph inference (stages K to O): which known objects stand where, what rests on what, how surely.
+"""Scene-graph inference (supplement K to O): which known objects stand where, on what, and how surely.
 
-Call `scene.parsing.parse_scene`. Stages in the order of the method: objects and observation, model,
-likelihood, search, verification and mcmc, then initialisation and summary, then parsing.
+Call `scene.parsing.parse_scene`. A frame is segmented (observation), searched and verified (initialisation);
+Gaussians are fitted round the poses found (search) and chains begin there (mcmc); samples become a result
+(summary).
+
+Imports run downward: parsing; summary, initialisation; mcmc, verification; search; likelihood; observation,
+diagnostics (agreement of chains); model, objects, result, config; execution (use of cores, for all of them).
 """

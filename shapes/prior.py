@@ -18,6 +18,7 @@ from shapes.surface import SurfaceMesh, level_surface
 from shapes.voxel_grid import VoxelGrid
 
 FORMAT_VERSION = 1
+"""Of the file."""
 
 PITCHES_M = 1e-4, 1.0
 """Voxels of a tenth of a millimetre to a metre: below, or above, the unit is another."""

@@ -1,5 +1,8 @@
-"""Camera tracking (stage J): where the camera was in every frame, and how surely.
+"""Camera tracking (supplement J): where the camera was in every frame, and how surely.
 
-Call `slam.tracking.track`. Stages in the order of the method, each may import those before it: keyframes,
-likelihood, registration, filter, pose_graph, then map_hypotheses and smoothing, then tracking.
+Call `slam.tracking.track`. Each frame passes registration and the filter; after the last one alternative maps
+are compared (map_hypotheses), all keyframes refined jointly (pose_graph), trajectories smoothed (smoothing).
+
+Imports run downward: tracking; map_hypotheses, smoothing; pose_graph; filter; registration; likelihood;
+keyframes, config, result and odometry (a motion estimate by KISS-ICP).
 """

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics, Frame
 
 POINT_STRIDE_PX = 4
+"""Points enough for KISS-ICP's voxels: 19,200 of a 640 x 480 image."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from shapes.archive import load_fields, save_fields
 from shapes.geometry.pose_sets import cluster
 
 FORMAT_VERSION = 2
+"""Of the file."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

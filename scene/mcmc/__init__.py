@@ -1,4 +1,4 @@
-"""Involutive Markov chain Monte Carlo on scene graphs (stage O): exact moves and adaptive proposals.
+"""Involutive Markov chain Monte Carlo on scene graphs (supplement O): exact moves and adaptive proposals.
 
-Call `sampling.sample_posterior`. Imports scene.search and what is below it.
+Call `sampling.sample_posterior`. Imports scene.search, scene.config and what is below them.
 """

@@ -1,4 +1,4 @@
-"""The generative model of a scene: graph, contact chart, priors, presence, posterior density.
+"""The generative model of a scene: graph, coordinates of contacts, priors, presence, posterior density.
 
 Call `posterior.SceneModel`. Imports shapes alone.
 """

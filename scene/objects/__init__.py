@@ -1,4 +1,4 @@
-"""Known objects: surface, bounding box, resting orientations, symmetries, and slots of those found.
+"""Known objects: surface, bounding box, resting orientations, symmetries; slots of chains for those found.
 
 Call `scene_object.scene_object` with a mesh. Imports shapes alone.
 """

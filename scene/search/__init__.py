@@ -1,5 +1,6 @@
-"""The search for a maximum (stage K): pose hypotheses, their joint assignment, local refinement.
+"""The search for a maximum (supplement K): pose hypotheses, their joint assignment, local refinement.
 
 Call `search_round.SearchRound` for one round and `importance_sampling.refine` for Gaussians round the poses
-found. Gives starts and proposals, never samples. Imports scene.likelihood and what is below it.
+found. Gives the chains' starts and proposals, never samples. Imports scene.likelihood, scene.config and what
+is below them.
 """

@@ -1,5 +1,5 @@
-"""Verification of detections by appearance, and where missing objects may stand unseen.
+"""Verification of what the search found, by depth and outline; and where missing objects may stand unseen.
 
-Call `reassignment.without_lookalikes` and `occlusion.unseen_share`. Imports scene.search and what is below
-it.
+`initialisation` calls `reassignment.without_lookalikes`, `parsing` calls `occlusion.unseen_share`. Imports
+scene.search and what is below it.
 """

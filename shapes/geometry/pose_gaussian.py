@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import jaxlie
 
 LOG_8 = 2.0794415416798357
+"""log 8."""
 
 
 def displace(centre: jax.Array, xi: jax.Array) -> jax.Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from shapes.geometry import pose_gaussian
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""wxyz_xyz."""
 
 
 def mean_and_covariance(
@@ -45,12 +46,16 @@ def mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
 
 
 GROUP_SHIFT_M = 0.1
+"""Particles closer than this share one search. Chosen by hand."""
 
 GROUP_ANGLE_RAD = 0.1
+"""As `GROUP_SHIFT_M`."""
 
 MAX_CLUSTERS = 4
+"""Search effort: each has a search of its own."""
 
 LEAST_GROUP_WEIGHT = 1e-3
+"""Less than one particle of 64."""
 
 
 def within_reach(

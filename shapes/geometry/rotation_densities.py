@@ -20,6 +20,7 @@ LOG_CONTACT_JACOBIAN = math.log(8.0)
 """log of d(S^2 x S^1) / d(rotation): 4 pi 2 pi / pi^2 (supplement O.6.4)."""
 
 _WINDINGS = (-1, 0, 1)
+"""Terms of the wrapped sum; further ones are negligible at the widths in use."""
 
 
 def hopf_coordinates(wxyz: jax.Array) -> tuple[jax.Array, jax.Array]:

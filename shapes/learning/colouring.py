@@ -12,6 +12,7 @@ from recordings.types import NO_RETURN, CameraIntrinsics, Frame
 from shapes.voxel_grid import VoxelGrid
 
 AT_SURFACE_PITCHES = 1.5
+"""In voxels. Chosen by hand."""
 
 
 class ColourSums:

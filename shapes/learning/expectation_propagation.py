@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 
 TINY = 1e-30
+"""Numerical guard above float32's least number."""
 
 
 @jax.tree_util.register_dataclass

@@ -20,12 +20,15 @@ from shapes.geometry.camera import Camera
 STEEPEST = 2.0
 """Standard deviation of a surface's slope, depth per lateral metre, before its neighbours are seen."""
 STEEPEST_BELIEVED = 4.0
+"""A slope of 76 degrees; steeper planes are edges."""
 GATE = 3.5
 """Neighbours farther from the plane than this many standard deviations are of another surface."""
 BENDING = 0.2
 """Departure of a surface from its plane, as a share of the distance along it."""
 FEWEST = 3
+"""Parameters of a plane."""
 ROUNDS = 3
+"""Of reweighting: search effort."""
 
 
 @jax.tree_util.register_dataclass

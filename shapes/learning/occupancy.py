@@ -19,13 +19,19 @@ from shapes.learning.voxel_rays import ViewReadings, bucket, evidence
 from shapes.voxel_grid import VoxelGrid
 
 WINDOW_MARGIN = 8
+"""Pixels round the object's window."""
 WINDOW_BUCKET = 64
+"""Window sizes are rounded up to it, for fewer kernels."""
 VOXEL_BUCKET = 8192
+"""Voxel counts are rounded up to it, for fewer kernels."""
 REACHED = 0.5
+"""Half of a ray's probability."""
 NEAR_PITCHES = 1.5
+"""As `AT_SURFACE_PITCHES` of colouring."""
 NEAR_M = 0.008
 """Voxels farther from a surface than both are plainly before or behind it."""
 LARGEST_HALF_WINDOW = 3
+"""Pixels: compile time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,11 +15,13 @@ from shapes.geometry.camera import Camera, project
 from shapes.learning.local_planes import LocalPlanes
 
 SPLIT_SIGMAS = 3.0
+"""Three sigma: depths farther apart are two surfaces."""
 SPLIT_M = 0.002
 """Readings of neighbouring pixels that differ by more than both are of two surfaces."""
 OVERLAP = 0.6
 """Share of the pixels that two neighbours' planes have in common: correlation of their errors."""
 NEAREST_M = 1e-3
+"""Numerical guard."""
 UNMEASURED = 0.5
 """Share of the neighbours without a return that counts as seeing what the others see."""
 

@@ -20,19 +20,27 @@ from shapes.voxel_grid import VoxelGrid
 REACH_M = 0.6
 """Points farther from what the cameras looked at are not considered."""
 POINTS_PER_VIEW = 40_000
+"""Memory and time."""
 CELL_M = 0.01
 """Edge of the cells in which points are averaged and clusters are connected."""
 FEWEST_CELLS = 8
+"""A cluster of fewer is noise."""
 LEAST_HEIGHT_M = 0.006
+"""The inlier band of the support plane."""
 RING_M = 0.1
 """Width of the surroundings in which a support plane must show."""
 STEP_M = 0.08
 """What is seen so far below a plane, close to the object, speaks against its being the support."""
 SECTORS = 16
+"""Of the surroundings, 22.5 degrees each."""
 COVERED = 0.5
+"""Half of the sectors."""
 SURROUNDINGS_M = 0.1
+"""Width of the support that is looked for round an object. Chosen by hand."""
 MARGIN_M = 0.01
+"""Round the cluster, for what thinning left out."""
 MARGIN_VOXELS = 3
+"""As `MARGIN_M`, at coarse pitches."""
 LARGEST_GRID = 8_000_000
 """Voxels; more, of which learning holds some 300 bytes each, would take minutes and gigabytes."""
 

@@ -42,6 +42,7 @@ SHRINKING = 8
 """How many times fewer rays go on together."""
 
 CONE_STEPS = 8
+"""Steps of the coarse march of a tile's cone: speed."""
 
 CONE_SLACK = 0.3
 """Voxels by which a stored distance may overrate the true one."""

@@ -1,5 +1,5 @@
 """The particle filter over camera trajectory and map: sequential Monte Carlo with a mixture proposal.
 
-Call `init.init` with the first frame and `step.step` with every further one. Imports slam.registration and
-what is below it.
+Call `init.init` with the first frame and `step.step` with every further one. Imports slam.registration,
+slam.config and what is below them.
 """

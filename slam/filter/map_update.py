@@ -17,13 +17,16 @@ from slam.keyframes.surfels import surfel_image, with_noise
 from slam.registration.search import Registration
 
 CAPACITY_STEP = 32
+"""Keyframes by which arrays grow: each growth compiles kernels anew."""
 
 KEYFRAME_SHIFT = 0.1
 """A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
 
 KEYFRAME_ANGLE_RAD = 0.2
+"""Chosen by hand; more keyframes cost time, fewer drift (kitchen rows of `bench slam`)."""
 
 KEYFRAME_COVERAGE = 0.75
+"""Chosen by hand; as `KEYFRAME_ANGLE_RAD`."""
 
 
 def with_room(state: FilterState) -> FilterState:

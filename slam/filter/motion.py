@@ -17,6 +17,7 @@ import numpy as np
 from shapes.geometry import pose_gaussian
 
 LOG_PI = 1.1447298858494002
+"""log pi."""
 
 
 @jax.tree_util.register_dataclass
@@ -242,6 +243,8 @@ def _sample_von_mises_fisher(key: jax.Array, mean: jax.Array, concentration: jax
 
 
 LONGEST_RATIO = 3.0
+"""Intervals over which a velocity is continued; beyond, the motion is unknown. Chosen by hand; gaps in
+recordings."""
 
 
 def velocity_ratio(times_ns: tuple[int, int], time_ns: int) -> float:

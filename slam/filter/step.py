@@ -31,6 +31,7 @@ from slam.keyframes.keyframe_map import stacked
 from slam.registration.search import Registration
 
 COMPONENT_BUCKETS = (1, 2, 4, MAX_HYPOTHESES)
+"""Numbers of mixture components for which kernels are compiled."""
 
 
 def step(

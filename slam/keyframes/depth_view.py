@@ -19,6 +19,7 @@ from recordings.types import NO_RETURN, CameraIntrinsics, Frame
 from shapes.geometry.camera import Camera, pixel_rays
 
 CANVAS_HEIGHT = 120
+"""Working resolution, the supplement's 160 x 120."""
 
 CANVAS_WIDTH = 160
 

@@ -16,6 +16,7 @@ from slam.keyframes.rendering import depth_on_rays, pixels_of, planes_in_frame
 from slam.keyframes.surfels import LEAST_VARIANCE_SHARE, SurfelImage
 
 GATE_SIGMAS = 3.0
+"""The usual three-sigma gate of a Kalman update."""
 
 GAIN_RANGE = (0.2, 5.0)
 """Limits of the ratio between a depth change along the keyframe's ray and along the frame's ray."""

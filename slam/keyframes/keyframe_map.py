@@ -18,8 +18,10 @@ SAMPLED_STRIDE_PX = 8
 """Overlap is judged on a lattice of this stride: some 300 points a keyframe."""
 
 COVER_ROWS, COVER_COLUMNS = 6, 8
+"""Cells of the image in which coverage by keyframes is counted. Chosen by hand."""
 
 NEAREST_CANDIDATES = 64
+"""Keyframes considered for selection: search effort."""
 
 LEAST_OVERLAP = 0.08
 """Share of a keyframe's points that the camera must see for the keyframe to be of use."""

@@ -23,6 +23,7 @@ MOST_TURN_RAD = 0.3
 """Between the normals of a pixel and of the plane that it is to belong to."""
 
 MOST_SEEDS, GROWTH_ROUNDS = 16, 8
+"""Search effort: planes tried and rounds of growth."""
 
 
 def with_plane_segments(

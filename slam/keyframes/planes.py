@@ -24,18 +24,22 @@ from shapes.geometry.vectors import dot
 from slam.keyframes.depth_view import CanvasView
 
 WINDOW_RADIUS_PX = 3
+"""Chosen by hand; larger windows smooth edges, smaller ones noise (rooms of `bench slam`)."""
 
 NEAR_BAND = 0.04
 """Relative distance from a pixel's depth within which neighbours are fitted first."""
 
 REGION_STEPS_PX = (4, 8, 16)
+"""Steps to neighbouring windows, doubling."""
 
 REGION_TURNS = (0.08, 0.05, 0.04)
 """Rounds of averaging over ever wider surroundings, and how far orientations may differ in each."""
 
 ON_PLANE_SIGMAS = 3.5
+"""Gate of a pixel on a plane: 1 in 2,000 pixels of a Normal is lost."""
 
 LEAST_WINDOW_PIXELS = 12
+"""Four times the three parameters of a plane."""
 
 LEAST_REGION = 300.0
 """Product of the rounds' counts of alike neighbours, at most 25 each, from which on a region is a plane."""

@@ -16,11 +16,13 @@ from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH
 from slam.keyframes.surfels import SurfelImage
 
 NEAREST_DEPTH_M = 0.05
+"""Nearer than any depth camera measures."""
 
 ONE_SURFACE_BAND = 0.03
 """Relative depth within which the elements of several keyframes are one surface and are fused."""
 
 LEAST_INVERSE_DEPTH = 1e-4
+"""Numerical guard: 10 km."""
 
 PIXELS = CANVAS_HEIGHT * CANVAS_WIDTH
 
@@ -28,10 +30,13 @@ VISIBILITY_BAND = 0.1
 """Relative depth within which elements of one keyframe do not hide each other."""
 
 INDEX_RANGE = 1 << 15
+"""Bits of a rank that hold the element's index; above the canvas's 19,200 pixels."""
 
 DEPTH_BINS = 255
+"""Eight bits of a rank."""
 
 OFF_CENTRE_STEPS = 255
+"""Eight bits of a rank."""
 
 
 @jax.tree_util.register_dataclass

@@ -36,6 +36,7 @@ from slam.likelihood.unmapped_depth import (
 )
 
 LOG_ROOT_TWO_PI = 0.9189385332046727
+"""log sqrt(2 pi)."""
 
 STRIDE_PX = 2
 """The density counts the pixels of this lattice; the exponents of the others are zero."""
@@ -47,6 +48,7 @@ STILL_IN_FRONT = 0.8
 """The same where the pixels before suggest it, and no keyframe saw through the space there."""
 
 IN_FRONT_SIGMAS = 5.0
+"""Beyond five sigma a depth is no noise of the surface."""
 
 SEEN_THROUGH_BAND = 0.03
 """Relative depth by which a point is nearer than a keyframe's surface if that saw through the space there."""

@@ -25,8 +25,10 @@ PRIOR_PIXELS = 200.0
 """The initial sigma counts as this many pixels in every depth bin."""
 
 LEAST_SIGMA_M = 2e-4
+"""Numerical guard, below any depth camera's noise."""
 
 EXPONENT_RANGE = (1e-3, 1.0)
+"""From one independent pixel in a thousand to all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,14 +24,19 @@ from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import NEAREST_DEPTH_M
 
 SAMPLES = 4096
+"""Size of compiled arrays: pixels compared per keyframe, a fifth of a canvas."""
 
 BLOCKS_ACROSS = 8
+"""Blocks by which the variance of the score is estimated: 64 are enough for a 6 x 6 matrix."""
 
 BLOCKS = BLOCKS_ACROSS**2
+"""In all."""
 
 OUTLIER_SHARE = 0.03
+"""Chosen by hand."""
 
 OUTLIER_RANGE_M = 0.1
+"""Range of the uniform outlier density. Chosen by hand."""
 
 LEAST_NORMAL_COSINE = 0.87
 """Of the angle between the normals that both keyframes have for one point: 30 degrees."""

@@ -29,6 +29,7 @@ ON_PLANE_SIGMAS = 3.5
 """Within which a pixel lies on it."""
 
 LEAST_ON_PLANE = 4
+"""One more than the three parameters of a plane."""
 
 CONTINUES, ENDS_BY_SHARE = 2.67, 13.4
 """Log odds that a plane which all pixels around lie on continues here, and what they lose by the share of the

@@ -22,7 +22,7 @@ from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.filter.motion import OrbitMotion
 from slam.keyframes.depth_view import central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.map_hypotheses.beam_search import place_best_first
+from slam.map_hypotheses.best_first_search import place_best_first
 from slam.map_hypotheses.circular_paths import circular_steps, repeat_step
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
 from slam.map_hypotheses.modes import Modes

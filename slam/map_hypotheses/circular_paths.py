@@ -29,15 +29,19 @@ the grid, and among the first five of the refined (circles of 5 in bare rooms; d
 development films)."""
 
 STEP_SHIFT_M, STEP_ANGLE_RAD = 0.12, 0.15
+"""Steps closer than this are one start of the refinement; as the global search's grid."""
 
 BLUR, LEAST_BLUR = 0.06, 0.01
+"""Relative to depth: first and last blur of the coarse-to-fine search."""
 
 REFINING = tuple(0.05 * 0.75**round_ for round_ in range(12))
 """Widths of clouds round each, metres and radians."""
 
 LOG_CLOUD = 6
+"""Spacing of the sampled cloud: search effort."""
 
 BATCH = 256
+"""Steps scored in one kernel: memory."""
 
 
 def circular_steps(registrar: KeyframeRegistrar, distances_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from slam.registration.pose_grids import ORBIT_DISTANCES
 from slam.registration.search import GroupMap, Registration, Searcher
 
 LEAST_OVERLAP = 0.2
+"""Share of the returns that must meet the map for an inlier ratio to mean anything. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ CONSISTENT_INLIER_RATIO = 0.9
 round objects it was .92 at least, at wrong ones .6 to .9 (docs/model.md, development films)."""
 
 LEAST_CONSISTENT = 2
+"""A consistent set needs two keyframes."""
 
 
 def register_inconsistent(

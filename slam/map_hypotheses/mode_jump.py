@@ -40,6 +40,7 @@ SPARSE_SHARE = 0.5
 have taken the next corner of a bare room for the last one."""
 
 MOST_KEYFRAMES = 48
+"""Search effort: the registrations grow with the square of the keyframes."""
 
 MOST_ROUNDS = 3
 """From a first core that is small, the places of the others may be wrong again."""

@@ -15,6 +15,7 @@ from shapes.geometry.pose_sets import MAX_CLUSTERS, within_reach
 from shapes.resampling import resample_systematically
 
 LEAST_SHARE = 0.01
+"""Less than one particle of 64 stands for it."""
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ FARTHEST = 0.05
 place, or nothing holds it. It stays, and the others are refined without it."""
 
 LEAST_INLIERS = 60.0
+"""Ten times the six coordinates of a pose."""
 
 THINNED = 8
 """Of the samples, every so many decide on the first rounds: they stand for all."""

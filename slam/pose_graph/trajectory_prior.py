@@ -25,6 +25,7 @@ PIVOT_STEPS = 6
 """Newton's, to the likeliest pivot."""
 
 POSE, PIVOT = 6, 3
+"""Dimensions of a pose and of a pivot."""
 
 
 @dataclass(frozen=True)

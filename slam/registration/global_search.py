@@ -27,13 +27,16 @@ from slam.registration.alignment import STIFFNESS
 from slam.registration.local_search import COARSE_STRIDE_PX, LocalMap
 
 SEEN_THROUGH_SIGMAS = 3.0
+"""Three sigma."""
 
 CLIMBING_BLURS = (0.04, 0.04, 0.04, 0.03, 0.03, 0.02, 0.02, 0.015)
 """Of the surfaces, relative to depth, in each step uphill: a candidate may be turned by as much."""
 
 SETTLING_BLURS = (0.015, 0.01, 0.01, 0.01)
+"""Relative to depth: the last rounds of the ascent, near the sensor's noise."""
 
 SLIDING_BLUR = 0.01
+"""As the last of them."""
 
 SLIDES = tuple(sign * 0.012 * step for step in range(1, 8) for sign in (-1, 1))
 """Along the direction in which a climbed candidate is held least, metres and radians."""
@@ -52,6 +55,7 @@ well: places that meet nothing of the map would come first (of 1, 2 and 4 nats t
 docs/model.md, development films)."""
 
 BATCH = 64
+"""Candidates scored in one kernel: memory."""
 
 
 @jax.tree_util.register_dataclass

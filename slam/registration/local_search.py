@@ -35,10 +35,13 @@ from slam.registration.alignment import (
 )
 
 STARTS = 4
+"""Search effort."""
 
 COARSE_STRIDE_PX = 8
+"""Search effort: one pixel in 64 ranks the starts."""
 
 COARSE_SURFACE_SIGMA_M = 0.03
+"""Added to the noise while starts are half a grid step off (6 cm)."""
 
 COARSE_SCHEDULE = (Passes(4, (8.0, 4.0, 2.0, 2.0)),)
 
@@ -52,11 +55,13 @@ SLIDES = tuple(sign * size for size in (0.0015, 0.003, 0.006, 0.012, 0.024) for 
 """Metres and radians along an eigenvector of the precision."""
 
 WEAK_DIRECTIONS = 2
+"""Search effort: a wall leaves two translations and a rotation weak."""
 
 SLIDE_GAIN = 30.0
 """Nats by which a slide must win: on bare walls all score alike."""
 
 LATTICE_STEPS = 3
+"""Search effort."""
 
 BLOCK_SIDE = 10
 """Side in lattice pixels of the blocks whose scores are taken as independent."""

@@ -10,14 +10,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 LOCAL_ANGLES_RAD = (-0.07, 0.0, 0.07)
+"""Starts of Gauss-Newton. Chosen by hand."""
 
 LOCAL_SHIFTS_M = (-0.06, 0.06)
+"""As `LOCAL_ANGLES_RAD`."""
 
 ORBIT_STEP_DEG = 6
+"""Search effort. Chosen by hand."""
 
 ORBIT_ELEVATIONS_DEG = (0, 10, 20, 30, 40, 50, 60)
+"""Of hand-held views of an object."""
 
 ORBIT_CLIMBS_DEG = (-30, -15, 0, 15, 30)
+"""Changes of elevation from one view to the next."""
 
 ORBIT_DISTANCES = (0.9, 1.05, 1.25)
 """Distances to the pivot of an orbit, in depths at the image centre."""
@@ -25,6 +30,7 @@ ORBIT_DISTANCES = (0.9, 1.05, 1.25)
 TURNS_DEG = tuple(range(-180, 180, 15))
 
 TILTS_DEG = (-20, 0, 20)
+"""Of hand-held cameras. Chosen by hand."""
 
 
 @cache

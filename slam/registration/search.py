@@ -22,6 +22,7 @@ from slam.registration.global_search import ascend, log_map_scores
 from slam.registration.local_search import LocalMap, Optimum, local_optimum, optimum_at
 
 CONVINCING_EXPLAINED = 0.75
+"""Chosen by hand."""
 
 CONVINCING_COVERED = 0.2
 """An optimum near the prediction is taken without a further search if this share of the returns meets the
@@ -31,6 +32,7 @@ UNMISTAKABLE_EXPLAINED = 0.92
 """The same after a wide step, when a wrong place explains up to 0.89 of a view round an object (measured)."""
 
 PLAUSIBLE_EXPLAINED = 0.6
+"""Chosen by hand; what is below is worth no refinement."""
 
 PLAUSIBLE_COVERED = 0.1
 """The least with which the camera counts as found at all."""
@@ -39,8 +41,10 @@ LEAST_EXPLAINED = PLAUSIBLE_EXPLAINED * PLAUSIBLE_COVERED
 """Places that look away from the map are foreseen as well as the right one, a centimetre beside it, fits."""
 
 WIDE_KEYFRAMES = 8
+"""Search effort."""
 
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
+"""Candidates closer than this climb to the same place."""
 
 WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
 """Relative to depth, as in `slam.registration.global_search`."""
@@ -50,20 +54,26 @@ WIDE_CLIMBED = 256
 (measured)."""
 
 CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD = 0.05, 0.05
+"""Climbed candidates closer than this are one."""
 
 WIDE_RENDERED = 24
+"""Search effort."""
 
 WIDE_REFINED = 6
+"""Search effort."""
 
 FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
+"""A refinement that ends farther from its start is begun again there."""
 
 REFINEMENTS = 3
 """Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
 while it rises where the start was a guess."""
 
 SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
+"""Optima closer than this are one component of the proposal."""
 
 NEGLIGIBLE_LOG_SHARE = 15.0
+"""exp(-15) is less than any particle's share."""
 
 
 @dataclass(frozen=True)

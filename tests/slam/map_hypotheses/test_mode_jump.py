@@ -13,7 +13,7 @@ from shapes.geometry import pose_gaussian, pose_sets
 from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image
-from slam.map_hypotheses.beam_search import _log_evidence
+from slam.map_hypotheses.best_first_search import _log_evidence
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
 from slam.map_hypotheses.modes import transport
 from tests.slam import box_room

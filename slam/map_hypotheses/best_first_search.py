@@ -29,6 +29,7 @@ PLACES = 3
 """Of each keyframe in each map."""
 
 SETTLING_SWEEPS = 3
+"""Search effort."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from slam.map_hypotheses import beam_search
-from slam.map_hypotheses.beam_search import (
+from slam.map_hypotheses import best_first_search
+from slam.map_hypotheses.best_first_search import (
     KEPT_MAPS,
     _best,
     _improved_singly,
@@ -77,7 +77,7 @@ class RingJury:
 
 def test_the_surest_comes_next(monkeypatch: pytest.MonkeyPatch) -> None:
     """In their own order most keyframes would stand wrong: their neighbours come after them."""
-    monkeypatch.setattr(beam_search, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
+    monkeypatch.setattr(best_first_search, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
 
     placed = place_best_first(cast("KeyframeRegistrar", RingJury()))
 
