@@ -106,7 +106,7 @@ class _Cloud:
 
     def __init__(self) -> None:
         self._points: list[NDArray[np.float32]] = []
-        self._colours: list[NDArray[np.uint8]] = []
+        self._colours: list[NDArray[np.float32]] = []
 
     def add(
         self, frame: Frame, intrinsics: CameraIntrinsics, reference_from_camera: NDArray[np.float64]
