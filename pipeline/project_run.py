@@ -17,6 +17,7 @@ import click
 
 from pipeline.atomic import atomic_path, write_json
 from pipeline.errors import PipelineError
+from pipeline.executors import executors_for
 from pipeline.fingerprints import file_hash
 from pipeline.logs import log, unforeseen
 from pipeline.options import Common, RecordingSource
@@ -26,7 +27,7 @@ from pipeline.session import open_session
 from pipeline.stages.learn import learn_stage
 from pipeline.stages.parse import parse_stage
 from pipeline.stages.slam import slam_stage
-from pipeline.task_engine import Outcome, Task, WorkerLost, local_workers, run_tasks
+from pipeline.task_engine import Outcome, Task, WorkerLost, run_tasks
 from pipeline.timing import wall_clock
 from recordings.errors import RecordingError
 from recordings.types import Damage
@@ -61,7 +62,7 @@ def run_project(
     common: Common,
     *,
     force: bool = False,
-    workers: int | None = None,
+    workers: int | str | None = None,
     stop_at_failure: bool = False,
 ) -> list[Row]:
     """Fill a run folder with what a project asks for; what is there and unchanged is left as it is.
@@ -71,7 +72,8 @@ def run_project(
         run: the run folder.
         common: seed, settings, progress.
         force: compute everything again.
-        workers: processes of one core each, side by side; None works here, with all cores.
+        workers: processes of one core each, side by side, or the address of a Dask scheduler; None works
+            here, with all cores.
         stop_at_failure: begin no further recording once one has failed.
 
     Returns:
@@ -163,7 +165,7 @@ def _as_it_is(row: Row) -> Row:
 
 
 def _rows(
-    chosen: Sequence[ProjectRecording], tasks: Sequence[Task[Row]], workers: int | None
+    chosen: Sequence[ProjectRecording], tasks: Sequence[Task[Row]], workers: int | str | None
 ) -> Iterator[Row]:
     """The rows of tasks as they end: here one after the other, or on workers."""
     if workers is None:
@@ -175,7 +177,8 @@ def _rows(
         Task(name=one.name, call=one.call, arguments=tuple(_without_progress(a) for a in one.arguments))
         for one in tasks
     ]
-    for outcome in run_tasks(quiet, local_workers(workers), workers):
+    executors, at_once = executors_for(workers)
+    for outcome in run_tasks(quiet, executors, at_once):
         yield outcome.result or _lost(by_name[outcome.task.name], outcome)
 
 

@@ -93,7 +93,7 @@ class Parse:
         return Estimated(
             poses=self.poses(scene, shapes),
             scores=dict(zip(scene.names.tolist(), scene.presence.tolist(), strict=True)),
-            parents_right=parents_right(scene, image.objects),
+            parents_right={} if self.config.graph == "fixed" else parents_right(scene, image.objects),
             seconds=timing.seconds,
         )
 

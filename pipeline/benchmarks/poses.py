@@ -118,7 +118,7 @@ def collected(
         for title, rows, spent in found:
             judged += rows
             seconds.setdefault(title, {})[key] = spent
-    return sorted(judged, key=lambda one: (one.image, one.name)), seconds
+    return sorted(judged, key=lambda one: (one.scene_id, one.im_id, one.kind, one.name)), seconds
 
 
 def judge_image(source: PoseSource, key: ImageKey, methods: Sequence[Method]) -> Found:

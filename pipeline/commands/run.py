@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pipeline.damage import report_damage
+from pipeline.executors import Workers
 from pipeline.options import Common, common_options
 
 if TYPE_CHECKING:
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Compute everything again.")
 @click.option(
     "--workers",
-    type=click.IntRange(1, 1024),
-    metavar="N",
-    help="So many recordings side by side, one core each; one by one with all cores unless given.",
+    type=Workers(),
+    help="So many recordings side by side, one core each, or on a Dask cluster that sees the same files; one "
+    "by one with all cores unless given.",
 )
 @click.option(
     "--keep-going", is_flag=True, help="Run the others where the check of the project finds mistakes."
@@ -45,7 +46,7 @@ def command(
     project_file: Path,
     run_path: Path | None,
     force: bool,
-    workers: int | None,
+    workers: int | str | None,
     keep_going: bool,
     stop_at_failure: bool,
 ) -> None:

@@ -49,7 +49,7 @@ def draw_curves(judged: Sequence[Judged], path: Path) -> None:
     for kind, row in zip(kinds, axes, strict=True):
         for shape, axis in zip(shapes, row, strict=True):
             own = [one for one in judged if (one.kind, one.shape) == (kind, shape)]
-            for method in methods:
+            for method in reversed(methods):  # ours over the others
                 errors = [one.error_m for one in own if one.method == method]
                 thresholds, shares = accuracy_curve(errors)
                 axis.step(

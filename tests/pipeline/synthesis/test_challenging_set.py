@@ -1,6 +1,8 @@
 """A set on disk: read by a reader of its own, the same bytes however it was made."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,3 +160,21 @@ def test_an_interrupted_set_goes_on_to_the_same_bytes(folder: Path, tmp_path: Pa
 def test_workers_write_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     """Two spawned processes."""
     assert contents(written(WANTED, tmp_path / "two", workers=2)) == contents(folder)
+
+
+@pytest.mark.slow
+def test_kills_change_no_byte(folder: Path, tmp_path: Path, seed: int) -> None:
+    """The command with two workers is killed twenty times at random moments, then ends in the same bytes."""
+    words = [sys.executable, "-m", "pipeline", "synth", "challenging", str(tmp_path / "killed"), "--quiet"]
+    words += ["--images", "2", "--kinds", "single,occluded", "--only", "box,can,bracket", "--size", "160x120"]
+    words += ["--seed", "3", "--workers", "2"]
+    rng = np.random.default_rng(seed)
+    for _ in range(20):
+        process = subprocess.Popen(words)
+        try:
+            process.wait(timeout=rng.uniform(1.0, 12.0))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+    subprocess.run(words, check=True)
+    assert contents(tmp_path / "killed") == contents(folder)
