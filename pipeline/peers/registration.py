@@ -124,7 +124,9 @@ def _pair_detector(model: Model, step: float) -> Any:
     import cv2
 
     detector = cv2.ppf_match_3d.PPF3DDetector(step, step)
-    detector.trainModel(np.hstack([model.points_m, model.normals]).astype(np.float32))
+    # sampled as the detector would: it trains on the square of the points that it is given
+    cloud = _model_cloud(model, step * float(np.linalg.norm(np.ptp(model.points_m, axis=0))))
+    detector.trainModel(np.hstack([np.asarray(cloud.points), np.asarray(cloud.normals)]).astype(np.float32))
     return detector
 
 
