@@ -27,7 +27,7 @@ from pipeline.fingerprints import canonical_hash, file_hash
 from pipeline.logs import log
 from pipeline.machine import machine
 
-FORMAT = 3
+FORMAT = 4
 """Raised whenever a stage's value would differ for the same inputs, settings and sources."""
 
 
@@ -167,6 +167,12 @@ class RunFolder:
             for name, record in found.items()
             if all(used in found and found[used].fingerprint == made for used, made in record.uses.items())
         }
+
+    @property
+    def identity(self) -> str:
+        """Eight letters that differ where what the folder was made from, or its place, differs."""
+        made_from = {name: record.fingerprint for name, record in self.records().items()}
+        return canonical_hash({"place": str(self.path.resolve()), **made_from})[:8]
 
     def value_path(self, name: str) -> Path:
         """Where a stage's value is kept."""

@@ -1,95 +1,129 @@
-"""Convergence of the chains: split R-hat and effective sample size (Vehtari et al. 2021)."""
+"""Whether chains agree: rank-normalised split R-hat, and effective samples of the bulk and of the tails.
+
+Vehtari, Gelman, Simpson, Carpenter, Buerkner, "Rank-normalization, folding, and localization", 2021; the
+figures themselves are arviz-stats'.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from arviz_stats.base.array import array_stats
 from numpy.typing import NDArray
 
 from scene.result import SceneResult
-from shapes.geometry.poses import matrices_of
+
+CONVERGED_R_HAT = 1.1
+"""Chains with a larger R-hat are told as not converged (Gelman and Rubin's bound; Vehtari et al. ask for
+1.01 of those who publish)."""
+
+ENOUGH_SAMPLES = 400
+"""Effective samples from which on spreads are steady to a tenth (Vehtari et al., section 4)."""
+
+TAILS = 0.05, 0.95
+"""Quantiles whose estimates are judged as tails (Vehtari et al.)."""
+LEAST_DRAWS = 4
+"""Of a chain, below which there is no half to compare with the other."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """Over log posterior, coordinates of the middles of objects' bounding boxes, and indicators of edges.
-
-    An object's origin may lie at its edge: then it is elsewhere in each of two poses that look the same.
+    """Of traces (one or more); the worst of them counts.
 
     Attributes:
-        r_hat: largest split R-hat; 1 where chains agree, NaN with too few samples.
-        effective_samples: smallest effective number of samples among them.
+        r_hat: largest R-hat; 1 where chains agree, NaN with too few samples.
+        bulk_samples: smallest effective number of samples, of means and shares.
+        tail_samples: the same of the 5% and 95% quantiles.
     """
 
     r_hat: float
-    effective_samples: float
+    bulk_samples: float
+    tail_samples: float
+
+    @property
+    def effective_samples(self) -> float:
+        """Of the bulk or of the tails, whichever are fewer."""
+        return min(self.bulk_samples, self.tail_samples)
+
+    @property
+    def converged(self) -> bool:
+        """True if chains agree; False too where there are too few samples to say so."""
+        return self.r_hat < CONVERGED_R_HAT
 
 
-def convergence(scene: SceneResult, middles_m: NDArray[np.float64]) -> Convergence:
+@dataclass(frozen=True, kw_only=True)
+class SceneConvergence:
     """Of the samples of a parsed scene.
+
+    Attributes:
+        overall: of the log posterior, the centres of objects and which edges there are.
+        centres: of each object's centre alone, the N objects one after another.
+        modes: of which mode each object is in, where samples are in several.
+    """
+
+    overall: Convergence
+    centres: tuple[Convergence, ...]
+    modes: tuple[Convergence, ...]
+
+
+def scene_convergence(scene: SceneResult, centres_m: NDArray[np.float64]) -> SceneConvergence:
+    """Do the chains of a parsed scene agree?
+
+    An object's origin may lie at its edge: then it is elsewhere in each of two poses that look the same.
 
     Args:
         scene: as parsed.
-        middles_m: (N, 3) of the bounding boxes, in the objects' frames.
+        centres_m: (N, 3) of the bounding boxes, in the objects' frames.
     """
-    chains = int(scene.chain.max(initial=0)) + 1
-    found = scene.found
-    in_camera = np.einsum("snij,nj->sni", matrices_of(scene.sample_poses), np.insert(middles_m, 3, 1, axis=1))
+    count, found = len(scene), np.flatnonzero(scene.found)
+    points = [scene.sampled_points(one, centres_m[one]) for one in range(count)]
     edges = (
         scene.sample_parents[:, found, None] == np.arange(-1, scene.edge_probabilities.shape[1])[None, None]
     )
-    traces = np.concatenate(
-        [
-            scene.sample_log_posteriors[:, None],
-            in_camera[:, found, :3].reshape(len(edges), -1),
-            edges.reshape(len(edges), -1),
-        ],
-        axis=1,
+    shared = [scene.sample_log_posteriors[:, None], edges.reshape(len(edges), -1)]
+    overall = np.concatenate([*shared, *(points[one] for one in found)], axis=1)
+    modes = scene.sample_modes[:, :, None] == np.arange(scene.mode_probabilities.shape[1])
+    return SceneConvergence(
+        overall=convergence(_by_chain(overall, scene)),
+        centres=tuple(convergence(_by_chain(points[one], scene)) for one in range(count)),
+        modes=tuple(convergence(_by_chain(modes[:, one], scene)) for one in range(count)),
     )
-    traces = traces.reshape(-1, chains, traces.shape[1])
-    if len(traces) < 4:
-        return Convergence(r_hat=float("nan"), effective_samples=float("nan"))
-    varied = [trace for trace in np.moveaxis(traces, 2, 0) if np.ptp(trace) > 0]
+
+
+def convergence(traces: NDArray[np.float64]) -> Convergence:
+    """Of traces (Q, chains, draws); those that never change, or hold what is not a number, say nothing."""
+    traces = traces[np.isfinite(traces).all(axis=(1, 2))]
+    if traces.shape[2] < LEAST_DRAWS:
+        return Convergence(r_hat=np.nan, bulk_samples=np.nan, tail_samples=np.nan)
+    varied = traces[np.ptp(traces, axis=(1, 2)) > 0]
+    if not len(varied):
+        everything = float(np.prod(traces.shape[1:]))
+        return Convergence(r_hat=1.0, bulk_samples=everything, tail_samples=everything)
     return Convergence(
-        r_hat=max((split_r_hat(trace) for trace in varied), default=1.0),
-        effective_samples=min(
-            (effective_samples(trace) for trace in varied), default=float(traces[..., 0].size)
-        ),
+        r_hat=max(map(_r_hat, varied)),
+        bulk_samples=min(_samples(one, "bulk") for one in varied),
+        tail_samples=min(_samples(one, "tail") for one in varied),
     )
 
 
-def split_r_hat(trace: NDArray[np.float64]) -> float:
-    """Split R-hat of draws (n, chains); infinite where every half stands still at its own place."""
-    within, total = _variances(_halves(trace))
-    return float(np.sqrt(total / within)) if within > 0 else float("inf")
+def _r_hat(trace: NDArray[np.float64]) -> float:
+    """Of (chains, draws); infinite where every half of a chain stands still at its own place."""
+    halves = trace[:, : trace.shape[1] // 2 * 2].reshape(2 * len(trace), -1)
+    if not np.ptp(halves, axis=1).any():
+        return float("inf")
+    return float(np.asarray(array_stats.rhat(trace if len(trace) > 1 else halves, method="rank")))
 
 
-def effective_samples(trace: NDArray[np.float64]) -> float:
-    """Effective number of independent draws among (n, chains), by Geyer's initial positive sequence."""
-    halves = _halves(trace)
-    count, chains = halves.shape
-    within, total = _variances(halves)
-    if total <= 0:
-        return float(halves.size)
-    centred = halves - halves.mean(axis=0)
-    size = 2 * count
-    spectrum = np.abs(np.fft.rfft(centred, size, axis=0)) ** 2
-    autocovariance = np.fft.irfft(spectrum, size, axis=0)[:count].mean(axis=1) / count
-    correlation = 1 - (within - autocovariance) / total
-    pairs = correlation[: count // 2 * 2].reshape(-1, 2).sum(axis=1)
-    pairs = pairs[: int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)]
-    time = max(2 * np.minimum.accumulate(pairs).sum() - 1, 1 / np.log10(max(halves.size, 10)))
-    return float(count * chains / time)
+def _samples(trace: NDArray[np.float64], method: str) -> float:
+    """Effective number among (chains, draws); a tail that holds one value alone has as many as the bulk."""
+    tail: dict[str, Any] = {"prob": TAILS} if method == "tail" else {}
+    found = float(np.asarray(array_stats.ess(trace, method=method, **tail)))
+    return found if np.isfinite(found) else float(np.asarray(array_stats.ess(trace, method="bulk")))
 
 
-def _halves(trace: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The first and the second half of every chain as chains of their own (n // 2, 2 * chains)."""
-    half = len(trace) // 2
-    return np.concatenate([trace[:half], trace[len(trace) - half :]], axis=1).astype(np.float64)
-
-
-def _variances(trace: NDArray[np.float64]) -> tuple[float, float]:
-    """Mean variance within chains, and the estimate of the whole variance."""
-    within = float(trace.var(axis=0, ddof=1).mean())
-    return within, float((len(trace) - 1) / len(trace) * within + trace.mean(axis=0).var(ddof=1))
+def _by_chain(samples: NDArray, scene: SceneResult) -> NDArray[np.float64]:
+    """Samples (S, Q), chain after chain within a sweep, as (Q, chains, draws)."""
+    chains = int(scene.chain.max(initial=0)) + 1
+    return samples.reshape(-1, chains, samples.shape[1]).transpose(2, 1, 0).astype(np.float64)

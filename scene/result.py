@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shapes.archive import load_fields, save_fields
 from shapes.geometry.poses import matrices_of, poses_of
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 TABLE = "table"
 
@@ -28,13 +28,15 @@ class SceneResult:
     Attributes:
         names: (N,) str.
         frames: (F,) int64 indices of the depth frames used.
-        camera_from_object: (N, 4, 4) float64, posterior mean within the heaviest mode.
-        covariance: (N, 6, 6) in the right tangent at the mean, translation first, within that mode.
+        camera_from_object: (N, 4, 4) float64, posterior mean at the densest place of the heaviest mode.
+        covariance: (N, 6, 6) second moment of all samples round it, in the right tangent there, translation
+            first; other modes are part of it.
         most_probable: (N, 4, 4) the sample of the greatest posterior density.
         presence: (N,) probability that the object is there.
         visible_fraction: (N,) share of its pixels that nothing hides, in the frame that was searched.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.
         mode_probabilities: (N, M), 0 where there are fewer.
+        sample_modes: (S, N) int32 the mode of each sample, -1 in none of those.
         edge_probabilities: (N, N + S) of resting on each object, and on the supports, the table first.
         edge_faces: (N, N + S, 2) int32 own and parent's face most often seen on that edge; -1 without.
         sample_poses: (S, N, 7) float64 camera_from_object, wxyz_xyz.
@@ -55,6 +57,7 @@ class SceneResult:
     visible_fraction: NDArray[np.float64]
     mode_poses: NDArray[np.float64]
     mode_probabilities: NDArray[np.float64]
+    sample_modes: NDArray[np.int32]
     edge_probabilities: NDArray[np.float64]
     edge_faces: NDArray[np.int32]
     sample_poses: NDArray[np.float64]
@@ -94,16 +97,27 @@ class SceneResult:
         """(N,) root mean square angle from the mean orientation."""
         return np.sqrt(np.trace(self.covariance[:, 3:, 3:], axis1=1, axis2=2))
 
-    def covariance_of_point(self, one: int, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance (3, 3) of the place of a point (3,) of an object, in the object's own axes.
+    def sampled_points(self, one: int, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where a point (3,) of an object is in each sample (S, 3), in the camera."""
+        poses = matrices_of(self.sample_poses[:, one])
+        return poses[:, :3, :3] @ point_m + poses[:, :3, 3]
 
-        A small motion (v, w) of the object moves the point m by v + w x m. The frame of a learned shape has
-        its origin at a corner of the grid, where turning counts more than in its middle.
+    def covariance_of_point(
+        self, one: int, point_m: NDArray[np.float64], mode: int | None = None
+    ) -> NDArray[np.float64]:
+        """Second moment (3, 3) of a point (3,) of an object round its place at the mean pose, in the camera.
+
+        Args:
+            one: the object.
+            point_m: in the object's own frame; the middle says most, for the origin may lie at an edge.
+            mode: of its samples in this mode alone, round their own mean; None takes all samples.
         """
-        x, y, z = point_m
-        turning = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        motion = np.concatenate([np.eye(3), turning], axis=1)
-        return motion @ self.covariance[one] @ motion.T
+        points = self.sampled_points(one, point_m)
+        centre = self.camera_from_object[one, :3, :3] @ point_m + self.camera_from_object[one, :3, 3]
+        if mode is not None:
+            points = points[self.sample_modes[:, one] == mode]
+            centre = points.mean(axis=0)
+        return (points - centre).T @ (points - centre) / len(points)
 
     def in_camera(self, camera_from_this: NDArray[np.float64]) -> SceneResult:
         """The same in another camera, (4, 4) from this one's."""

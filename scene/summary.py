@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.special import expit
 
 from scene.config import ParseConfig
@@ -22,6 +24,11 @@ from shapes.geometry.poses import matrices_of, motions_of, poses_of, tangents_of
 MODES = 4
 
 MODE_RADIUS_M, MODE_RADIUS_RAD = 0.02, 0.5
+"""Poses nearer than both are linked. Twice the centimetre within which benches count a pose as found, and a
+third of the quarter turn between two ways in which a box can lie: links never join two of those."""
+
+LINKED = 1000
+"""Samples that are linked with each other; of longer chains the others follow the nearest of them."""
 
 MEAN_STEPS = 5
 
@@ -58,23 +65,22 @@ def summarise(
     flat = _of_all(flat, chosen)
     box_from_object = matrices_of(np.stack([[1.0, 0, 0, 0, *(-one.centre_m)] for one in objects]))
     starts, in_world = matrices_of(start.poses), matrices_of(flat.poses)
-    in_camera = np.where(
-        start.found[:, None, None], np.linalg.inv(world_from_camera) @ in_world, starts[None]
-    )
-    poses = in_camera @ box_from_object
-    modes = [_modes(poses[:, one]) for one in range(count)]
-    moments = [_moments(poses[:, one], modes[one][0][0]) for one in range(count)]
+    boxes = np.where(start.found[:, None, None], np.linalg.inv(world_from_camera) @ in_world, starts[None])
+    modes = [pose_modes(boxes[:, one]) for one in range(count)]
+    means = np.stack([one.centres[0] for one in modes]) @ box_from_object
+    poses = boxes @ box_from_object
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
     return SceneResult(
         names=np.array([one.name for one in objects]),
         frames=np.asarray(frames, np.int64),
-        camera_from_object=np.stack([mean for mean, _ in moments]),
-        covariance=np.stack([covariance for _, covariance in moments]),
+        camera_from_object=means,
+        covariance=np.stack([second_moment(poses[:, one], means[one]) for one in range(count)]),
         most_probable=poses[int(flat.log_posterior.argmax())],
         presence=expit(log_odds_of_presence(start.log_odds, unseen, config.presence)),
         visible_fraction=visible_fraction,
-        mode_poses=np.stack([poses for poses, _ in modes]),
-        mode_probabilities=np.stack([shares for _, shares in modes]),
+        mode_poses=np.stack([one.centres for one in modes]) @ box_from_object[:, None],
+        mode_probabilities=np.stack([one.shares for one in modes]),
+        sample_modes=np.stack([one.labels for one in modes], axis=1),
         edge_probabilities=edges,
         edge_faces=faces,
         sample_poses=poses_of(poses),
@@ -102,38 +108,78 @@ def _of_all(flat: Samples, chosen: FoundObjects) -> Samples:
     )
 
 
-def _moments(
-    poses: NDArray[np.float64], centre: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean (4, 4) and right covariance (6, 6) of the samples (S, 4, 4) in the mode round one of them."""
-    near = _near(poses, centre)
-    weights = near / near.sum()
-    mean = centre
-    for _ in range(MEAN_STEPS):
-        mean = mean @ motions_of(weights @ tangents_of(np.linalg.inv(mean) @ poses))
+@dataclass(frozen=True)
+class PoseModes:
+    """The groups that samples of one pose fall into, the heaviest first.
+
+    Attributes:
+        centres: (MODES, 4, 4) mean of the samples round the densest one of each group; identity without.
+        shares: (MODES,) of all samples, 0 where there are fewer groups.
+        labels: (S,) int32 the group of each sample, -1 in none of those told.
+    """
+
+    centres: NDArray[np.float64]
+    shares: NDArray[np.float64]
+    labels: NDArray[np.int32]
+
+
+def pose_modes(poses: NDArray[np.float64]) -> PoseModes:
+    """Groups of samples (S, 4, 4) by single linkage: a chain of near poses joins any two of a group.
+
+    A can that may stand at any angle about its axis is one group and its spread is the whole circle; a box
+    that may lie either way round is two. The pose should be that of the object's centre, so that a turn in
+    place moves nothing.
+    """
+    linked = np.unique(np.linspace(0, len(poses) - 1, min(LINKED, len(poses))).round().astype(int))
+    near = _near(poses[linked], poses[linked])
+    _, group = connected_components(near, directed=False)
+    order = np.argsort(-np.bincount(group), kind="stable")[:MODES]
+    rank = np.full(group.max() + 1, -1, np.int32)
+    rank[order] = np.arange(len(order))
+    centres = np.tile(np.eye(4), (MODES, 1, 1))
+    for mode, number in enumerate(order):
+        members = np.flatnonzero(group == number)
+        densest = members[near[np.ix_(members, members)].sum(axis=1).argmax()]
+        centres[mode] = _mean(poses[linked][near[densest]], poses[linked[densest]])
+    labels = rank[group][_nearest(poses, poses[linked])]
+    shares = np.bincount(labels[labels >= 0], minlength=MODES) / len(poses)
+    return PoseModes(centres=centres, shares=shares, labels=labels)
+
+
+def second_moment(poses: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of samples (S, 4, 4) round a pose (4, 4), as (6, 6) in the right tangent there."""
     tangents = tangents_of(np.linalg.inv(mean) @ poses)
-    return mean, (weights[:, None] * tangents).T @ tangents
+    return tangents.T @ tangents / len(tangents)
 
 
-def _modes(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Up to MODES poses (M, 4, 4) that the samples (S, 4, 4) gather round, and their shares (M,)."""
-    left = np.ones(len(matrices), bool)
-    centres, shares = np.tile(np.eye(4), (MODES, 1, 1)), np.zeros(MODES)
-    for mode in range(MODES):
-        if not left.any():
-            break
-        centre = matrices[np.flatnonzero(left)[-1]]
-        near = _near(matrices, centre) & left
-        centres[mode], shares[mode] = centre, near.mean()
-        left &= ~near
-    order = np.argsort(-shares, kind="stable")
-    return centres[order], shares[order]
+def _mean(poses: NDArray[np.float64], start: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean (4, 4) of poses (S, 4, 4) that lie together, found from one of them on."""
+    mean = start
+    for _ in range(MEAN_STEPS):
+        mean = mean @ motions_of(tangents_of(np.linalg.inv(mean) @ poses).mean(axis=0))
+    return mean
 
 
-def _near(matrices: NDArray[np.float64], centre: NDArray[np.float64]) -> NDArray[np.bool_]:
-    distance = np.linalg.norm(matrices[:, :3, 3] - centre[:3, 3], axis=1)
-    cosine = (np.einsum("nij,ij->n", matrices[:, :3, :3], centre[:3, :3]) - 1) / 2
-    return (distance < MODE_RADIUS_M) & (cosine > np.cos(MODE_RADIUS_RAD))
+def _near(poses: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(S, O) which of the poses are linked."""
+    distance = np.linalg.norm(poses[:, None, :3, 3] - others[None, :, :3, 3], axis=2)
+    return (distance < MODE_RADIUS_M) & (_cosine(poses, others) > np.cos(MODE_RADIUS_RAD))
+
+
+def _nearest(poses: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.int_]:
+    """(S,) the nearest of the others, in units of the linking distances."""
+    nearest = np.empty(len(poses), int)
+    for first in range(0, len(poses), LINKED):
+        some = poses[first : first + LINKED]
+        squared = ((some[:, None, :3, 3] - others[None, :, :3, 3]) ** 2).sum(axis=2) / MODE_RADIUS_M**2
+        squared += np.arccos(np.clip(_cosine(some, others), -1, 1)) ** 2 / MODE_RADIUS_RAD**2
+        nearest[first : first + LINKED] = squared.argmin(axis=1)
+    return nearest
+
+
+def _cosine(poses: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(S, O) cosine of the angle of the rotation between two poses."""
+    return (np.einsum("sij,oij->so", poses[:, :3, :3], others[:, :3, :3], optimize=True) - 1) / 2
 
 
 def _edges(flat: Samples, count: int, supports: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

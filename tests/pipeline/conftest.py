@@ -65,6 +65,10 @@ def parsed_run(true_trajectory: SlamResult) -> RunValues:
     """A mug on a box, found in the third frame, and a can that is not there."""
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, :3, 3] = [[0, 0, 0.6], [0, 0, 0.7], [0, 0, 0.8]]
+    aside_m = np.sqrt(3e-6) * np.concatenate([np.eye(3), -np.eye(3)])  # of second moment 1e-6 along each axis
+    samples = np.zeros((6, 3, 7))
+    samples[..., 0] = 1
+    samples[..., 4:] = poses[None, :, :3, 3] + aside_m[:, None]
     edges = np.zeros((3, 4))
     edges[0, 1] = edges[1, 3] = 0.9
     box = trimesh.creation.box((0.1, 0.1, 0.1))
@@ -79,12 +83,13 @@ def parsed_run(true_trajectory: SlamResult) -> RunValues:
         visible_fraction=np.ones(3),
         mode_poses=poses[:, None],
         mode_probabilities=np.ones((3, 1)),
+        sample_modes=np.zeros((6, 3), np.int32),
         edge_probabilities=edges,
         edge_faces=np.full((3, 4, 2), -1, np.int32),
-        sample_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0.6], (5, 3, 1)),
-        sample_parents=np.tile(np.array([1, 3, -1], np.int32), (5, 1)),
-        sample_log_posteriors=np.arange(5.0),
-        chain=np.zeros(5, np.int32),
+        sample_poses=samples,
+        sample_parents=np.tile(np.array([1, 3, -1], np.int32), (6, 1)),
+        sample_log_posteriors=np.arange(6.0),
+        chain=np.zeros(6, np.int32),
         acceptance=np.array(0.5),
         log_estimate_variance=np.array(0.0),
     )

@@ -24,6 +24,7 @@ def scene_result(names: Sequence[str], poses: ArrayLike, parents: Sequence[int])
         visible_fraction=np.ones(count),
         mode_poses=placed[:, None],
         mode_probabilities=np.ones((count, 1)),
+        sample_modes=np.zeros((1, count), np.int32),
         edge_probabilities=edges,
         edge_faces=np.full((count, count + 1, 2), -1, np.int32),
         sample_poses=np.zeros((1, count, 7)),

@@ -7,26 +7,24 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from shapes.geometry.poses import poses_of
 from tests.scene.results import scene_result
 
-STEP = 1e-6
 
-
-def test_a_point_far_from_the_origin_moves_more_where_the_object_turns(seed: int) -> None:
-    """The covariance of its place against small motions of the object, one by one."""
+def test_the_spread_of_a_point_is_that_of_its_samples(seed: int) -> None:
+    """Half of the samples are turned by half a turn: nothing is linearised."""
     generator = np.random.default_rng(seed)
-    spread = generator.normal(size=(6, 6))
     point = generator.normal(size=3)
-    scene = replace(scene_result(["mug"], [np.eye(4)], [0]), covariance=(spread @ spread.T)[None])
-
-    moved = np.array([_moved(point, STEP * motion) for motion in np.eye(6)])
-    jacobian = (moved - point).T / STEP
-
-    np.testing.assert_allclose(
-        scene.covariance_of_point(0, point), jacobian @ scene.covariance[0] @ jacobian.T, rtol=1e-4, atol=1e-4
+    turns = Rotation.from_rotvec(np.pi * (np.arange(40) % 2)[:, None] * [0.0, 0.0, 1.0])
+    samples = np.tile(np.eye(4), (40, 1, 1))
+    samples[:, :3, :3] = (turns * Rotation.from_rotvec(generator.normal(0, 0.01, (40, 3)))).as_matrix()
+    scene = replace(
+        scene_result(["mug"], [np.eye(4)], [0]),
+        sample_poses=poses_of(samples)[:, None],
+        sample_modes=(np.arange(40, dtype=np.int32) % 2)[:, None],
     )
+    aside = samples[:, :3, :3] @ point - point
 
-
-def _moved(point: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """A point (3,) of an object that moves by (v, w) in its own frame."""
-    return Rotation.from_rotvec(motion[3:]).apply(point) + motion[:3]
+    np.testing.assert_allclose(scene.covariance_of_point(0, point), aside.T @ aside / 40, atol=1e-12)
+    in_mode = np.cov(aside[1::2].T, bias=True)
+    np.testing.assert_allclose(scene.covariance_of_point(0, point, mode=1), in_mode, atol=1e-12)
