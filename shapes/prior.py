@@ -6,6 +6,7 @@ The variational family of 3DP3, supplement I, equation 2: independent Bernoulli 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import jax
@@ -25,6 +26,28 @@ PITCHES_M = 1e-4, 1.0
 
 LARGEST_BYTES = 1 << 30
 """Of all arrays of a shape: 500 voxels along each edge, with colour. No object needs more."""
+
+
+class VoxelState(IntEnum):
+    """What is known of a voxel: the masks of `ShapePrior` as one number."""
+
+    UNSEEN = 0
+    SEEN_FREE = 1
+    SEEN_OCCUPIED = 2
+    ENCLOSED = 3
+
+
+class SurfaceState(IntEnum):
+    """What is known of a place on the surface of a shape.
+
+    SEEN: between a voxel seen free and one seen occupied. NEVER_SEEN: neither of the two voxels
+    was seen, as below an object that stood on a table. INFERRED: one of them was; the surface closes the
+    shape behind what was seen.
+    """
+
+    NEVER_SEEN = 0
+    INFERRED = 1
+    SEEN = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,6 +115,38 @@ class ShapePrior:
     def solid(self) -> NDArray[np.bool_]:
         """Voxels of the solid object (I, J, K): seen occupied, or enclosed and so decided by mask."""
         return self.seen_occupied | self.enclosed
+
+    @property
+    def voxel_states(self) -> NDArray[np.uint8]:
+        """(I, J, K) of `VoxelState`."""
+        states = VoxelState.SEEN_FREE * self.seen_free + VoxelState.SEEN_OCCUPIED * self.seen_occupied
+        return (states + VoxelState.ENCLOSED * self.enclosed).astype(np.uint8)
+
+    def surface_states(self, surface: SurfaceMesh) -> NDArray[np.uint8]:
+        """(N,) of `SurfaceState` of the vertices of one of this shape's surfaces."""
+        states = np.pad(self.voxel_states, 1)
+        inner = states[tuple(surface.inner.T + 1)]
+        outer = states[tuple(surface.outer.T + 1)]
+        touched = inner == VoxelState.SEEN_OCCUPIED
+        passed = outer == VoxelState.SEEN_FREE
+        return (SurfaceState.INFERRED * touched + SurfaceState.INFERRED * passed).astype(np.uint8)
+
+    def surface_shares(self, surface: SurfaceMesh) -> dict[SurfaceState, float]:
+        """Shares of the area of one of this shape's surfaces, by what is known of it."""
+        corners = surface.vertices_m[surface.triangles]
+        doubled = np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
+        states = self.surface_states(surface)[surface.triangles]
+        return {
+            state: float((doubled * (states == state).mean(axis=1)).sum() / doubled.sum())
+            for state in SurfaceState
+        }
+
+    @property
+    def has_surface(self) -> bool:
+        """Whether any voxel lies inside of `surface` at one half."""
+        return bool((self.enclosed | (self.phi > 0.5)).any())
 
     @property
     def bounding_box_m(self) -> NDArray[np.float64]:

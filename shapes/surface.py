@@ -19,11 +19,15 @@ class SurfaceMesh:
     Attributes:
         vertices_m: (N, 3) float64 in the grid frame.
         triangles: (M, 3) int32 indices of vertices.
+        inner, outer: (N, 3) indices of the voxels between whose centres each vertex lies, the occupied one
+            first; the other may lie outside the grid.
         rgb: (N, 3) uint8 colour of each vertex, or None.
     """
 
     vertices_m: NDArray[np.float64]
     triangles: NDArray[np.int32]
+    inner: NDArray[np.intp]
+    outer: NDArray[np.intp]
     rgb: NDArray[np.uint8] | None = None
 
 
@@ -57,16 +61,21 @@ def level_surface(
         np.pad(field.astype(np.float32), 1), level, gradient_direction="ascent"
     )
     vertices = vertices.astype(np.float64) - 1.0  # back to voxel indices: centres at integers
+    inner, outer = _voxels_beside(vertices, inside)
     return SurfaceMesh(
         vertices_m=(vertices + 0.5) * pitch_m,
         triangles=triangles.astype(np.int32),
-        rgb=None if rgb is None else rgb[tuple(_inner_voxel(vertices, inside).T)],
+        inner=inner,
+        outer=outer,
+        rgb=None if rgb is None else rgb[tuple(inner.T)],
     )
 
 
-def _inner_voxel(vertices: NDArray[np.floating], inside: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The end inside of the lattice edge on which each vertex lies: indices (N, 3)."""
-    limit = np.array(inside.shape) - 1
-    low = np.clip(np.floor(vertices).astype(np.intp), 0, limit)
-    high = np.clip(np.ceil(vertices).astype(np.intp), 0, limit)
-    return np.where(inside[tuple(low.T)][:, None], low, high)
+def _voxels_beside(
+    vertices: NDArray[np.floating], inside: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The ends, inside and outside, of the lattice edge on which each vertex lies: indices (N, 3) each."""
+    low, high = np.floor(vertices).astype(np.intp), np.ceil(vertices).astype(np.intp)
+    begins_inside = np.pad(inside, 1)[tuple(low.T + 1)]
+    inner = np.where(begins_inside[:, None], low, high)
+    return inner, low + high - inner

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from shapes.prior import ShapePrior
+from shapes.prior import ShapePrior, SurfaceState, VoxelState
 from tests.statistical import assert_mean
 
 SHAPE = (4, 3, 5)
@@ -156,3 +156,32 @@ def test_a_save_that_fails_leaves_nothing_behind(prior: ShapePrior, tmp_path: Pa
         prior.save(tmp_path / "shape.npz")
 
     assert [path.name for path in tmp_path.iterdir()] == ["shape.npz"]
+
+
+def test_what_is_known_of_a_surface() -> None:
+    """A slab that was seen from above, on ground that nobody saw below it: its top, its sides, its bottom."""
+    phi = np.full((5, 5, 3), 0.1, np.float32)
+    phi[1:4, 1:4, :2] = 0.95
+    solid = phi > 0.5
+    occupied = solid.copy()
+    occupied[..., 0] = False  # behind what was seen
+    free = ~solid
+    free[..., 0] = False  # beside the lower layer: never seen
+    shape = ShapePrior(
+        phi=phi,
+        pitch_m=0.01,
+        reference_from_grid=np.eye(4),
+        seen_free=free,
+        seen_occupied=occupied,
+        enclosed=solid & ~occupied,
+    )
+    surface = shape.surface()
+    states = shape.surface_states(surface)
+    height_m = surface.vertices_m[:, 2]
+
+    assert (states[height_m > 0.016] == SurfaceState.SEEN).all()
+    assert (states[height_m < 0.005] == SurfaceState.NEVER_SEEN).all()
+    shares = shape.surface_shares(surface)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert 0.3 < shares[SurfaceState.SEEN] < 0.8
+    assert set(np.unique(shape.voxel_states)) == set(VoxelState)
