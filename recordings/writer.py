@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
@@ -28,6 +28,11 @@ COLOUR_TOPIC = "/camera/color/image_rect_raw"
 COLOUR_CAMERA_TOPIC = "/camera/color/camera_info"
 POSE_TOPIC = "/tf"
 
+Profile = Literal["", "ros2"]
+"""What MCAP's registry knows (https://mcap.dev/spec/registry): `ros2` promises CDR and ROS 2 definitions on
+every topic, which some readers of ROS insist on; the empty profile promises nothing."""
+_CHANNEL_METADATA: Mapping[Profile, dict[str, str]] = {"": {}, "ros2": {"offered_qos_profiles": ""}}
+"""Which the profile requires; empty where no middleware was there to offer any."""
 _CHUNK_SIZE = 1 << 20
 _MILLIMETRE = 0.001
 _LARGEST_MILLIMETRES = 65534  # 65535 reads as saturated
@@ -54,15 +59,22 @@ class RecordingWriter:
         intrinsics: the camera of the depth frames, where any are written.
         depth_unit_m: unit of the source's depths. 0.001 writes 16-bit millimetres, anything else
             32-bit metres, so that nothing is lost.
+        profile: of the file; `ros2` where nothing but ROS 2 messages will be written.
 
     Raises:
         RecordingError: the file cannot be written, now or later.
     """
 
     def __init__(
-        self, path: Path, intrinsics: CameraIntrinsics | None = None, *, depth_unit_m: float | None = None
+        self,
+        path: Path,
+        intrinsics: CameraIntrinsics | None = None,
+        *,
+        depth_unit_m: float | None = None,
+        profile: Profile = "",
     ) -> None:
         self._path = Path(path)
+        self._profile: Profile = profile
         self._partial = self._path.with_name(self._path.name + ".partial")
         self._intrinsics = intrinsics
         self._millimetres = depth_unit_m == _MILLIMETRE
@@ -77,7 +89,7 @@ class RecordingWriter:
             self._writer = Writer(
                 self._file, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
             )
-            self._writer.start(profile="ros2", library="voxscene")
+            self._writer.start(profile=profile, library="voxscene")
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -121,11 +133,18 @@ class RecordingWriter:
         self._write_ros2(POSE_TOPIC, message, time_ns)
 
     def write(self, topic: str, schema: MessageSchema, data: bytes, time_ns: int) -> None:
-        """Write one encoded message; its log time is the recording's time, never a clock's."""
+        """Write one encoded message; its log time is the recording's time, never a clock's.
+
+        Raises:
+            ValueError: the file's profile does not allow it.
+        """
+        if self._profile == "ros2" and schema.message_encoding != MessageEncoding.CDR:
+            raise ValueError(f"{topic} is {schema.message_encoding}, which the profile ros2 does not allow")
         with self._reporting():
             if topic not in self._channels:
+                metadata = _CHANNEL_METADATA[self._profile]
                 self._channels[topic] = self._writer.register_channel(
-                    topic, schema.message_encoding, self._schema_id(schema)
+                    topic, schema.message_encoding, self._schema_id(schema), metadata
                 )
             self._writer.add_message(
                 self._channels[topic], time_ns, data, time_ns, sequence=self._sequences[topic]
@@ -136,6 +155,11 @@ class RecordingWriter:
         """Write a metadata record."""
         with self._reporting():
             self._writer.add_metadata(name, dict(values))
+
+    def write_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Write a file that stands beside the messages."""
+        with self._reporting():
+            self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
 
     def _write_ros2(self, topic: str, message: object, time_ns: int) -> None:
         name, data = ros2.encode(message)

@@ -40,7 +40,7 @@ def import_bag(source: Path, out: Path, progress: Callable[[int, int], None]) ->
             types = ", ".join(sorted({_type(connection) for connection in bag.connections})) or "nothing"
             raise RecordingError(f"{source} holds no images, point clouds or poses; it holds {types}")
         total = sum(connection.msgcount for connection in wanted)
-        with RecordingWriter(out) as writer:
+        with RecordingWriter(out, profile="ros2") as writer:
             for count, (connection, time_ns, data) in enumerate(bag.messages(connections=wanted), 1):
                 name = _type(connection)
                 content = cdr_from_ros1(data, name) if is_ros1 else bytes(data)

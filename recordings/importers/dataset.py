@@ -88,7 +88,8 @@ def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], No
     begin, end = dataset.frames[0].time_ns - _MARGIN_NS, dataset.frames[-1].time_ns + _MARGIN_NS
     poses = sorted((p for p in dataset.poses if begin <= p[0] <= end), key=lambda stamped: stamped[0])
     written = 0
-    with RecordingWriter(out, camera, depth_unit_m=dataset.depth_unit_m) as writer:
+    profile = "ros2" if dataset.truth is None else ""
+    with RecordingWriter(out, camera, depth_unit_m=dataset.depth_unit_m, profile=profile) as writer:
         for count, files in enumerate(dataset.frames):
             stored = _depth(files.depth)
             if stored.shape != (height, width):

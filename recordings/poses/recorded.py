@@ -49,6 +49,11 @@ def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> 
     )
 
 
+def has_recorded_parent(recording: McapRecording) -> bool:
+    """Whether a transform of the recording leads on from the frame of its depth images."""
+    return recorded_transforms(recording.decoded).has_parent(recording.frame_id)
+
+
 def _camera_pose(recording: McapRecording) -> PoseAt | None:
     """Where the frame of the depth images was at a time."""
     way = recorded_transforms(recording.decoded).way_up(recording.frame_id)

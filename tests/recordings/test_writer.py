@@ -24,7 +24,7 @@ DATA_END_SIZE = 9 + 4
 
 def write(path: Path, camera: CameraIntrinsics, frames: list[Frame], poses, *, unit_m=0.001) -> None:
     """A recording of frames with poses and metadata."""
-    with RecordingWriter(path, camera, depth_unit_m=unit_m) as writer:
+    with RecordingWriter(path, camera, depth_unit_m=unit_m, profile="ros2") as writer:
         for frame, pose in zip(frames, poses, strict=True):
             writer.write_depth(frame)
             writer.write_camera_pose(frame.time_ns, pose)
