@@ -14,10 +14,14 @@ from recordings.types import NO_RETURN, CameraIntrinsics, Frame
 from shapes.archive import load_arrays, save_arrays
 
 VOXEL_M = 0.01
-"""Points closer than this are fused into their mean."""
+"""Points closer than this are fused into their mean; single ones are left out."""
 FUSED_FRAMES = 60
 """Frames that are fused, evenly spread."""
 POINTS_PER_FRAME = 40_000
+NEIGHBOURS = 30
+"""Points to which a plane is fitted for a normal: three rings round a point of a flat grid."""
+FEW, FINE_VOXEL_M = 5, 0.004
+"""Of so few frames the points are kept closer together, and single ones too: there is little to fuse."""
 MOST_POINTS = 400_000
 UNSEEN_GREY = 128
 """Of points that no colour image shows, where others have a colour."""
@@ -31,21 +35,27 @@ class RoomView:
 
     Attributes:
         points_m: (N, 3) float32.
+        normals: (N, 3) int8, 127 times the unit normal on the side from which the point was seen.
         rgb: (N, 3) uint8, `UNSEEN_GREY` where no colour image shows a point; None without colour.
         frames: (V,) int32 indices of the views in the recording.
         times_ns: (V,) int64 stamps of the views.
         depth_mm: (V, h, w) uint16 thinned depth images, 0 where nothing returned.
         view_rgb: (V, h, w, 3) uint8, or None without colour.
         intrinsics: (4,) fx, fy, cx, cy in pixels of the thinned images.
+        frame_id: () str, the recording's own name of the camera's frame.
+        frame_has_parent: () bool, whether the recording says where that frame is.
     """
 
     points_m: NDArray[np.float32]
+    normals: NDArray[np.int8]
     rgb: NDArray[np.uint8] | None
     frames: NDArray[np.int32]
     times_ns: NDArray[np.int64]
     depth_mm: NDArray[np.uint16]
     view_rgb: NDArray[np.uint8] | None
     intrinsics: NDArray[np.float64]
+    frame_id: NDArray[np.str_]
+    frame_has_parent: NDArray[np.bool_]
 
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal views give equal bytes."""
@@ -61,8 +71,8 @@ class RoomView:
         """
         try:
             arrays = load_arrays(path)
-            return cls(**{field.name: arrays.get(field.name) for field in fields(cls)})  # type: ignore[arg-type]
-        except ValueError as error:
+            return cls(**{"rgb": None, "view_rgb": None, **arrays})  # type: ignore[arg-type]
+        except (ValueError, TypeError) as error:
             raise PipelineError(f"{path} is damaged: {error}") from error
 
 
@@ -71,13 +81,25 @@ def view_room(
     intrinsics: CameraIntrinsics,
     reference_from_camera: NDArray[np.float64],
     progress: Callable[[int, int], None] | None = None,
+    *,
+    frame_id: str = "",
+    frame_has_parent: bool = False,
 ) -> RoomView:
-    """Fuse frames at known poses (T, 4, 4), one pose for each frame."""
+    """Fuse frames at known poses (T, 4, 4), one pose for each frame.
+
+    Args:
+        frames: of the recording.
+        intrinsics: of their camera.
+        reference_from_camera: the poses.
+        progress: told frames done and frames in all.
+        frame_id: the recording's name of the camera's frame, `camera` where it has none.
+        frame_has_parent: whether the recording says where that frame is.
+    """
     count = len(reference_from_camera)
     chosen = np.unique(np.linspace(0, count - 1, min(FUSED_FRAMES, count)).round().astype(int))
     wanted = set(chosen.tolist())
     step = -(-intrinsics.width // VIEW_WIDTH)
-    cloud = _Cloud()
+    cloud = _Cloud(*((FINE_VOXEL_M, 1) if count <= FEW else (VOXEL_M, 2)))
     stamps, depths, colours = [], [], []
     for index, frame in enumerate(frames):
         if index in wanted:
@@ -88,24 +110,34 @@ def view_room(
                 colours.append(frame.rgb[::step, ::step])
         if progress:
             progress(index + 1, count)
-    points, rgb = cloud.fused()
+    points, normals, rgb = cloud.fused()
     coloured = len(colours) == len(depths)
     return RoomView(
         points_m=points,
+        normals=normals,
         rgb=rgb,
         frames=chosen.astype(np.int32),
         times_ns=np.array(stamps, np.int64),
         depth_mm=np.stack(depths),
         view_rgb=np.stack(colours) if coloured else None,
         intrinsics=np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy]) / step,
+        frame_id=np.array(frame_id or "camera"),
+        frame_has_parent=np.array(frame_has_parent),
     )
 
 
 class _Cloud:
-    """Sums of points and colours by voxel."""
+    """Sums of points and colours by voxel.
 
-    def __init__(self) -> None:
+    Args:
+        voxel_m: edge of a voxel.
+        least: points that a voxel must hold to count.
+    """
+
+    def __init__(self, voxel_m: float, least: int) -> None:
+        self._voxel_m, self._least = voxel_m, least
         self._points: list[NDArray[np.float32]] = []
+        self._sights: list[NDArray[np.float32]] = []
         self._colours: list[NDArray[np.float32]] = []
 
     def add(
@@ -119,28 +151,43 @@ class _Cloud:
         self._points.append(
             (local @ reference_from_camera[:3, :3].T + reference_from_camera[:3, 3]).astype(np.float32)
         )
+        self._sights.append((local @ reference_from_camera[:3, :3].T).astype(np.float32))
         colours = np.zeros((len(u), 4), np.float32)  # red, green, blue, and whether they are known
         if frame.rgb is not None:
             known = np.ones(len(u), np.bool_) if frame.rgb_known is None else frame.rgb_known[v, u]
             colours[known, :3], colours[known, 3] = frame.rgb[v, u][known], 1
         self._colours.append(colours)
 
-    def fused(self) -> tuple[NDArray[np.float32], NDArray[np.uint8] | None]:
-        """Means over voxels that more than one point fell into; no colours where no point has one."""
+    def fused(self) -> tuple[NDArray[np.float32], NDArray[np.int8], NDArray[np.uint8] | None]:
+        """Means over voxels that enough points fell into, normals, and colours if any point has one."""
         points = np.concatenate(self._points)
         if not len(points):
-            return points, None
-        values = np.concatenate([points, np.concatenate(self._colours)], axis=1)
-        cell = np.floor((points - points.min(axis=0)) / VOXEL_M).astype(np.int64)
+            return points, np.zeros((0, 3), np.int8), None
+        values = np.concatenate([points, np.concatenate(self._sights), np.concatenate(self._colours)], axis=1)
+        cell = np.floor((points - points.min(axis=0)) / self._voxel_m).astype(np.int64)
         number = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
         _, voxel, counts = np.unique(number, return_inverse=True, return_counts=True)
         sums = np.stack([np.bincount(voxel, column) for column in values.T.astype(np.float64)], axis=-1)
-        sums, counts = sums[counts > 1], counts[counts > 1]
-        thinned = slice(None, None, -(-len(sums) // MOST_POINTS) or 1)
-        sums, counts = sums[thinned], counts[thinned]
+        enough = counts >= self._least
+        thinned = slice(None, None, -(-int(enough.sum()) // MOST_POINTS) or 1)
+        sums, counts = sums[enough][thinned], counts[enough][thinned]
         means = (sums[:, :3] / counts[:, None]).astype(np.float32)
-        seen = sums[:, 6]
+        normals = _normals(means, sums[:, 3:6].astype(np.float64))
+        seen = sums[:, 9]
         if not seen.any():
-            return means, None
-        rgb = np.where(seen[:, None] > 0, sums[:, 3:6] / np.maximum(seen, 1)[:, None], UNSEEN_GREY)
-        return means, rgb.round().astype(np.uint8)
+            return means, normals, None
+        rgb = np.where(seen[:, None] > 0, sums[:, 6:9] / np.maximum(seen, 1)[:, None], UNSEEN_GREY)
+        return means, normals, rgb.round().astype(np.uint8)
+
+
+def _normals(points_m: NDArray[np.float32], sights: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Of planes through the neighbours of each point (N, 3), against the way from the camera to it."""
+    import open3d as o3d
+
+    if not len(points_m):
+        return np.zeros((0, 3), np.int8)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m.astype(np.float64)))
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))
+    normals = np.asarray(cloud.normals)
+    normals *= -np.sign((normals * sights).sum(axis=1, keepdims=True))
+    return (127 * normals).round().astype(np.int8)

@@ -36,6 +36,11 @@ class SceneSurface:
         """Middle (3,) of the bounding box."""
         return (self.vertices_m.min(axis=0) + self.vertices_m.max(axis=0)) / 2
 
+    @property
+    def radius_m(self) -> float:
+        """Half the diagonal of the bounding box."""
+        return float(np.linalg.norm(np.ptp(self.vertices_m, axis=0)) / 2)
+
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.room import RoomView, view_room
 from pipeline.run_folder import Committed
 from pipeline.session import Session
+from recordings.poses.recorded import has_recorded_parent
 
 if TYPE_CHECKING:
+    from recordings.reading import McapRecording
     from scene.result import SceneResult
     from slam.result import SlamResult
 
@@ -22,9 +24,9 @@ def room_stage(session: Session, trajectory: Committed[SlamResult]) -> Committed
     """The room as seen along a committed trajectory."""
 
     def compute() -> RoomView:
-        poses = trajectory.value.mean
+        recording, poses = session.recording, trajectory.value.mean
         with session.common.progress("room", "frames") as progress:
-            return view_room(session.recording, session.recording.intrinsics, poses, progress)
+            return view_room(recording, recording.intrinsics, poses, progress, **_camera_frame(recording))
 
     return session.stage("room", RoomView.load, compute, {}, uses=[trajectory], sources=SOURCES)
 
@@ -33,8 +35,13 @@ def view_stage(session: Session, scene: Committed[SceneResult]) -> Committed[Roo
     """What the first parsed frame saw, for runs that need no trajectory: the reference is its camera."""
 
     def compute() -> RoomView:
-        frame = int(scene.value.frames[0])
-        seen = itertools.islice(session.recording, frame, frame + 1)
-        return view_room(seen, session.recording.intrinsics, np.eye(4)[None])
+        recording, frame = session.recording, int(scene.value.frames[0])
+        seen = itertools.islice(recording, frame, frame + 1)
+        return view_room(seen, recording.intrinsics, np.eye(4)[None], **_camera_frame(recording))
 
     return session.stage("room", RoomView.load, compute, {}, uses=[scene], sources=SOURCES)
+
+
+def _camera_frame(recording: McapRecording) -> dict[str, Any]:
+    """The recording's own frame of the camera, so that what is published can be joined with it."""
+    return {"frame_id": recording.frame_id, "frame_has_parent": has_recorded_parent(recording)}
