@@ -113,6 +113,7 @@ def command(
     """
     from pipeline.bop_numbers import read_ids
     from pipeline.publishing.publish import stage_document
+    from pipeline.publishing.told_spread import verdict_text
     from pipeline.session import open_session
     from pipeline.stages.parse import parse_stage
 
@@ -132,13 +133,12 @@ def command(
         damage = session.damage
     document = stage_document(session.run, "parse")
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]
-    lines.append(f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s")
-    if document["r_hat"] is not None:
-        rate = document["effective_samples"] / max(document["seconds"], 1e-3)
-        lines.append(
-            f"R-hat {document['r_hat']:.2f}, {document['effective_samples']:.0f} effective samples"
-            f" of {document['samples']} ({rate:.1f}/s), {document['acceptance']:.0%} of moves accepted"
-        )
+    rate = (document["effective_samples"] or 0) / max(document["seconds"], 1e-3)
+    lines += [
+        f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s; "
+        f"{rate:.1f} effective samples/s, {document['acceptance']:.0%} of moves accepted",
+        verdict_text(document),
+    ]
     if shape_samples:
         lines.append(f"variance of the log likelihood's estimate {document['log_estimate_variance']:.2f}")
     common.report(document, lines)
@@ -156,12 +156,15 @@ def _names(objects: str | None) -> tuple[str, ...] | None:
 
 def _line(one: dict[str, Any], graph: list[dict[str, Any]]) -> str:
     """What a person wants to know of an object."""
+    from pipeline.publishing.told_spread import agreement_text, modes_text, position_text
+
     place = ", ".join(f"{metres * 100:.1f}" for metres in one["middle_m"])
-    spread = f"+- {one['middle_std_m'] * 1000:.1f} mm"
-    text = f"{one['name']}: ({place}) cm {spread}, presence {one['presence']:.2f}"
+    text = f"{one['name']}: ({place}) cm {position_text(one)}, presence {one['presence']:.2f}"
     edges = {edge["parent"]: edge["probability"] for edge in graph if edge["child"] == one["name"]}
     floating = 1 - sum(edges.values())
     best = max(edges, key=edges.__getitem__, default=None)
     if best is None or edges[best] < floating:
-        return f"{text}, floating ({floating:.2f})"
-    return f"{text}, on {best} ({edges[best]:.2f})"
+        text = f"{text}, floating ({floating:.2f})"
+    else:
+        text = f"{text}, on {best} ({edges[best]:.2f})"
+    return "; ".join(part for part in (text, agreement_text(one), modes_text(one)) if part)

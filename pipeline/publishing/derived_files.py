@@ -42,8 +42,10 @@ def write_derived_files(run: RunFolder) -> list[Path]:
         write_text(run.path / name, text)
     write_json(run.path / "summary.json", summary_of(values))
     write_json(run.path / "timing.json", timing_of(run, values))
-    write_messages(run.path / "run.mcap", values, settings)
-    write_rrd(run.path / "run.rrd", run.path.resolve().name, values)
+    kept = [run.value_path(name) for name in run.records()]
+    files = {path.relative_to(run.path).as_posix(): path for path in kept}
+    write_messages(run.path / "run.mcap", values, settings, files)
+    write_rrd(run.path / "run.rrd", run.path.resolve().name, values, run.identity)
     return [run.path / name for name in (*texts, "summary.json", "timing.json", "run.mcap", "run.rrd")]
 
 

@@ -7,27 +7,27 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
 
+from pipeline.colours import shaded
+from pipeline.publishing.camera_messages import (
+    camera_transforms,
+    particles_of,
+    path_points,
+    path_update,
+    static_transform,
+    view_messages,
+)
 from pipeline.publishing.finite import finite_json
-from pipeline.publishing.foxglove_geometry import REFERENCE, quaternions, set_quaternion, set_vector
-from pipeline.publishing.scene_messages import SAMPLES_SCHEMA, samples_of, scene_update
+from pipeline.publishing.foxglove_geometry import REFERENCE, point_cloud
+from pipeline.publishing.scene_messages import SAMPLES_SCHEMA, samples_of, scene_update, surface_points
+from pipeline.publishing.shape_messages import surface_update, voxel_grid
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
-from pipeline.room import RoomView
 from recordings.message_schemas import json_schema, protobuf_schema
 from recordings.writer import MessageSchema, RecordingWriter
-from shapes.prior import ShapePrior
 from slam.result import SlamResult
-
-CAMERA = "camera"
 
 _NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
 _FRAME_SCHEMA = json_schema(
@@ -58,49 +58,71 @@ _WEIGHTS_SCHEMA = json_schema(
 _SUMMARY_SCHEMA = json_schema("voxscene.Summary", {"type": "object"})
 
 
-def write_messages(path: Path, values: RunValues, settings: Mapping[str, Any]) -> None:
+def write_messages(
+    path: Path, values: RunValues, settings: Mapping[str, Any], files: Mapping[str, Path] | None = None
+) -> None:
     """Write everything that a run knows as one MCAP file, whole or not at all.
+
+    What holds for all of the run is stamped with its first frame, so that viewers show it from the start.
+
+    Args:
+        path: the file.
+        values: of the run.
+        settings: of its stages.
+        files: its committed values, by the name under which each is attached.
 
     Raises:
         RecordingError: the file cannot be written.
     """
     with RecordingWriter(path) as writer:
-        last_ns = 0 if values.room is None else int(values.room.times_ns[-1])
-        if values.slam is not None:
-            last_ns = int(values.slam.times_ns[-1])
-            _write_trajectory(writer, values.slam)
+        first_ns = values.first_ns
+        if values.slam is not None or values.room is not None:
+            _write(writer, "/transforms/map", static_transform(values), first_ns)
+        _write_whole(writer, values, first_ns)
+        for time_ns, transform in camera_transforms(values):
+            _write(writer, "/transforms/camera", transform, time_ns)
         if values.room is not None:
-            _write(writer, "/room/cloud", _cloud(values.room), last_ns)
-        for name, shape in values.shapes.items():
-            _write(writer, f"/shapes/{name}", _voxels(shape), last_ns)
-        if values.scene is not None and values.surfaces is not None:
-            _write(writer, "/scene/objects", scene_update(values, values.scene, values.surfaces), last_ns)
-            _write_json(writer, "/scene/samples", SAMPLES_SCHEMA, samples_of(values.scene), last_ns)
-        _write_json(writer, "/summary", _SUMMARY_SCHEMA, summary_of(values), last_ns)
+            for time_ns, topic, message in view_messages(values.room):
+                _write(writer, topic, message, time_ns)
+        if values.slam is not None:
+            _write_filter(writer, values.slam)
+        for name, file in (files or {}).items():
+            writer.write_attachment(name, "application/zip", file.read_bytes(), first_ns)
         writer.write_metadata("voxscene", {"settings": json.dumps(settings, sort_keys=True)})
 
 
-def _write_trajectory(writer: RecordingWriter, result: SlamResult) -> None:
-    mean_xyzw = quaternions(result.mean)
-    particles_xyzw = quaternions(result.trajectories)
-    for frame, stamp in enumerate(result.times_ns):
-        time_ns = int(stamp)
-        camera = FrameTransform(parent_frame_id=REFERENCE, child_frame_id=CAMERA)
-        set_vector(camera.translation, result.mean[frame, :3, 3])
-        set_quaternion(camera.rotation, mean_xyzw[frame])
-        _write(writer, "/slam/camera", camera, time_ns)
-        particles = PosesInFrame(frame_id=REFERENCE)
-        for pose, xyzw in zip(result.trajectories[:, frame], particles_xyzw[:, frame], strict=True):
-            particle = particles.poses.add()
-            set_vector(particle.position, pose[:3, 3])
-            set_quaternion(particle.orientation, xyzw)
-        _write(writer, "/slam/particles", particles, time_ns)
+def _write_whole(writer: RecordingWriter, values: RunValues, time_ns: int) -> None:
+    """The map, the path, shapes, the scene and the summary."""
+    summary = summary_of(values)
+    if values.room is not None:
+        room = values.room
+        rgb = shaded(room.normals, values.up) if room.rgb is None else room.rgb
+        _write(writer, "/room/cloud", point_cloud(REFERENCE, room.points_m, rgb), time_ns)
+    if values.slam is not None:
+        _write(writer, "/slam/path", path_update(values.slam), time_ns)
+        _write(writer, "/slam/path/points", path_points(values.slam), time_ns)
+        weights = {"log_weights": values.slam.log_weights.tolist()}
+        _write_json(writer, "/slam/weights", _WEIGHTS_SCHEMA, weights, time_ns)
+    for name, shape in values.shapes.items():
+        _write(writer, f"/shapes/{name}", voxel_grid(shape), time_ns)
+        if shape.has_surface:
+            _write(writer, f"/shapes/{name}/surface", surface_update(name, shape), time_ns)
+    if values.scene is not None and values.surfaces is not None:
+        scene, surfaces = values.scene, values.surfaces
+        _write(writer, "/scene/objects", scene_update(values, scene, surfaces, summary["parse"]), time_ns)
+        _write(writer, "/scene/surfaces", surface_points(values, scene, surfaces), time_ns)
+        _write_json(writer, "/scene/samples", SAMPLES_SCHEMA, samples_of(scene), time_ns)
+    _write_json(writer, "/summary", _SUMMARY_SCHEMA, summary, time_ns)
+
+
+def _write_filter(writer: RecordingWriter, result: SlamResult) -> None:
+    """What the filter knows after each frame."""
+    for frame, time_ns in enumerate(result.times_ns.tolist()):
+        _write(writer, "/slam/particles", particles_of(result, frame), time_ns)
         _write_json(writer, "/slam/posterior", _FRAME_SCHEMA, _frame_posterior(result, frame), time_ns)
         if result.lost[frame]:
             text = f"frame {frame}: no pose agrees with the map"
             _write(writer, "/log", Log(level=Log.Level.WARNING, name="slam", message=text), time_ns)
-    weights = {"log_weights": result.log_weights.tolist()}
-    _write_json(writer, "/slam/weights", _WEIGHTS_SCHEMA, weights, int(result.times_ns[-1]))
 
 
 def _frame_posterior(result: SlamResult, frame: int) -> dict[str, Any]:
@@ -114,52 +136,6 @@ def _frame_posterior(result: SlamResult, frame: int) -> dict[str, Any]:
         "covariance": None if result.lost[frame] else result.covariance[frame].ravel().tolist(),
         "degrees_of_freedom": float(result.degrees_of_freedom),
     }
-
-
-def _cloud(room: RoomView) -> PointCloud:
-    """Points as three floats and, where there is colour, four bytes."""
-    columns = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    columns += [(name, "u1") for name in ("red", "green", "blue", "alpha")] if room.rgb is not None else []
-    packed = np.zeros(len(room.points_m), columns)
-    for axis, name in enumerate("xyz"):
-        packed[name] = room.points_m[:, axis]
-    if room.rgb is not None:
-        for channel, name in enumerate(("red", "green", "blue")):
-            packed[name] = room.rgb[:, channel]
-        packed["alpha"] = 255
-    cloud = PointCloud(frame_id=REFERENCE, point_stride=packed.itemsize, data=packed.tobytes())
-    cloud.pose.orientation.w = 1.0
-    cloud.fields.extend(_fields(packed.dtype))
-    return cloud
-
-
-def _voxels(shape: ShapePrior) -> VoxelGrid:
-    """Probability of being occupied and the kind of each voxel, x fastest as Foxglove stores them."""
-    columns, rows, slices = shape.phi.shape
-    packed = np.zeros((slices, rows, columns), [("phi", "<f4"), ("seen", "u1")])
-    packed["phi"] = shape.phi.transpose(2, 1, 0)
-    seen = 1 * shape.seen_free + 2 * shape.seen_occupied + 3 * shape.enclosed
-    packed["seen"] = seen.transpose(2, 1, 0)
-    grid = VoxelGrid(
-        frame_id=REFERENCE,
-        row_count=rows,
-        column_count=columns,
-        cell_stride=packed.itemsize,
-        row_stride=packed.itemsize * columns,
-        slice_stride=packed.itemsize * columns * rows,
-        data=packed.tobytes(),
-    )
-    grid.cell_size.x = grid.cell_size.y = grid.cell_size.z = shape.pitch_m
-    set_vector(grid.pose.position, shape.reference_from_grid[:3, 3])
-    set_quaternion(grid.pose.orientation, quaternions(shape.reference_from_grid))
-    grid.fields.extend(_fields(packed.dtype))
-    return grid
-
-
-def _fields(dtype: np.dtype) -> list[PackedElementField]:
-    kinds = {"<f4": PackedElementField.FLOAT32, "|u1": PackedElementField.UINT8}
-    columns = (dtype.fields or {}).items()
-    return [PackedElementField(name=name, offset=at[1], type=kinds[at[0].str]) for name, at in columns]
 
 
 def _write(writer: RecordingWriter, topic: str, message: Any, time_ns: int) -> None:

@@ -2,16 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import trimesh
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from pipeline.publishing.foxglove_geometry import REFERENCE, quaternions, set_quaternion, set_vector
+from pipeline.colours import WHITE, object_colours
+from pipeline.publishing.foxglove_geometry import (
+    REFERENCE,
+    add_metadata,
+    add_text,
+    add_triangles,
+    point_cloud,
+)
+from pipeline.publishing.told_spread import (
+    agreement_text,
+    label_text,
+    modes_text,
+    position_text,
+    rotation_text,
+    verdict_text,
+)
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import Surfaces
 from recordings.message_schemas import json_schema
 from scene.result import SceneResult
+
+LETTER_M = 0.02
+"""Height of a label's letters, which can be read from two metres."""
+SURFACE_POINTS = 4000
+"""Of each object: a point every three millimetres on a thing of the size of a hand."""
 
 _ROWS = {"type": "array", "items": {"type": "array"}}
 SAMPLES_SCHEMA = json_schema(
@@ -31,7 +54,6 @@ SAMPLES_SCHEMA = json_schema(
         },
     },
 )
-GREY = 0.75
 
 
 def samples_of(scene: SceneResult) -> dict[str, Any]:
@@ -45,19 +67,53 @@ def samples_of(scene: SceneResult) -> dict[str, Any]:
     }
 
 
-def scene_update(values: RunValues, scene: SceneResult, surfaces: Surfaces) -> SceneUpdate:
-    """The objects that were found, as triangles in the reference frame."""
+def scene_update(
+    values: RunValues, scene: SceneResult, surfaces: Surfaces, parse: Mapping[str, Any]
+) -> SceneUpdate:
+    """The objects that were found, as triangles in the reference frame, with what is told of them.
+
+    Args:
+        values: of the run.
+        scene: its parsed scene.
+        surfaces: of the objects.
+        parse: of summary.json.
+    """
     update = SceneUpdate()
-    for one in np.flatnonzero(scene.found):
-        surface = surfaces.by_name[str(scene.names[one])]
+    told = {one["name"]: one for one in parse["objects"]}
+    for one, colour in object_colours(scene.found).items():
+        name = str(scene.names[one])
+        surface = surfaces.by_name[name]
         pose = values.reference_from_parsed @ scene.camera_from_object[one]
-        entity = update.entities.add(frame_id=REFERENCE, id=str(scene.names[one]))
-        entity.metadata.add(key="presence", value=f"{scene.presence[one]:.6f}")
-        triangles = entity.triangles.add(indices=surface.faces.ravel().tolist())
-        set_vector(triangles.pose.position, pose[:3, 3])
-        set_quaternion(triangles.pose.orientation, quaternions(pose))
-        triangles.color.r = triangles.color.g = triangles.color.b = GREY
-        triangles.color.a = 1.0
-        for vertex in surface.vertices_m:
-            set_vector(triangles.points.add(), vertex)
+        entity = update.entities.add(frame_id=REFERENCE, id=name)
+        add_triangles(entity, pose, surface.vertices_m, surface.faces, np.array(colour))
+        top = pose[:3, :3] @ surface.middle_m + pose[:3, 3] + surface.radius_m * values.up
+        add_text(entity, top, label_text(told[name]), WHITE, LETTER_M)
+        add_metadata(entity, _metadata(told[name], parse))
     return update
+
+
+def surface_points(values: RunValues, scene: SceneResult, surfaces: Surfaces) -> PointCloud:
+    """Points of the found objects' surfaces in the reference frame, for viewers that draw no triangles."""
+    points, colours = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
+    for one, colour in object_colours(scene.found).items():
+        surface = surfaces.by_name[str(scene.names[one])]
+        mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
+        drawn = np.asarray(trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=0)[0])
+        pose = values.reference_from_parsed @ scene.camera_from_object[one]
+        points.append(drawn @ pose[:3, :3].T + pose[:3, 3])
+        colours.append(np.tile(np.array(colour, np.uint8), (len(drawn), 1)))
+    return point_cloud(REFERENCE, np.concatenate(points), np.concatenate(colours))
+
+
+def _metadata(one: Mapping[str, Any], parse: Mapping[str, Any]) -> dict[str, str]:
+    """What a person reads on clicking at an object."""
+    rests = {edge["parent"]: edge["probability"] for edge in parse["graph"] if edge["child"] == one["name"]}
+    return {
+        "presence": f"{one['presence']:.6f}",
+        "position": position_text(one),
+        "rotation": rotation_text(one),
+        "modes": modes_text(one) or "one",
+        "rests on": ", ".join(f"{parent} {share:.0%}" for parent, share in rests.items()) or "nothing",
+        "chains": agreement_text(one) or "converged",
+        "scene": verdict_text(parse),
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 import numpy as np
@@ -20,6 +20,8 @@ from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
 V = TypeVar("V")
+LEVEL = 0.02
+"""Mean squared sine (8 degrees) between the image's x axes and a direction across them, at most."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +63,46 @@ class RunValues:
             return int(self.room.times_ns[self.room.frames == first][0])
         return None
 
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """Unit vector (3,) in the reference frame: a learned support's normal, else what cameras hold level.
+
+        People hold cameras so that the image's x axis is level: up is across all of them, on the side where
+        the images have their top.
+        """
+        for shape in self.shapes.values():
+            return shape.reference_from_grid[:3, 2]
+        if self.slam is None:
+            return np.array([0.0, -1.0, 0.0])
+        rightward, top = self.slam.mean[:, :3, 0], -self.slam.mean[:, :3, 1].mean(axis=0)
+        tilt, axes = np.linalg.eigh(rightward.T @ rightward / len(rightward))
+        across = axes[:, tilt < LEVEL]
+        up = across @ (across.T @ top) if across.size else top
+        return up / max(float(np.linalg.norm(up)), 1e-12)
+
+    @property
+    def camera_frame(self) -> str:
+        """The recording's name of the frame that its depth images are in."""
+        return "camera" if self.room is None else str(self.room.frame_id)
+
+    @property
+    def camera_frame_has_parent(self) -> bool:
+        """Whether the recording itself says where that frame is."""
+        return self.room is not None and bool(self.room.frame_has_parent)
+
+    def stamped_poses(self) -> list[tuple[int, NDArray[np.float64]]]:
+        """Stamps and reference_from_camera (4, 4) of every frame whose pose is known."""
+        if self.slam is not None:
+            return list(zip(self.slam.times_ns.tolist(), self.slam.mean, strict=True))
+        if self.room is not None:
+            return [(int(self.room.times_ns[0]), np.eye(4))]
+        return []
+
+    @property
+    def first_ns(self) -> int:
+        """Stamp of the first of them; 0 without."""
+        return next((time_ns for time_ns, _ in self.stamped_poses()), 0)
+
     @classmethod
     def load(cls, run: RunFolder) -> RunValues:
         """Every committed value of a run.
@@ -68,15 +110,28 @@ class RunValues:
         Raises:
             PipelineError: a value was written by another version of the program.
         """
-        stages = run.records()
-        slam = _read(SlamResult.load, run, "slam") if "slam" in stages else None
-        room = _read(RoomView.load, run, "room") if "room" in stages else None
-        learned = [name for name in stages if name.startswith("learn/")]
-        shapes = {name.removeprefix("learn/"): _read(ShapePrior.load, run, name) for name in learned}
-        surfaces = _read(Surfaces.load, run, "objects") if "objects" in stages else None
-        scene = _read(SceneResult.load, run, "parse") if "parse" in stages else None
-        warnings = {name: record.notes.get("warnings", ()) for name, record in stages.items()}
-        return cls(slam=slam, room=room, shapes=shapes, surfaces=surfaces, scene=scene, warnings=warnings)
+        records = run.records()
+        paths = [run.value_path(name) for name in records]
+        values = cls.of_files({path.relative_to(run.path).as_posix(): path for path in paths})
+        warnings = {name: record.notes.get("warnings", ()) for name, record in records.items()}
+        return replace(values, warnings=warnings)
+
+    @classmethod
+    def of_files(cls, files: Mapping[str, Path]) -> RunValues:
+        """The values in files, by their names within a run folder.
+
+        Raises:
+            PipelineError: a value was written by another version of the program.
+        """
+        learned = {name: path for name, path in files.items() if name.startswith("shapes/")}
+        shapes = {PurePosixPath(name).stem: _read(ShapePrior.load, path) for name, path in learned.items()}
+        return cls(
+            slam=_read(SlamResult.load, files.get("slam.npz")),
+            room=_read(RoomView.load, files.get("room.npz")),
+            shapes={name: shape for name, shape in shapes.items() if shape is not None},
+            surfaces=_read(Surfaces.load, files.get("objects.npz")),
+            scene=_read(SceneResult.load, files.get("parse.npz")),
+        )
 
     @property
     def drawable(self) -> RunValues:
@@ -88,8 +143,10 @@ class RunValues:
         )
 
 
-def _read(load: Callable[[Path], V], run: RunFolder, stage: str) -> V:
+def _read(load: Callable[[Path], V], path: Path | None) -> V | None:
+    if path is None:
+        return None
     try:
-        return load(run.value_path(stage))
+        return load(path)
     except ValueError as error:
         raise PipelineError(f"{error}; make it again: the same command with --force") from error

@@ -9,11 +9,11 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
+from pipeline.colours import object_colours
 from pipeline.export.meshes import mean_colour
 from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
 from pipeline.synthesis.world import NOTHING, Part, RayCaster
-from pipeline.views.scene_view import object_colour
 from recordings.types import CameraIntrinsics
 
 SIDE_PX = 300
@@ -69,9 +69,9 @@ def scene_picture(values: RunValues) -> bytes | None:
                 process=False,
             ),
             world_from_part=scene.camera_from_object[one],
-            colour=object_colour(int(one)),
+            colour=colour,
         )
-        for one in np.flatnonzero(scene.found)
+        for one, colour in object_colours(scene.found).items()
     ]
     if not parts:
         return png(background)

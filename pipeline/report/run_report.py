@@ -13,6 +13,7 @@ from pipeline.errors import PipelineError
 from pipeline.export.models import learned_model
 from pipeline.export.sources import is_project, is_run
 from pipeline.publishing.summary import summary_of, timing_of
+from pipeline.publishing.told_spread import agreement_text, position_text, rotation_text
 from pipeline.publishing.values import RunValues
 from pipeline.report import charts
 from pipeline.report.page import Page
@@ -251,10 +252,10 @@ def _objects(page: Page, run: ReportedRun) -> None:
         share = max((mode["probability"] for mode in one["modes"]), default=1.0)
         edge = rests.get(one["name"])
         support = f"{edge['parent']} ({edge['probability']:.0%})" if edge else "nothing"
-        spread = f"{1000 * one['middle_std_m']:.1f} mm, {np.degrees(one['rotation_std_rad']):.1f} deg"
+        spread = ", ".join((position_text(one), rotation_text(one), agreement_text(one))).removesuffix(", ")
         presence, visible = f"{one['presence']:.2f}", f"{one['visible_fraction']:.0%}"
         rows.append([one["name"], presence, f"({place}) cm", spread, f"{share:.0%}", visible, support])
-    header = ["object", "presence", "centre", "spread within its mode", "share of that mode", "visible"]
+    header = ["object", "presence", "centre", "spread, all samples", "share of its mode", "visible"]
     page.table([*header, "rests on"], rows)
     if parse["not_found"]:
         told = ", ".join(f"{one['name']} ({one['presence']:.2f})" for one in parse["not_found"])

@@ -7,17 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.publishing.told_spread import verdict_text
 from pipeline.publishing.values import RunValues
 from recordings.types import Damage
 
-CONVERGED_R_HAT = 1.1
-"""Gelman and Rubin 1992: chains with a larger R-hat have not explored the same posterior."""
 MAIN_SHARE = 0.9
 """Below this share of the samples, the largest mode does not stand for the posterior."""
 SURE = 0.9
 FEW_PARTICLES = 2.0
-HOLLOW = 5.0
-"""More inferred voxels for a seen one than this: the inside of the shape is a guess."""
 
 
 def warnings_of(values: RunValues, summary: Mapping[str, Any], damage: Damage) -> list[str]:
@@ -28,10 +25,11 @@ def warnings_of(values: RunValues, summary: Mapping[str, Any], damage: Damage) -
         summary: of the run, as in summary.json.
         damage: what was lost of the recording.
     """
+    learned = summary.get("learn", {})
     found = [
         *_of_recording(damage),
         *_of_camera(values),
-        *(line for name in values.shapes for line in _of_shape(values, name)),
+        *(f"{name}: {line}." for name, shape in learned.items() for line in shape["warnings"]),
     ]
     return [*found, *_of_scene(summary["parse"])] if "parse" in summary else found
 
@@ -64,24 +62,10 @@ def _of_camera(values: RunValues) -> list[str]:
     return found
 
 
-def _of_shape(values: RunValues, name: str) -> list[str]:
-    shape = values.shapes[name]
-    seen, inferred = int(shape.seen_occupied.sum()), int(shape.enclosed.sum())
-    if inferred <= HOLLOW * seen:
-        return []
-    return [
-        f"{name}: {inferred} voxels behind its surface were never seen, {inferred / max(seen, 1):.0f} for "
-        "each that was; its inside is a guess, and perhaps more than one object."
-    ]
-
-
 def _of_scene(parse: Mapping[str, Any]) -> list[str]:
     found = []
-    if parse["r_hat"] is not None and parse["r_hat"] > CONVERGED_R_HAT:
-        found.append(
-            f"The chains have not converged (R-hat {parse['r_hat']:.2f}): spreads are too small; "
-            "more sweeps help (-s parse.sweeps=2400)."
-        )
+    if not parse["converged"]:
+        found.append(f"Objects: {verdict_text(parse)}.")
     for one in parse["objects"]:
         largest = max((mode["probability"] for mode in one["modes"]), default=1.0)
         if largest < MAIN_SHARE:

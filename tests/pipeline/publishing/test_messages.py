@@ -2,12 +2,16 @@
 
 import json
 from collections import defaultdict
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
 
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.values import RunValues
@@ -15,6 +19,8 @@ from pipeline.room import view_room
 from pipeline.synthesis.recording import SyntheticRecording
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
+
+WHOLE = ("/transforms/map", "/room", "/slam/path", "/slam/weights", "/shapes", "/scene", "/summary")
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +56,8 @@ def test_messages_hold_the_values(values: RunValues, tmp_path: Path) -> None:
     assert slam is not None
     assert room is not None
 
-    assert [time for time, _ in topics["/slam/camera"]] == slam.times_ns.tolist()
-    for (_, camera), mean in zip(topics["/slam/camera"], slam.mean, strict=True):
+    assert [time for time, _ in topics["/transforms/camera"]] == slam.times_ns.tolist()
+    for (_, camera), mean in zip(topics["/transforms/camera"], slam.mean, strict=True):
         assert (camera.parent_frame_id, camera.child_frame_id) == ("reference", "camera")
         np.testing.assert_allclose([getattr(camera.translation, axis) for axis in "xyz"], mean[:3, 3])
     assert {len(particles.poses) for _, particles in topics["/slam/particles"]} == {3}
@@ -88,12 +94,16 @@ def test_a_scene_is_shown_and_its_samples_are_kept(parsed_run: RunValues, tmp_pa
 
     entities = topics["/scene/objects"][0][1].entities
     assert [one.id for one in entities] == ["mug", "box"]
+    assert entities[0].texts[0].text == "mug 99%, +- 2 mm?"
+    told = {one.key: one.value for one in entities[0].metadata}
+    assert told["presence"] == "0.990000"
+    assert told["rests on"] == "box 90%"
     place = (slam.mean[2] @ scene.camera_from_object[1])[:3, 3]
     shown = entities[1].triangles[0]
     np.testing.assert_allclose([getattr(shown.pose.position, axis) for axis in "xyz"], place)
     assert (len(shown.points), len(shown.indices)) == (8, 36)
     samples = topics["/scene/samples"][0][1]
-    assert np.shape(samples["poses"]) == (5, 3, 7)
+    assert np.shape(samples["poses"]) == (6, 3, 7)
     assert samples["parents"][0] == [1, 3, -1]
 
 
@@ -110,3 +120,78 @@ def test_a_run_that_knows_nothing_yet_is_an_mcap_too(tmp_path: Path) -> None:
     write_messages(tmp_path / "run.mcap", RunValues(slam=None, room=None, shapes={}), {})
 
     assert list(read(tmp_path / "run.mcap")) == ["/summary"]
+
+
+def test_the_file_is_what_mcaps_registry_says(
+    values: RunValues, parsed_run: RunValues, tmp_path: Path
+) -> None:
+    """Its profile promises nothing, encodings belong together, and Foxglove's schemas are Foxglove's own."""
+    whole = replace(parsed_run, room=values.room, shapes=values.shapes)
+    write_messages(tmp_path / "run.mcap", whole, {})
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert reader.get_header().profile == ""
+    assert summary is not None
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        pairs = {"protobuf": "protobuf", "json": "jsonschema"}
+        assert schema.encoding == pairs[channel.message_encoding], channel.topic
+        if schema.encoding == "protobuf":
+            module = import_module(f"foxglove_schemas_protobuf.{schema.name.removeprefix('foxglove.')}_pb2")
+            described = FileDescriptorSet.FromString(schema.data)
+            published = FileDescriptorProto()
+            module.DESCRIPTOR.CopyToProto(published)
+            assert published in described.file, schema.name
+
+
+def test_what_holds_for_all_of_the_run_is_stamped_with_its_first_frame(
+    values: RunValues, parsed_run: RunValues, tmp_path: Path
+) -> None:
+    """Viewers show the latest message up to the time they are at."""
+    whole = replace(parsed_run, room=values.room, shapes=values.shapes)
+    write_messages(tmp_path / "run.mcap", whole, {})
+    topics = read(tmp_path / "run.mcap")
+
+    assert {len(messages) for name, messages in topics.items() if name.startswith(WHOLE)} == {1}
+    assert {messages[0][0] for messages in topics.values()} == {whole.first_ns}
+    assert sum(name.startswith(WHOLE) for name in topics) == 11
+
+
+@pytest.mark.parametrize("has_parent", [False, True])
+def test_every_frame_leads_to_the_root_at_every_stamp(
+    values: RunValues, parsed_run: RunValues, tmp_path: Path, has_parent: bool
+) -> None:
+    """Of all messages; z of the map is up; a recording that has a tree of frames joins with it."""
+    assert values.room is not None
+    room = replace(values.room, frame_id=np.array("optical"), frame_has_parent=np.array(has_parent))
+    whole = replace(parsed_run, room=room, shapes=values.shapes)
+    write_messages(tmp_path / "run.mcap", whole, {})
+    topics = read(tmp_path / "run.mcap")
+
+    transforms = topics.pop("/transforms/map") + topics.pop("/transforms/camera")
+    parents = {one.child_frame_id: one.parent_frame_id for _, one in transforms}
+    assert parents == (
+        {"map": "reference", "reference": "optical"}
+        if has_parent
+        else {"reference": "map", "optical": "reference"}
+    )
+    moving = {time for time, one in transforms if "optical" in (one.parent_frame_id, one.child_frame_id)}
+    for messages in topics.values():
+        for time, message in messages:
+            stamped = getattr(message, "entities", [message])
+            frames = {one.frame_id for one in stamped if hasattr(one, "frame_id")}
+            assert frames <= {"map", "reference", "optical"}
+            assert not frames or time in moving
+    up = Rotation.from_quat([getattr(transforms[0][1].rotation, axis) for axis in "xyzw"]).as_matrix()
+    np.testing.assert_allclose((up if has_parent else up.T)[:, 2], whole.up, atol=1e-9)
+
+
+def test_values_are_attached_whole(values: RunValues, tmp_path: Path) -> None:
+    """So that the file is a record from which a run can be made again."""
+    (tmp_path / "slam.npz").write_bytes(b"of slam")
+    write_messages(tmp_path / "run.mcap", values, {}, {"slam.npz": tmp_path / "slam.npz"})
+    with (tmp_path / "run.mcap").open("rb") as file:
+        attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
+
+    assert attached == {"slam.npz": b"of slam"}

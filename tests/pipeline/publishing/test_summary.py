@@ -20,6 +20,5 @@ def test_an_object_is_where_its_middle_is(parsed_run: RunValues) -> None:
     mug = summary_of(values)["parse"]["objects"][0]
 
     np.testing.assert_allclose(mug["middle_m"], [0.1, 0.05, 0.62])
-    turning = 2 * (0.1**2 + 0.05**2 + 0.02**2)
-    np.testing.assert_allclose(mug["middle_std_m"], 1e-3 * np.sqrt(3 + turning))
+    np.testing.assert_allclose(mug["middle_std_m"], 1e-3 * np.sqrt(3))
     np.testing.assert_allclose(mug["position_std_m"], 1e-3 * np.sqrt(3))
