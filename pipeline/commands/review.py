@@ -19,21 +19,43 @@ from pipeline.options import image_size
     "--size", default="1600x1000", show_default=True, metavar="WIDTHxHEIGHT", help="Of the picture."
 )
 @click.option("--frame", type=click.IntRange(0), help="Frame that the picture shows; the last unless given.")
+@click.option(
+    "--web", is_flag=True, help="Serve it to a browser on this machine, for machines without a screen."
+)
+@click.option(
+    "--port", type=click.IntRange(1, 65534), default=9090, show_default=True, help="Of the page of --web."
+)
+@click.option(
+    "--from-mcap",
+    is_flag=True,
+    help="RUN is a run.mcap on its own; its values are in it, and run.rrd is made beside it.",
+)
 @click.option("--rebuild", is_flag=True, help="Make run.rrd again from the run's values.")
-def command(run: Path, screenshot: Path | None, size: str, frame: int | None, rebuild: bool) -> None:
+def command(
+    run: Path,
+    screenshot: Path | None,
+    size: str,
+    frame: int | None,
+    web: bool,
+    port: int,
+    from_mcap: bool,
+    rebuild: bool,
+) -> None:
     """Open RUN in Rerun with its views arranged.
 
     Of a project's run folder, every recording's run is opened.
     """
     from pipeline.views.screenshot import take_screenshot
-    from pipeline.views.viewer import open_viewer, rrds_of
+    from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of, serve_viewer
 
     width, height = image_size(size)
-    rrds = rrds_of(run, rebuild=rebuild)
+    rrds = [rrd_of_mcap(run)] if from_mcap else rrds_of(run, rebuild=rebuild)
     if not rrds:
         raise PipelineError(f"{run} holds no run; make one with voxscene slam, learn, parse or demo")
     if screenshot:
         take_screenshot(rrds, screenshot, (width, height), frame)
         click.echo(f"{screenshot}: {width}x{height}")
+    elif web:
+        serve_viewer(rrds, port, click.echo)
     else:
         open_viewer(rrds)

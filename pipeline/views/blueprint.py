@@ -7,122 +7,127 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from pipeline.publishing.values import RunValues
+from pipeline.views.framing import Eye, chosen_eye
 from pipeline.views.scene_view import found_places_m
+from pipeline.views.timelines import ELAPSED
+from pipeline.views.trajectory_view import PLOTS
+from shapes.prior import ShapePrior
+
+BACKGROUND = (18, 20, 26)
+"""Of 3D views, on which every colour of `pipeline.colours` is seen."""
+ROOM_VIEW = "Room"
 
 
 def run_blueprint(values: RunValues) -> rrb.Blueprint:
-    """The room large on the left; what the camera saw, shapes, plots and the report on the right."""
-    side: list[rrb.ContainerLike] = []
+    """The room large on the left; what the camera saw, shapes, graph, plots and the report on the right."""
+    rows: list[tuple[float, rrb.ContainerLike]] = []
     if values.room is not None:
-        images = [rrb.Spatial2DView(origin="world/camera", contents="world/camera/depth", name="Depth")]
-        if values.room.view_rgb is not None:
-            images.append(
-                rrb.Spatial2DView(origin="world/camera", contents="world/camera/colour", name="Colour")
-            )
-        side.append(rrb.Horizontal(*images))
+        rows += [(3.0, _images(values)), (1.2, _picture("legend", "Colours"))]
     if values.shapes:
-        side.append(rrb.Tabs(*(_shape_view(name, values) for name in values.shapes)))
+        rows.append((3.0, rrb.Tabs(*(_shape_view(name, values) for name in values.shapes))))
     if values.scene is not None:
-        side.append(rrb.GraphView(origin="graph", name="What rests on what"))
-    report = rrb.TextDocumentView(origin="report", name="Report")
-    side.append(rrb.Horizontal(_plots(), report) if values.slam is not None else report)
+        graph = rrb.GraphView(origin="graph", name="What rests on what")
+        rows.append((2.8, rrb.Horizontal(graph, _picture("presence", "Presence"))))
+    if values.slam is not None:
+        rows.append((2.3, _plots()))
+    rows.append((3.2, rrb.TextDocumentView(origin="report", name="Report")))
+    side = rrb.Vertical(*(row for _, row in rows), row_shares=[share for share, _ in rows])
     return rrb.Blueprint(
-        rrb.Horizontal(_room_view(values), rrb.Vertical(*side), column_shares=[3, 2]),
-        rrb.TimePanel(state="collapsed", timeline="frame"),
+        rrb.Horizontal(_room_view(values), side, column_shares=[5, 4]) if _has_room(values) else side,
+        rrb.TimePanel(state="collapsed", timeline=ELAPSED),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
 
 
-def _plots() -> rrb.Tabs:
-    """How sure the filter was, over the frames."""
+def _has_room(values: RunValues) -> bool:
+    return values.room is not None or values.slam is not None or values.scene is not None
+
+
+def _images(values: RunValues) -> rrb.Horizontal:
+    names = {"depth": "Seen", "rendered": "Rendered", "difference": "Residual"}
+    if values.room is not None and values.room.view_rgb is not None:
+        names["colour"] = "Colour"
+    return rrb.Horizontal(*(_picture(f"images/{path}", title) for path, title in names.items()))
+
+
+def _picture(path: str, name: str) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(origin=path, name=name, background=BACKGROUND)
+
+
+def _plots() -> rrb.Grid:
+    """How sure the filter was, over the seconds."""
     plots = [
-        rrb.TimeSeriesView(origin=f"plots/{path}", name=name)
-        for path, name in (
-            ("position", "Position, standard deviation"),
-            ("rotation", "Rotation, standard deviation"),
-            ("ess", "Effective sample size"),
-            ("evidence", "Log evidence"),
-        )
+        rrb.TimeSeriesView(origin=f"plots/{path}", name=title, plot_legend=rrb.PlotLegend(visible=False))
+        for path, (title, _) in PLOTS.items()
     ]
-    return rrb.Tabs(*plots)
+    return rrb.Grid(*plots, grid_columns=2)
 
 
 def _room_view(values: RunValues) -> rrb.Spatial3DView:
-    contents = ["world/**", "- world/camera/depth", "- world/camera/colour"]
-    eye = None
-    if values.scene is not None:
-        eye = _eye_at_objects(values, upward(values))
-    elif values.slam is not None:
-        eye = _eye(values.slam.mean, upward(values))
     return rrb.Spatial3DView(
         origin="world",
-        contents=contents,
-        name="Room",
-        eye_controls=eye,
+        contents="world/**",
+        name=ROOM_VIEW,
+        eye_controls=_controls(_eye(values)),
         line_grid=False,
-        background=[18, 20, 26, 255],
+        background=BACKGROUND,
+        overrides={path: rrb.EntityBehavior(visible=False) for path in _switched_off(values)},
     )
+
+
+def _switched_off(values: RunValues) -> list[str]:
+    """What is there to be switched on: enlarged ellipsoids, of which true ones stand beside."""
+    paths = ["world/path/uncertainty_10x"] if values.slam is not None else []
+    if values.scene is not None:
+        names = [name for name, _ in values.scene.found_poses]
+        paths += [f"world/objects/{name}/uncertainty_10x" for name in names]
+    return paths
+
+
+def _eye(values: RunValues) -> Eye:
+    """On the objects that were found, on what was learned, else on the room; the path in sight."""
+    cloud = np.zeros((0, 3)) if values.room is None else values.room.points_m
+    path = np.zeros((0, 3)) if values.slam is None else values.slam.mean[:, :3, 3]
+    first_camera, wanted, focus = np.eye(4), path, None
+    if values.scene is not None and values.surfaces is not None and values.scene.found.any():
+        first_camera = values.reference_from_parsed
+        corners = found_places_m(values.scene, values.surfaces, first_camera[:3, :3].T @ values.up)
+        focus = corners @ first_camera[:3, :3].T + first_camera[:3, 3]
+        wanted = np.concatenate([focus, path])
+    elif values.shapes:
+        focus = np.concatenate([_posed_box(values, name) for name in values.shapes])
+        wanted = np.concatenate([focus, path])
+    return chosen_eye(cloud, wanted, first_camera, values.up, focus)
+
+
+def _posed_box(values: RunValues, name: str) -> NDArray[np.float64]:
+    """Corners (8, 3) of a learned shape's box in the reference frame."""
+    shape = values.shapes[name]
+    corners = np.stack(np.meshgrid(*_box_m(shape).T), axis=-1).reshape(-1, 3)
+    return corners @ shape.reference_from_grid[:3, :3].T + shape.reference_from_grid[:3, 3]
+
+
+def _box_m(shape: ShapePrior) -> NDArray[np.float64]:
+    """Corners (2, 3) of what is solid of a shape, or of all of its grid where nothing is."""
+    whole = np.array([np.zeros(3), shape.phi.shape]) * shape.pitch_m
+    return shape.bounding_box_m if shape.solid.any() else whole
 
 
 def _shape_view(name: str, values: RunValues) -> rrb.Spatial3DView:
-    shape = values.shapes[name]
-    whole = np.array([np.zeros(3), shape.phi.shape]) * shape.pitch_m
-    corners = shape.bounding_box_m if shape.solid.any() else whole
+    """A learned shape in a space of its own: by state, as voxels where that is switched on."""
+    corners = _box_m(values.shapes[name])
     centre, size = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
-    eye = rrb.EyeControls3D(
-        position=centre + size * np.array([0.75, -0.65, 0.55]), look_target=centre, eye_up=[0.0, 0.0, 1.0]
-    )
+    eye = Eye(centre + size * np.array([0.75, -0.65, 0.55]), centre, np.array([0.0, 0.0, 1.0]))
     return rrb.Spatial3DView(
-        origin=f"shapes/{name}", name=name, eye_controls=eye, line_grid=False, background=[18, 20, 26, 255]
+        origin=f"shapes/{name}",
+        name=name,
+        eye_controls=_controls(eye),
+        line_grid=False,
+        background=BACKGROUND,
+        overrides={f"shapes/{name}/voxels": rrb.EntityBehavior(visible=False)},
     )
 
 
-def upward(values: RunValues) -> NDArray[np.float64]:
-    """Unit vector (3,) in the reference frame: a learned support's normal, else what the cameras hold level.
-
-    People hold cameras so that the image's x axis is level: up is across all of them, on the side where
-    the images have their top.
-    """
-    for shape in values.shapes.values():
-        return shape.reference_from_grid[:3, 2]
-    if values.slam is None:
-        return np.array([0.0, -1.0, 0.0])
-    rightward, top = values.slam.mean[:, :3, 0], -values.slam.mean[:, :3, 1].mean(axis=0)
-    tilt, axes = np.linalg.eigh(rightward.T @ rightward / len(rightward))
-    across = axes[:, tilt < 0.02]
-    up = across @ (across.T @ top) if across.size else top
-    return up / max(float(np.linalg.norm(up)), 1e-12)
-
-
-def _eye(poses: NDArray[np.float64], up: NDArray[np.float64]) -> rrb.EyeControls3D:
-    """Behind and above the first camera, looking where the cameras look together."""
-    target = _common_target(poses)
-    back = poses[0, :3, 3] - target
-    reach = max(float(np.linalg.norm(poses[:, :3, 3] - target, axis=1).max()), 0.3)
-    level = back - (back @ up) * up
-    away = level / max(float(np.linalg.norm(level)), 1e-6)
-    return rrb.EyeControls3D(
-        position=target + 1.7 * reach * away + 2.0 * reach * up, look_target=target, eye_up=up
-    )
-
-
-def _eye_at_objects(values: RunValues, up: NDArray[np.float64]) -> rrb.EyeControls3D:
-    """From where the camera was, nearer to the objects and a little higher."""
-    camera = values.reference_from_parsed
-    target = camera[:3, 3] + camera[:3, 2]
-    if values.scene is not None and values.surfaces is not None and values.scene.found.any():
-        places = found_places_m(values.scene, values.surfaces.by_name)
-        target = camera[:3, 3] + camera[:3, :3] @ places.mean(axis=0)
-    back = camera[:3, 3] - target
-    return rrb.EyeControls3D(position=target + 0.8 * back + 0.1 * up, look_target=target, eye_up=up)
-
-
-def _common_target(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The point (3,) nearest to all optical axes, in least squares; a little inertia keeps it defined."""
-    axes = poses[:, :3, 2]
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    ahead = poses[:, :3, 3] + axes
-    inertia = 1e-3 * len(poses)
-    right = np.einsum("tij,tj->i", across, poses[:, :3, 3]) + inertia * ahead.mean(axis=0)
-    return np.linalg.solve(across.sum(axis=0) + inertia * np.eye(3), right)
+def _controls(eye: Eye) -> rrb.EyeControls3D:
+    return rrb.EyeControls3D(position=eye.position, look_target=eye.target, eye_up=eye.up)

@@ -2,42 +2,57 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.publishing.told_spread import (
+    REAL_CAMERA_FACTOR,
+    position_text,
+    rotation_text,
+    shares_text,
+    verdict_text,
+)
 from pipeline.publishing.values import RunValues
-from pipeline.surfaces import Surfaces
-from pipeline.views.trajectory_view import ENLARGED
-from scene.result import SceneResult
+from slam.result import SlamResult
 
 
-def report_markdown(name: str, values: RunValues) -> str:
-    """What was found, how sure it is, and how to read the views."""
-    parts = [f"# {name}"]
-    if values.scene is not None and values.surfaces is not None:
-        parts += _scene(values.scene, values.surfaces)
+def report_markdown(values: RunValues, summary: Mapping[str, Any]) -> str:
+    """What was found, how sure it is, and how to read the views.
+
+    Args:
+        values: of the run.
+        summary: summary.json.
+    """
+    parts: list[str] = []
+    if "parse" in summary:
+        parts += _scene(summary["parse"])
     if values.slam is not None:
-        slam = values.slam
-        deviation_mm = 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2) / 3)
-        lost = int(slam.lost.sum())
-        length_m = np.linalg.norm(np.diff(slam.mean[:, :3, 3], axis=0), axis=1).sum()
-        parts += [
-            "## Camera",
-            f"- {len(slam)} frames over {length_m:.2f} m, {lost or 'none'} lost",
-            f"- position known to {np.median(deviation_mm):.2g} mm (median standard deviation an axis), "
-            f"{deviation_mm.max():.2g} mm at worst",
-            f"- least effective sample size {slam.ess.min():.1f} of {len(slam.log_weights)} particles",
-            *_paths(slam.path_probabilities),
-            f"- yellow: mean path; faint: particles; blue: 95% regions, drawn {ENLARGED:.0f} times larger",
-        ]
-    if values.shapes:
-        parts += ["## Learned shapes", "| shape | size, mm | pitch, mm | seen voxels |", "|---|---|---|---|"]
-    for shape_name, shape in values.shapes.items():
-        extents = np.ptp(shape.bounding_box_m, axis=0) if shape.solid.any() else ()
-        size = " x ".join(f"{1000 * extent:.0f}" for extent in extents) or "nothing solid"
-        seen = int(shape.seen_occupied.sum())
-        parts.append(f"| {shape_name} | {size} | {1000 * shape.pitch_m:.0f} | {seen} |")
+        parts += _camera(values.slam)
+    if "learn" in summary:
+        parts += _shapes(summary["learn"])
     return "\n".join(parts) + "\n"
+
+
+def _camera(slam: SlamResult) -> list[str]:
+    deviation_mm = 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2) / 3)
+    lost = int(slam.lost.sum())
+    length_m = np.linalg.norm(np.diff(slam.mean[:, :3, 3], axis=0), axis=1).sum()
+    low, high = REAL_CAMERA_FACTOR
+    return [
+        "",
+        "**Camera**",
+        "",
+        f"- {len(slam)} frames over {length_m:.2f} m, {lost or 'none'} lost",
+        f"- position +- {np.median(deviation_mm):.2g} mm an axis, {deviation_mm.max():.2g} mm at worst, "
+        f"if only sensor noise errs; real recordings erred {low:g} to {high:g} times as much",
+        f"- least effective sample size {slam.ess.min():.1f} of {len(slam.log_weights)} particles",
+        *_paths(slam.path_probabilities),
+        "- ellipsoids: 95% regions of positions, of true size; ten times larger as `uncertainty_10x`",
+    ]
 
 
 def _paths(probabilities: NDArray[np.float64]) -> list[str]:
@@ -50,29 +65,48 @@ def _paths(probabilities: NDArray[np.float64]) -> list[str]:
     ]
 
 
-def _scene(scene: SceneResult, surfaces: Surfaces) -> list[str]:
-    """One line for each object looked for; positions are those of its middle."""
-    names = [*map(str, scene.names), *scene.supports]
+def _scene(parse: Mapping[str, Any]) -> list[str]:
+    """The verdict on the spreads, and one line for each object looked for; positions are of its middle."""
     lines = [
-        "## Objects",
-        "| object | there | mm | deg | rests on |",
-        "|---|---|---|---|---|",
+        f"**Objects**: {verdict_text(parse)}",
+        "",
+        "| object | there | position | rotation | poses | rests on |",
+        "|---|---|---|---|---|---|",
     ]
-    for one, name in enumerate(scene.names):
-        if not scene.found[one]:
-            lines.append(f"| {name} | {scene.presence[one]:.0%} | | | not found |")
-            continue
-        parent = int(np.argmax(scene.edge_probabilities[one]))
-        probability = scene.edge_probabilities[one, parent]
-        rest = f"{names[parent]} ({probability:.0%})" if probability > 0 else "nothing"
-        middle = surfaces.by_name[str(name)].middle_m
-        spread_mm = 1000 * np.sqrt(np.trace(scene.covariance_of_point(one, middle)))
-        lines.append(
-            f"| {name} | {scene.presence[one]:.0%} | +- {spread_mm:.1f} "
-            f"| +- {np.degrees(scene.rotation_std_rad[one]):.1f} | {rest} |"
-        )
+    for one in parse["objects"]:
+        rests = [
+            f"{edge['parent']} {edge['probability']:.0%}"
+            for edge in parse["graph"]
+            if edge["child"] == one["name"] and edge["probability"] >= 0.005
+        ]
+        doubt = "" if one["converged"] else "?"
+        cells = [one["name"], f"{one['presence']:.0%}", position_text(one) + doubt, rotation_text(one)]
+        cells += [shares_text(one), ", ".join(rests) or "nothing"]
+        lines.append(f"| {' | '.join(cells)} |")
     return [
         *lines,
-        "- mm, deg: root mean square error expected of its middle and of its orientation",
-        f"- wire ellipsoids: 95% regions of positions, drawn {ENLARGED:.0f} times larger",
+        *(f"| {one['name']} | {one['presence']:.0%} | | | | not found |" for one in parse["not_found"]),
+        "",
+        "- +-: root mean square over all samples, of the middle's place and of the orientation; "
+        "poses: shares of those that are told apart; ?: chains do not agree",
+        "- outlines: samples of the posterior; ellipsoid on the pole: 95% region of the middle, of true size",
     ]
+
+
+def _shapes(learned: Mapping[str, Any]) -> list[str]:
+    """One line for each learned shape, and what is wrong with it."""
+    lines = [
+        "",
+        "**Learned shapes**",
+        "",
+        "| shape | size, mm | voxel, mm | surface seen | inferred | never seen |",
+        "|---|---|---|---|---|---|",
+    ]
+    warnings = []
+    for name, shape in learned.items():
+        size = " x ".join(f"{1000 * extent:.0f}" for extent in shape["size_m"] or ())
+        surface = shape["surface"] or {"seen": math.nan, "inferred": math.nan, "never_seen": math.nan}
+        shares = [f"{surface[state]:.0%}" for state in ("seen", "inferred", "never_seen")]
+        lines.append(f"| {name} | {size} | {1000 * shape['pitch_m']:.0f} | {' | '.join(shares)} |")
+        warnings += [f"- **{name}: {warning}**" for warning in shape["warnings"]]
+    return [*lines, "", *warnings]

@@ -7,47 +7,61 @@ from pathlib import Path
 import rerun as rr
 
 from pipeline.atomic import write_bytes
+from pipeline.colours import object_colours
+from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.views.blueprint import run_blueprint
+from pipeline.views.camera_view import depth_range_m, log_camera_views, log_frusta, log_room
+from pipeline.views.charts import legend, presence_bars
 from pipeline.views.report import report_markdown
 from pipeline.views.scene_view import log_scene
 from pipeline.views.shape_view import log_shape
-from pipeline.views.trajectory_view import log_camera_views, log_filter, log_room, log_trajectory
+from pipeline.views.trajectory_view import log_filter, log_trajectory
 
 APPLICATION = "voxscene"
-POINT_M, POINT_AT_TABLE_M = 0.006, 0.0015
-"""Radius of the cloud's points in a room, and where posed surfaces must not vanish between them."""
 
 
-def write_rrd(path: Path, name: str, values: RunValues) -> None:
+def write_rrd(path: Path, name: str, values: RunValues, identity: str = "") -> None:
     """Write the views of a run as one Rerun recording with its blueprint, whole or not at all.
 
     Args:
         path: the file.
-        name: of the recording, shown by the viewer and its id.
+        name: of the recording, shown by the viewer.
         values: what the run knows.
+        identity: of the run. Rerun keeps one blueprint for each application, and merges recordings of one id:
+            runs with identities of their own keep their views to themselves.
 
     Raises:
         PipelineError: the file cannot be written.
     """
-    recording = rr.RecordingStream(APPLICATION, recording_id=name, send_properties=True)
+    own = "-".join(part for part in (APPLICATION, identity) if part)
+    recording = rr.RecordingStream(own, recording_id=own, send_properties=True)
     # To memory: on a full disk Rerun's own file writer hangs, or ends as if all was well.
     memory = recording.memory_recording()
     recording.send_blueprint(run_blueprint(values), make_active=False, make_default=True)
     recording.set_log_time_enabled(False)
     recording.send_recording_name(name)
-    recording.log(
-        "report", rr.TextDocument(report_markdown(name, values), media_type="text/markdown"), static=True
-    )
+    _log(recording, values)
+    write_bytes(path, memory.drain_as_bytes())
+
+
+def _log(recording: rr.RecordingStream, values: RunValues) -> None:
+    summary = summary_of(values)
+    report = rr.TextDocument(report_markdown(values, summary), media_type="text/markdown")
+    recording.log("report", report, static=True)
     if values.slam is not None:
         log_trajectory(recording, values.slam)
         log_filter(recording, values.slam)
     if values.room is not None:
-        log_room(recording, values.room, POINT_M if values.scene is None else POINT_AT_TABLE_M)
-    if values.slam is not None and values.room is not None:
-        log_camera_views(recording, values.slam, values.room)
+        log_room(recording, values, values.room)
+        log_camera_views(recording, values, values.room)
+        log_frusta(recording, values, values.room)
+        colours = legend(depth_range_m(values.room), path=values.slam is not None, shape=bool(values.shapes))
+        recording.log("legend", rr.Image(colours), static=True)
     for shape_name, shape in values.shapes.items():
         log_shape(recording, shape_name, shape)
     if values.scene is not None and values.surfaces is not None:
-        log_scene(recording, values.scene, values.surfaces.by_name, values.reference_from_parsed)
-    write_bytes(path, memory.drain_as_bytes())
+        log_scene(recording, values, values.scene, values.surfaces, summary["parse"])
+        found = object_colours(values.scene.found)
+        by_name = {str(values.scene.names[one]): colour for one, colour in found.items()}
+        recording.log("presence", rr.Image(presence_bars(summary["parse"], by_name)), static=True)

@@ -5,104 +5,160 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from pipeline.surfaces import SceneSurface
-from pipeline.views.trajectory_view import ENLARGED, quaternions_xyzw
+from pipeline.colours import TABLE as TABLE_COLOUR
+from pipeline.colours import WHITE, object_colours
+from pipeline.publishing.told_spread import label_text
+from pipeline.publishing.values import RunValues
+from pipeline.surfaces import SceneSurface, Surfaces
+from pipeline.views.trajectory_view import ENLARGED, PARTICLE_WIDTH, quaternions_xyzw
 from scene.result import SceneResult
+from shapes.geometry.poses import matrices_of
 
-OBJECT_COLOURS = (
-    *((239, 131, 84), (91, 155, 213), (130, 200, 110), (220, 180, 70)),
-    *((190, 120, 210), (90, 200, 190), (230, 110, 140), (165, 165, 120)),
-)
-LETTER_PX, LEVEL_PX, STAGGER_PX = 8, 100, 40
+LETTER_PX, LEVEL_PX, STAGGER_PX = 8, 110, 40
 """Of the graph: width of a letter, height of a level, and by how much every second node is raised."""
-LIKELY = 0.2
-"""Edges at least as probable are drawn."""
-TABLE_COLOUR = (150, 160, 175)
-LABEL_COLOUR = (255, 255, 255)
-"""Rerun writes a label in the colour of its point: on an object of the same colour nobody could read it."""
+LIKELY = 0.05
+"""Edges at least as probable are drawn, with their probabilities."""
 LABEL_RADIUS_M = 1e-4
 CHI_95 = 2.796
 """Radius of the 95% region of a normal distribution in three dimensions, in standard deviations."""
+GHOSTS = 20
+"""Samples of the posterior that are drawn as outlines."""
+ABOVE = 1.3
+"""Radii of the bounding box above an object's middle where its label and ellipsoid stand, outside of it."""
 
 
 def log_scene(
     recording: rr.RecordingStream,
+    values: RunValues,
     scene: SceneResult,
-    surfaces: Mapping[str, SceneSurface],
-    reference_from_camera: NDArray[np.float64],
+    surfaces: Surfaces,
+    parse: Mapping[str, Any],
 ) -> None:
-    """Objects that were found, in the room, with the 95% regions of their positions; and the scene graph.
+    """Objects that were found, in the room: surface, samples of the posterior, ellipsoid, label; the graph.
 
     Args:
         recording: where to.
-        scene: what was found.
-        surfaces: of the objects, by name.
-        reference_from_camera: (4, 4) of the first frame that was parsed.
+        values: of the run.
+        scene: its parsed scene.
+        surfaces: of the objects.
+        parse: of summary.json.
     """
-    for one in map(int, np.flatnonzero(scene.found)):
+    told = {one["name"]: one for one in parse["objects"]}
+    for one, colour in object_colours(scene.found).items():
         name, path = str(scene.names[one]), f"world/objects/{scene.names[one]}"
-        pose = reference_from_camera @ scene.camera_from_object[one]
+        surface = surfaces.by_name[name]
+        pose = values.reference_from_parsed @ scene.camera_from_object[one]
         recording.log(path, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]), static=True)
         mesh = rr.Mesh3D(
-            vertex_positions=surfaces[name].vertices_m,
-            triangle_indices=surfaces[name].faces,
-            vertex_normals=_normals(surfaces[name]),
-            albedo_factor=object_colour(one),
+            vertex_positions=surface.vertices_m,
+            triangle_indices=surface.faces,
+            vertex_normals=_normals(surface),
+            albedo_factor=colour,
         )
         recording.log(f"{path}/surface", mesh, static=True)
-        middle = surfaces[name].middle_m
-        variances, axes = np.linalg.eigh(scene.covariance_of_point(one, middle))
-        axes *= np.sign(np.linalg.det(axes))
-        ellipsoid = rr.Ellipsoids3D(
-            centers=[middle],
-            half_sizes=[ENLARGED * CHI_95 * np.sqrt(np.maximum(variances, 0))],
-            quaternions=quaternions_xyzw(axes[None]),
-            colors=(*object_colour(one), 110),
-            fill_mode="majorwireframe",
-        )
-        recording.log(f"{path}/uncertainty", ellipsoid, static=True)
-        label = rr.Points3D(
-            [middle], radii=LABEL_RADIUS_M, colors=LABEL_COLOUR, labels=f"{name} {scene.presence[one]:.0%}"
-        )
-        recording.log(f"{path}/label", label, static=True)
+        recording.log(f"{path}/samples", _outlines(scene, one, surface, colour), static=True)
+        _log_flag(recording, values, scene, one, surface, label_text(told[name]))
     _log_graph(recording, scene)
 
 
-def found_places_m(scene: SceneResult, surfaces: Mapping[str, SceneSurface]) -> NDArray[np.float64]:
-    """Middles (F, 3) of the objects that were found, in the camera of the first frame parsed."""
-    found = np.flatnonzero(scene.found)
-    poses = scene.camera_from_object[found]
-    middles = np.stack([surfaces[str(scene.names[one])].middle_m for one in found])
-    return poses[:, :3, 3] + np.einsum("fij,fj->fi", poses[:, :3, :3], middles)
+def found_places_m(scene: SceneResult, surfaces: Surfaces, up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of the boxes of what was found and their labels (F * 9, 3), in the first camera parsed.
+
+    Args:
+        scene: as parsed.
+        surfaces: of the objects.
+        up: unit vector (3,) in that camera.
+    """
+    corners = []
+    for name, pose in scene.found_poses:
+        surface = surfaces.by_name[name]
+        box = np.stack([surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)])
+        eight = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
+        corners.append(eight @ pose[:3, :3].T + pose[:3, 3])
+        corners.append(corners[-1].mean(axis=0, keepdims=True) + ABOVE * surface.radius_m * up)
+    return np.concatenate(corners)
 
 
-def object_colour(index: int) -> tuple[int, int, int]:
-    """The colour of an object in every view."""
-    return OBJECT_COLOURS[index % len(OBJECT_COLOURS)]
+def _outlines(
+    scene: SceneResult, one: int, surface: SceneSurface, colour: tuple[int, int, int]
+) -> rr.Boxes3D:
+    """Bounding boxes of some samples, evenly chosen, in the frame of the object's mean pose."""
+    chosen = np.unique(np.linspace(0, len(scene.sample_poses) - 1, GHOSTS).round().astype(int))
+    poses = np.linalg.inv(scene.camera_from_object[one]) @ matrices_of(scene.sample_poses[chosen, one])
+    return rr.Boxes3D(
+        centers=poses[:, :3, :3] @ surface.middle_m + poses[:, :3, 3],
+        half_sizes=np.tile(np.ptp(surface.vertices_m, axis=0) / 2, (len(poses), 1)),
+        quaternions=quaternions_xyzw(poses[:, :3, :3]),
+        colors=(*colour, 90),
+        radii=PARTICLE_WIDTH,
+        fill_mode="majorwireframe",
+    )
+
+
+def _log_flag(
+    recording: rr.RecordingStream,
+    values: RunValues,
+    scene: SceneResult,
+    one: int,
+    surface: SceneSurface,
+    text: str,
+) -> None:
+    """Label and 95% region of an object's middle, above it, where nothing hides them; a line leads there."""
+    path, colour = f"world/objects/{scene.names[one]}", object_colours(scene.found)[one]
+    reference_from_object = values.reference_from_parsed @ scene.camera_from_object[one]
+    above = surface.middle_m + ABOVE * surface.radius_m * reference_from_object[:3, :3].T @ values.up
+    own = scene.camera_from_object[one, :3, :3]
+    variances, axes = np.linalg.eigh(own.T @ scene.covariance_of_point(one, surface.middle_m) @ own)
+    axes *= np.sign(np.linalg.det(axes))
+    for name, scale in (("uncertainty", 1.0), ("uncertainty_10x", ENLARGED)):
+        ellipsoid = rr.Ellipsoids3D(
+            centers=[above],
+            half_sizes=[scale * CHI_95 * np.sqrt(np.maximum(variances, 0))],
+            quaternions=quaternions_xyzw(axes[None]),
+            colors=colour,
+            fill_mode="solid" if scale == 1 else "majorwireframe",
+        )
+        recording.log(f"{path}/{name}", ellipsoid, static=True)
+    pole = rr.LineStrips3D([[surface.middle_m, above]], colors=(*colour, 160), radii=PARTICLE_WIDTH)
+    recording.log(f"{path}/pole", pole, static=True)
+    label = rr.Points3D([above], radii=LABEL_RADIUS_M, colors=WHITE, labels=text)
+    recording.log(f"{path}/label", label, static=True)
 
 
 def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
-    found = np.flatnonzero(scene.found).tolist()
+    """What rests on what; each edge leads through a small node that tells its probability."""
+    colours = object_colours(scene.found)
     names = [*map(str, scene.names), *scene.supports]
-    nodes = [*found, *range(len(scene.names), len(names))]
+    nodes = [*colours, *range(len(scene.names), len(names))]
+    places = dict(zip(nodes, _node_places(scene, [names[node] for node in nodes]), strict=True))
+    edges = [
+        (child, int(parent))
+        for child in colours
+        for parent in np.flatnonzero(scene.edge_probabilities[child] >= LIKELY)
+        if int(parent) in places
+    ]
+    told = [f"{scene.edge_probabilities[edge]:.0%}" for edge in edges]
+    between = [f"{names[child]} on {names[parent]}" for child, parent in edges]
+    middles = [(2 * places[child] + places[parent]) / 3 for child, parent in edges]
     recording.log(
         "graph",
         rr.GraphNodes(
-            [names[node] for node in nodes],
-            positions=_node_places(scene, [names[node] for node in nodes]),
-            labels=[names[node] for node in nodes],
-            colors=[object_colour(node) for node in found] + [TABLE_COLOUR] * len(scene.supports),
+            [names[node] for node in nodes] + between,
+            positions=np.array([*places.values(), *middles]),
+            labels=[names[node] for node in nodes] + told,
+            colors=[*colours.values(), *[TABLE_COLOUR] * len(scene.supports), *[WHITE] * len(edges)],
         ),
         rr.GraphEdges(
             [
-                (names[child], names[parent])
-                for child in found
-                for parent in np.flatnonzero(scene.edge_probabilities[child] >= LIKELY)
+                link
+                for (child, parent), middle in zip(edges, between, strict=True)
+                for link in ((names[child], middle), (middle, names[parent]))
             ],
             graph_type="directed",
         ),

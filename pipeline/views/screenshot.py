@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import socket
 import subprocess
@@ -9,14 +10,26 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PIL import Image
 
 from pipeline.atomic import atomic_path
 from pipeline.errors import PipelineError
+from pipeline.views.timelines import FRAME
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
 
 START_S = 30.0
 LOAD_S = 60.0
-SETTLE_S = 8.0
-"""Software rendering is slow, and pop-ups need time to fade."""
+SETTLE_S, PAINT_S = 40.0, 120.0
+FADING_PAINTS = 10
+"""Pop-ups fade with each picture that is painted and not with the clock: after seven they were gone."""
+TOP_BAR_PX = 44
+"""Height of the viewer's own bar."""
+CRASH_S = 3.0
+"""Within which a viewer whose connection broke has ended, if it ends."""
 SOFTWARE_DRIVER = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
 NO_VULKAN = (
     "Rerun's viewer found no Vulkan driver; install one with "
@@ -28,31 +41,86 @@ def take_screenshot(rrds: Sequence[Path], picture: Path, size: tuple[int, int], 
     """Write a PNG of Rerun recordings as their blueprint shows them.
 
     Args:
-        rrds: files to open.
+        rrds: files to open; the last is shown.
         picture: the PNG.
         size: width and height in pixels.
         frame: position on the timeline `frame`; None is its end.
 
     Raises:
-        PipelineError: the viewer did not start, or nothing could be drawn.
+        PipelineError: the viewer did not start, nothing could be drawn, or there is no such frame.
     """
-    with _headless_viewer(size) as port:
+    with shown(rrds, size, frame) as viewer:
+        image = settled_picture(viewer)
+    with atomic_path(picture) as partial:
+        partial.write_bytes(_without_top_bar(image))
+
+
+@contextmanager
+def shown(rrds: Sequence[Path], size: tuple[int, int], frame: int | None) -> Iterator[ViewerClient]:
+    """A headless viewer that has loaded recordings, at a frame; for `settled_picture`.
+
+    Raises:
+        PipelineError: as `take_screenshot`.
+    """
+    numbers = frames_in(rrds[-1])
+    if frame is not None and not (numbers and numbers[0] <= frame <= numbers[-1]):
+        there = f"it shows {numbers[0]} to {numbers[-1]}" if numbers else "it shows no frames"
+        raise PipelineError(f"{rrds[-1]} has no frame {frame}: {there}")
+    with _headless_viewer((size[0], size[1] + TOP_BAR_PX)) as port:
         from rerun.experimental import ViewerClient
 
         viewer = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
         for rrd in rrds:
-            viewer.open(str(rrd))
+            viewer.open(str(rrd.resolve()))
         deadline = time.monotonic() + LOAD_S
         while not (state := viewer.get_state()).views or state.loading:
             if time.monotonic() > deadline:
-                raise PipelineError(f"Rerun's viewer did not load {rrds[0]} in {LOAD_S:.0f} s")
+                raise PipelineError(f"Rerun's viewer did not load {rrds[-1]} in {LOAD_S:.0f} s")
             time.sleep(0.2)
         if frame is not None:
-            viewer.set_time("frame", sequence=frame, play_state="paused")
-        time.sleep(SETTLE_S)
-        image = viewer.take_screenshot()
-    with atomic_path(picture) as partial:
-        partial.write_bytes(image)
+            viewer.set_time(FRAME, sequence=frame, play_state="paused")
+        yield viewer
+
+
+def settled_picture(viewer: ViewerClient, view: str | None = None) -> bytes:
+    """A PNG of the whole window, or of a view, once images have arrived and pop-ups are gone."""
+    deadline = time.monotonic() + SETTLE_S
+    before, image, paints = b"", _painted(viewer, view), 1
+    while (paints < FADING_PAINTS or image != before) and time.monotonic() < deadline:
+        before, image, paints = image, _painted(viewer, view), paints + 1
+    return image
+
+
+def _painted(viewer: ViewerClient, view: str | None) -> bytes:
+    """A picture as it is now; the viewer gives up after 15 s, a busy machine may need longer."""
+    deadline = time.monotonic() + PAINT_S
+    while True:
+        try:
+            return viewer.take_screenshot(view)
+        except TimeoutError as error:
+            if time.monotonic() > deadline:
+                raise PipelineError(f"Rerun's viewer painted no picture in {PAINT_S:.0f} s") from error
+
+
+def frames_in(rrd: Path) -> list[int]:
+    """Numbers of the first and the last frame at which something was logged; empty without."""
+    from rerun.chunk import RrdReader
+
+    numbers: list[int] = []
+    for chunk in RrdReader(rrd).stream():
+        if FRAME in chunk.timeline_names:
+            batch = chunk.to_record_batch()
+            found = batch.column(batch.schema.get_field_index(FRAME)).to_numpy(zero_copy_only=False)
+            numbers += [int(found.min()), int(found.max())]
+    return [min(numbers), max(numbers)] if numbers else []
+
+
+def _without_top_bar(png: bytes) -> bytes:
+    """The window below the viewer's own bar, which tells of the machine and not of the run."""
+    image = Image.open(io.BytesIO(png))
+    written = io.BytesIO()
+    image.crop((0, TOP_BAR_PX, image.width, image.height)).save(written, "PNG")
+    return written.getvalue()
 
 
 @contextmanager
@@ -76,6 +144,8 @@ def _headless_viewer(size: tuple[int, int]) -> Iterator[int]:
         _wait_for(viewer, port)
         yield port
     except (RuntimeError, ConnectionError, ValueError) as error:
+        with suppress(subprocess.TimeoutExpired):
+            viewer.wait(CRASH_S)
         raise PipelineError(NO_VULKAN if viewer.poll() is not None else f"Rerun's viewer: {error}") from error
     finally:
         viewer.terminate()

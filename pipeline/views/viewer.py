@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from pipeline.errors import PipelineError
+from pipeline.fingerprints import file_hash
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.views.rrd import write_rrd
+from recordings.attached import save_attachments
 
 
 def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
@@ -23,9 +27,26 @@ def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
             continue
         rrd = folder / "run.rrd"
         if rebuild or not rrd.exists():
-            write_rrd(rrd, folder.resolve().name, RunValues.load(run).drawable)
+            write_rrd(rrd, folder.resolve().name, RunValues.load(run).drawable, run.identity)
         found.append(rrd)
     return found
+
+
+def rrd_of_mcap(mcap: Path) -> Path:
+    """The views of a run whose run.mcap alone is at hand, made beside it under its name.
+
+    Raises:
+        RecordingError: the file cannot be read.
+        PipelineError: it holds no values of a run.
+    """
+    rrd = mcap.with_suffix(".rrd")
+    with tempfile.TemporaryDirectory() as folder:
+        paths = save_attachments(mcap, Path(folder))
+        if not paths:
+            raise PipelineError(f"{mcap} holds no values of a run; --from-mcap takes the run.mcap of a run")
+        files = {path.relative_to(folder).as_posix(): path for path in paths}
+        write_rrd(rrd, mcap.resolve().parent.name, RunValues.of_files(files).drawable, file_hash(mcap)[:8])
+    return rrd
 
 
 def open_viewer(rrds: Sequence[Path]) -> None:
@@ -34,12 +55,50 @@ def open_viewer(rrds: Sequence[Path]) -> None:
     Raises:
         PipelineError: there is no screen.
     """
-    import rerun_cli
-
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise PipelineError(
-            "there is no screen here; take a picture with --screenshot OUT.png, "
-            f"or open {rrds[0]} with `rerun` on another machine"
+            "there is no screen here; look at it in a browser with --web, take a picture with "
+            f"--screenshot OUT.png, or open {rrds[-1]} with `rerun` on another machine"
         )
-    program = Path(rerun_cli.__file__).parent / "rerun"
-    subprocess.run([program, *rrds], check=False)
+    subprocess.run([_program(), *rrds], check=False)
+
+
+def serve_viewer(rrds: Sequence[Path], port: int, say: Callable[[str], None]) -> None:
+    """Serve Rerun recordings to a browser on this machine until interrupted.
+
+    Args:
+        rrds: files.
+        port: of the page; the next one carries the data.
+        say: told the page's address.
+
+    Raises:
+        PipelineError: the server ended by itself.
+    """
+    arguments = [
+        "--serve-web",
+        "--bind",
+        "127.0.0.1",
+        "--web-viewer-port",
+        str(port),
+        "--port",
+        str(port + 1),
+    ]
+    server = subprocess.Popen([_program(), *arguments, *rrds], env=dict(os.environ, CI="1"))
+    say(f"http://127.0.0.1:{port}/?url=rerun%2Bhttp://127.0.0.1:{port + 1}/proxy")
+    try:
+        if server.wait() != 0:
+            raise PipelineError(f"Rerun could not serve; is port {port} or {port + 1} in use? name another")
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            server.wait(5)
+        server.kill()
+
+
+def _program() -> Path:
+    """The viewer itself, not the script that starts it."""
+    import rerun_cli
+
+    return Path(rerun_cli.__file__).parent / "rerun"

@@ -12,15 +12,16 @@ from rerun.chunk import RrdReader
 
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
+from pipeline.publishing.messages import write_messages
+from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.room import view_room
 from pipeline.synthesis.recording import SyntheticRecording
-from pipeline.views.blueprint import upward
 from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
 from pipeline.views.scene_view import _node_places
-from pipeline.views.screenshot import SOFTWARE_DRIVER, take_screenshot
-from pipeline.views.viewer import open_viewer, rrds_of
+from pipeline.views.screenshot import SOFTWARE_DRIVER, frames_in, take_screenshot
+from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 from tests.scene.results import scene_result
@@ -35,24 +36,27 @@ def values(filmed_mug: SyntheticRecording, true_trajectory: SlamResult, small_sh
     return RunValues(slam=true_trajectory, room=room, shapes={"mug": small_shape})
 
 
+def rows_of(rrd: Path) -> dict[str, int]:
+    """Rows by entity, read back by Rerun."""
+    rows: dict[str, int] = {}
+    for chunk in RrdReader(rrd).stream():
+        rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + chunk.num_rows
+    return {path: count for path, count in rows.items() if not path.startswith("/__properties")}
+
+
 def test_the_rrd_holds_every_part_of_the_run(values: RunValues, tmp_path: Path) -> None:
     """By entity, read back by Rerun."""
     write_rrd(tmp_path / "run.rrd", "mug", values)
-    rows = {}
-    for chunk in RrdReader(tmp_path / "run.rrd").stream():
-        rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + chunk.num_rows
+    rows = rows_of(tmp_path / "run.rrd")
 
-    expected = [
-        "/world/room",
-        "/world/path/mean",
-        "/world/path/particles",
-        "/world/camera",
-        "/world/camera/depth",
-    ]
-    expected += ["/plots/ess", "/plots/evidence", "/world/shapes/mug", "/shapes/mug/voxels", "/report"]
-    assert set(expected) <= set(rows)
-    assert rows["/world/camera/depth"] == 6
-    assert rows["/plots/ess"] >= 6
+    expected = {f"/plots/{plot}": 6 for plot in ("position", "rotation", "ess", "evidence")}
+    expected |= {f"/images/{image}": 6 for image in ("depth", "rendered", "difference", "colour")}
+    expected |= {f"/world/path/{part}": 1 for part in ("mean", "particles", "views", "uncertainty")}
+    expected |= {"/world/camera": 6, "/world/room": 1, "/legend": 1, "/report": 1}
+    expected |= {f"/shapes/mug/{part}": 1 for part in ("surface_by_state", "voxels", "never_seen")}
+    assert {path: rows.get(path, 0) >= count for path, count in expected.items()} == dict.fromkeys(
+        expected, True
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
@@ -61,12 +65,42 @@ def test_a_parsed_scene_is_drawn(parsed_run: RunValues, tmp_path: Path) -> None:
     write_rrd(tmp_path / "run.rrd", "table", parsed_run)
     entities = {str(chunk.entity_path) for chunk in RrdReader(tmp_path / "run.rrd").stream()}
 
-    parts = {f"/world/objects/mug/{part}" for part in ("surface", "uncertainty", "label")}
-    assert parts | {"/world/objects/box/surface", "/graph"} <= entities
+    parts = {f"/world/objects/mug/{part}" for part in ("surface", "samples", "uncertainty", "pole", "label")}
+    assert parts | {"/world/objects/box/surface", "/graph", "/presence"} <= entities
     assert "/world/objects/can/surface" not in entities
-    report = report_markdown("table", parsed_run)
-    assert "| mug | 99% | +- 1.7 | +- 0.1 | box (90%) |" in report
-    assert "| can | 10% | | | not found |" in report
+    report = report_markdown(parsed_run, summary_of(parsed_run))
+    assert "| mug | 99% | +- 2 mm? | +- 0.1 deg | 100% | box 90% |" in report
+    assert "| can | 10% | | | | not found |" in report
+    assert "not converged: R-hat" in report
+
+
+def test_a_single_frame_shows_its_images(values: RunValues, parsed_run: RunValues, tmp_path: Path) -> None:
+    """A parse without a trajectory: depth seen, depth of the objects, and the difference, in its frame."""
+    assert values.room is not None
+    assert parsed_run.scene is not None
+    one = {name: getattr(values.room, name)[2:3] for name in ("frames", "times_ns", "depth_mm")}
+    colour = None if values.room.view_rgb is None else values.room.view_rgb[2:3]
+    room = replace(values.room, **one, view_rgb=colour)
+    write_rrd(tmp_path / "run.rrd", "table", replace(parsed_run, slam=None, room=room))
+
+    rows = {str(chunk.entity_path): chunk.num_rows for chunk in RrdReader(tmp_path / "run.rrd").stream()}
+    assert {path: rows[f"/images/{path}"] for path in ("depth", "rendered", "difference")} == dict.fromkeys(
+        ("depth", "rendered", "difference"), 1
+    )
+    assert frames_in(tmp_path / "run.rrd") == [2, 2]
+    with pytest.raises(PipelineError, match="has no frame 0: it shows 2 to 2"):
+        take_screenshot([tmp_path / "run.rrd"], tmp_path / "a.png", (800, 500), 0)
+
+
+def test_runs_keep_their_views_to_themselves(tmp_path: Path) -> None:
+    """Rerun keeps one blueprint for each application, and merges recordings of one id."""
+    empty = RunValues(slam=None, room=None, shapes={})
+    for identity in ("a1", "b2"):
+        write_rrd(tmp_path / f"{identity}.rrd", "table", empty, identity)
+    stores = [RrdReader(tmp_path / f"{identity}.rrd").recordings()[0] for identity in ("a1", "b2")]
+
+    assert len({one.application_id for one in stores}) == 2
+    assert len({one.recording_id for one in stores}) == 2
 
 
 def test_paths_that_differ_are_told(true_trajectory: SlamResult) -> None:
@@ -76,7 +110,7 @@ def test_paths_that_differ_are_told(true_trajectory: SlamResult) -> None:
     undecided = replace(true_trajectory, trajectories=trajectories)
 
     agreed, told = (
-        report_markdown("mug", RunValues(slam=slam, room=None, shapes={}))
+        report_markdown(RunValues(slam=slam, room=None, shapes={}), {})
         for slam in (true_trajectory, undecided)
     )
 
@@ -109,12 +143,12 @@ def test_a_run_without_values_has_views_too(tmp_path: Path) -> None:
 
 def test_the_report_tells_the_figures(values: RunValues) -> None:
     """In millimetres."""
-    text = report_markdown("mug", values)
+    text = report_markdown(values, summary_of(values))
 
     assert "6 frames over" in text
     assert "none lost" in text
-    assert "position known to 1 mm" in text
-    assert "| mug | 5 x 5 x 5 | 5 | 1 |" in text
+    assert "position +- 1 mm an axis, 1 mm at worst, if only sensor noise errs" in text
+    assert "| mug | 5 x 5 x 5 | 5 | 0% | 14% | 86% |" in text
 
 
 def test_up_is_the_worlds(filmed_mug: SyntheticRecording, values: RunValues) -> None:
@@ -122,8 +156,30 @@ def test_up_is_the_worlds(filmed_mug: SyntheticRecording, values: RunValues) -> 
     reference_from_world = np.linalg.inv(filmed_mug.trajectory.reference_from_camera[0])
     alone = RunValues(slam=values.slam, room=values.room, shapes={})
 
-    assert upward(alone) @ reference_from_world[:3, 2] > np.cos(np.radians(1))
-    assert upward(values).tolist() == [0, 0, 1]
+    assert alone.up @ reference_from_world[:3, 2] > np.cos(np.radians(1))
+    assert values.up.tolist() == [0, 0, 1]
+
+
+def test_the_views_are_made_again_from_the_mcap_alone(
+    values: RunValues, parsed_run: RunValues, tmp_path: Path
+) -> None:
+    """Its attachments are the values: the same entities with as many rows."""
+    whole = replace(parsed_run, room=values.room, shapes=values.shapes)
+    parts = {"slam.npz": whole.slam, "room.npz": whole.room, "parse.npz": whole.scene}
+    parts |= {"objects.npz": whole.surfaces, "shapes/mug.npz": whole.shapes["mug"]}
+    (tmp_path / "shapes").mkdir()
+    for name, value in parts.items():
+        assert value is not None
+        value.save(tmp_path / name)
+    write_messages(tmp_path / "run.mcap", whole, {}, {name: tmp_path / name for name in parts})
+    write_rrd(tmp_path / "whole.rrd", "table", whole)
+
+    again = rrd_of_mcap(tmp_path / "run.mcap")
+
+    assert rows_of(again) == rows_of(tmp_path / "whole.rrd")
+    write_messages(tmp_path / "bare.mcap", whole, {})
+    with pytest.raises(PipelineError, match="holds no values of a run"):
+        rrd_of_mcap(tmp_path / "bare.mcap")
 
 
 def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,7 +191,7 @@ def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.Monkey
     assert result.exit_code == 1
     assert "holds no run" in result.stderr
     assert rrds_of(tmp_path / "none") == []
-    with pytest.raises(PipelineError, match="no screen here; take a picture with --screenshot"):
+    with pytest.raises(PipelineError, match=r"no screen here; .* --web, take a picture with --screenshot"):
         open_viewer([tmp_path / "run.rrd"])
 
 

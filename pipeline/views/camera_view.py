@@ -1,0 +1,117 @@
+"""What the camera saw and what the result says that it saw, at some frames; and the cloud fused from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from pipeline.colours import PATH, SKY_BLUE, shaded
+from pipeline.publishing.values import RunValues
+from pipeline.room import RoomView
+from pipeline.views.rendered_depth import difference_rgb, rendered_views_mm
+from pipeline.views.timelines import set_times
+from pipeline.views.trajectory_view import PARTICLE_WIDTH
+
+SPACING_NEIGHBOURS = 4
+LARGEST_RADIUS_M, RADIUS_AT_OBJECTS_M = 0.02, 0.0008
+"""Points are as large as their neighbours are far, so that walls close; but small where objects were found,
+or posed surfaces would vanish between them."""
+BESIDE_OBJECTS_M = 0.02
+"""Distance from an object's surface within which points count as being there."""
+FRUSTUM_SHARE, FRUSTUM_DISTANCE = 0.08, 0.2
+"""Of the path's extent: the length of the pyramids that show where the camera was, and their distance."""
+LONGEST_FRUSTUM_M = 0.12
+RADIUS_SHARE = 0.8
+"""Of the distance to the fourth neighbour: balls touch on a flat grid."""
+STRAY_SPACING = 2.0
+"""Points so many times farther from their neighbours than these from theirs are noise, and drawn small."""
+LARGEST_RADII = 2.5
+"""Medians of the points' radii, at most."""
+
+
+def log_room(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> None:
+    """The fused cloud, each point as a ball, shaded by normals where there is no colour."""
+    colours = shaded(room.normals, values.up) if room.rgb is None else room.rgb
+    radii = _radii_m(values, room.points_m)
+    recording.log("world/room", rr.Points3D(room.points_m, colors=colours, radii=radii), static=True)
+
+
+def log_camera_views(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> None:
+    """Observed depth, rendered depth, their difference and colour, in the frames that were kept."""
+    rendered_mm = rendered_views_mm(values, room)
+    low_m, high_m = depth_range_m(room)
+    for view, frame in enumerate(room.frames.tolist()):
+        set_times(recording, frame, int(room.times_ns[view]), values.first_ns)
+        for name, pixels in (("depth", room.depth_mm[view]), ("rendered", rendered_mm[view])):
+            image = rr.DepthImage(
+                pixels, meter=1000.0, depth_range=[1000 * low_m, 1000 * high_m], colormap="turbo"
+            )
+            recording.log(f"images/{name}", image)
+        recording.log("images/difference", rr.Image(difference_rgb(room.depth_mm[view], rendered_mm[view])))
+        if room.view_rgb is not None:
+            recording.log("images/colour", rr.Image(room.view_rgb[view]))
+
+
+def log_frusta(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> None:
+    """The camera as a pyramid: the one of the time looked at, and some along the path."""
+    poses = np.eye(4)[None] if values.slam is None else values.slam.mean[room.frames]
+    extent_m = float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)))
+    length_m = float(np.clip(FRUSTUM_SHARE * extent_m, 0.02, LONGEST_FRUSTUM_M))
+    height, width = room.depth_mm.shape[1:]
+    fx, fy, cx, cy = room.intrinsics
+    camera = rr.Pinhole(
+        focal_length=[fx, fy],
+        principal_point=[cx, cy],
+        width=width,
+        height=height,
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=1.5 * length_m,
+        color=PATH,
+    )
+    recording.log("world/camera", camera, static=True)
+    corners = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
+    rays = np.insert((corners - [cx, cy]) / [fx, fy], 2, 1.0, axis=1)
+    strips = []
+    for view in _far_apart(poses[:, :3, 3], FRUSTUM_DISTANCE * extent_m):
+        tip, base = poses[view, :3, 3], length_m * rays @ poses[view, :3, :3].T + poses[view, :3, 3]
+        strips += [[*base, base[0]], [base[0], tip, base[1]], [base[2], tip, base[3]]]
+    frusta = rr.LineStrips3D(strips, colors=SKY_BLUE, radii=PARTICLE_WIDTH)
+    recording.log("world/path/views", frusta, static=True)
+
+
+def depth_range_m(room: RoomView) -> tuple[float, float]:
+    """Where most of the depth of a run lies, by which its images are coloured."""
+    seen = room.depth_mm[room.depth_mm > 0]
+    if not len(seen):
+        return 0.0, 1.0
+    low, high = np.percentile(seen[:: max(len(seen) // 100_000, 1)], [1, 98]) / 1000
+    return float(low), float(max(high, low + 0.01))
+
+
+def _radii_m(values: RunValues, points_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Of the balls (N,) that stand for the points (N, 3)."""
+    if len(points_m) <= SPACING_NEIGHBOURS:
+        return np.full(len(points_m), LARGEST_RADIUS_M, np.float32)
+    distances, near = KDTree(points_m).query(points_m, k=SPACING_NEIGHBOURS + 1)
+    spacing = distances[:, -1]
+    around = np.median(spacing[np.asarray(near)[:, 1:]], axis=1)
+    radii = RADIUS_SHARE * np.where(spacing > STRAY_SPACING * around, around, spacing)
+    radii = np.minimum(radii, min(LARGEST_RADII * float(np.median(radii)), LARGEST_RADIUS_M))
+    if values.scene is not None and values.surfaces is not None:
+        for name, pose in values.scene.found_poses:
+            posed = values.reference_from_parsed @ pose
+            surface = values.surfaces.by_name[name].vertices_m @ posed[:3, :3].T + posed[:3, 3]
+            beside = KDTree(surface).query(points_m, distance_upper_bound=BESIDE_OBJECTS_M)[0]
+            radii[np.isfinite(beside)] = RADIUS_AT_OBJECTS_M
+    return radii.astype(np.float32)
+
+
+def _far_apart(centres_m: NDArray[np.float64], distance_m: float) -> list[int]:
+    """The first of the centres (V, 3), and each that is so far from the one chosen before it."""
+    chosen = [0]
+    for view in range(1, len(centres_m)):
+        if np.linalg.norm(centres_m[view] - centres_m[chosen[-1]]) >= max(distance_m, 1e-3):
+            chosen.append(view)
+    return chosen

@@ -1,0 +1,155 @@
+"""Where the eye stands in a 3D view: so that the scene fills it and what matters is inside and not hidden."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+EYE_FOV_RAD = np.radians(55.0)
+"""Rerun's vertical field of view."""
+ASPECT = 1.0
+"""Width over height of the 3D panel, at least, in a window of 1600 x 1000."""
+EDGE = 1.05
+"""What lies nearer to the edge than a fortieth counts as outside."""
+CELLS = 30
+"""Of the coarse picture in which candidates are compared, along each side."""
+POINTS = 9000
+"""Of the cloud that are looked at: ten a cell."""
+HIDDEN = 0.97
+"""A point is hidden where the cloud has something nearer than this share of its distance."""
+ASIDE_DEG, ABOVE_DEG, AWAY = (
+    (0.0, -25.0, 25.0, -50.0, 50.0),
+    (5.0, 15.0, 30.0, 45.0),
+    (0.35, 0.5, 0.7, 1.0, 1.4),
+)
+"""Candidates round what is looked at: angles from the first camera's side, distances in its diagonals."""
+BEHIND, OVER, BESIDE = (0.2, 0.4, 0.8, 1.3, 2.0), (0.0, 0.2, 0.5, 1.0), (-0.6, 0.0, 0.6)
+"""Candidates behind the first camera, in units of the path's extent."""
+LEAST_EXTENT = 0.12
+"""Of a path, as a share of the diagonal: a camera that stood still is looked at from a little behind too."""
+TOWARD_PATH = (0.0, 0.3, 0.6)
+"""How far the eye turns from what is looked at toward the middle of what is wanted."""
+STRAY = 0.2
+"""Score that a candidate loses for a right angle away from the first camera's side."""
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Position, target and up (3,), metres in the reference frame."""
+
+    position: NDArray[np.float64]
+    target: NDArray[np.float64]
+    up: NDArray[np.float64]
+
+
+def chosen_eye(
+    cloud_m: NDArray[np.floating],
+    wanted_m: NDArray[np.floating],
+    first_camera: NDArray[np.float64],
+    up: NDArray[np.float64],
+    focus_m: NDArray[np.floating] | None = None,
+) -> Eye:
+    """The candidate whose view is filled best, with all that is wanted inside and in sight.
+
+    Args:
+        cloud_m: (N, 3) what there is to see.
+        wanted_m: (W, 3) what must be seen: the path, the objects.
+        first_camera: (4, 4), from whose side people expect to look.
+        up: unit vector (3,).
+        focus_m: (F, 3) what is looked at; the middle 90% of the cloud without it.
+    """
+    cloud = np.asarray(cloud_m[:: -(-len(cloud_m) // POINTS) or 1], np.float64)
+    wanted = np.asarray(wanted_m, np.float64)
+    low, high = _box(cloud if len(cloud) else wanted) if focus_m is None else _box(focus_m, margin=0.0)
+    centre, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.05)
+    sight = centre - first_camera[:3, 3]
+    if np.linalg.norm(sight) < 0.05 * size:
+        sight = first_camera[:3, 2]
+    sight = sight / np.linalg.norm(sight)
+    middle = wanted.mean(axis=0) if len(wanted) else centre
+    positions = [*_round(centre, size, sight, up), *_behind(first_camera, wanted, size, sight, up)]
+    eyes = [
+        Eye(position, centre + share * (middle - centre), up)
+        for position in positions
+        for share in TOWARD_PATH
+    ]
+    return max(eyes, key=lambda eye: _score(eye, cloud, wanted, sight))
+
+
+def _round(
+    centre: NDArray[np.float64], size: float, sight: NDArray[np.float64], up: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Positions round what is looked at, on the side from which the first camera saw it."""
+    level = -sight + (sight @ up) * up
+    if np.linalg.norm(level) < 1e-3:
+        level = np.eye(3)[np.abs(up).argmin()]
+        level = level - (level @ up) * up
+    ahead = level / np.linalg.norm(level)
+    aside = np.cross(up, ahead)
+    return [
+        centre
+        + far * size * (np.cos(above) * (np.cos(turn) * ahead + np.sin(turn) * aside) + np.sin(above) * up)
+        for turn, above, far in itertools.product(np.radians(ASIDE_DEG), np.radians(ABOVE_DEG), AWAY)
+    ]
+
+
+def _behind(
+    first_camera: NDArray[np.float64],
+    wanted_m: NDArray[np.float64],
+    size: float,
+    sight: NDArray[np.float64],
+    up: NDArray[np.float64],
+) -> list[NDArray[np.float64]]:
+    """Positions behind and above the first camera, from which its path is seen in front of the scene."""
+    extent = float(np.linalg.norm(np.ptp(wanted_m, axis=0))) if len(wanted_m) else 0.0
+    extent = float(np.clip(extent, LEAST_EXTENT * size, size))
+    aside = np.cross(sight, up)
+    return [
+        first_camera[:3, 3] + extent * (-back * sight + over * up + beside * aside)
+        for back, over, beside in itertools.product(BEHIND, OVER, BESIDE)
+    ]
+
+
+def _score(
+    eye: Eye, cloud: NDArray[np.float64], wanted_m: NDArray[np.float64], sight: NDArray[np.float64]
+) -> float:
+    """Share of the picture that is filled, and twice the share of what is wanted that is in sight."""
+    cells, depth = projected(eye, cloud)
+    inside = cells >= 0
+    nearest = np.full(CELLS * CELLS, np.inf)
+    np.minimum.at(nearest, cells[inside], depth[inside])
+    score = float(np.isfinite(nearest).mean())
+    if len(wanted_m):
+        cells, depth = projected(eye, wanted_m)
+        seen = cells >= 0
+        seen[seen] = HIDDEN * depth[seen] < nearest[cells[seen]]
+        score += 2 * float(seen.mean())
+    ahead = eye.target - eye.position
+    angle = np.arccos(np.clip(ahead @ sight / np.linalg.norm(ahead), -1, 1))
+    return score - STRAY * float(angle) / (np.pi / 2)
+
+
+def projected(eye: Eye, points_m: NDArray[np.floating]) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
+    """Cell (N,) of the coarse picture in which each point falls, -1 outside, and its distance ahead (N,)."""
+    forward = eye.target - eye.position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, eye.up)
+    right /= np.linalg.norm(right)
+    local = (points_m - eye.position) @ np.stack([right, np.cross(forward, right), forward], axis=1)
+    depth = local[:, 2]
+    half = np.tan(EYE_FOV_RAD / 2) * np.maximum(depth, 1e-9)
+    place = EDGE * np.stack([local[:, 0] / (half * ASPECT), local[:, 1] / half], axis=1)
+    inside = (depth > 1e-3) & (np.abs(place) < 1).all(axis=1)
+    column, row = np.clip(((place + 1) / 2 * CELLS), 0, CELLS - 1).astype(int).T
+    return np.where(inside, row * CELLS + column, -1), depth
+
+
+def _box(
+    points_m: NDArray[np.floating], margin: float = 5.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners (3,) of the box that leaves out so many percent on each side."""
+    low, high = np.percentile(np.asarray(points_m, np.float64), [margin, 100 - margin], axis=0)
+    return low, high
