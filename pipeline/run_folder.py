@@ -94,12 +94,15 @@ class RunFolder:
 
     Attributes:
         path: the folder.
+        checkpoint_path: where the stage that is computed now may keep how far it came; it is found there
+            again by the same stage made from the same things, and removed when that is committed.
     """
 
     def __init__(self, path: Path, *, force: bool = False) -> None:
         """Use `path`; `force` computes stages again."""
         self.path = path
         self._force = force
+        self.checkpoint_path: Path | None = None
 
     def stage(
         self,
@@ -131,6 +134,7 @@ class RunFolder:
         fingerprint = canonical_hash(made_from)
         record = self.record(name)
         if self._force or record is None or record.fingerprint != fingerprint:
+            self._expect_checkpoint(name, fingerprint)
             seconds, compile_s = self._compute(name, compute)
             record = StageRecord(
                 fingerprint=fingerprint,
@@ -144,6 +148,7 @@ class RunFolder:
             )
             self._record_path(name).parent.mkdir(parents=True, exist_ok=True)
             write_json(self._record_path(name), vars(record))
+            self._expect_checkpoint(name, None)
             self._tell_other_cores(record)
         else:
             log.info("%s: unchanged", name)
@@ -178,6 +183,14 @@ class RunFolder:
         """Where a stage's value is kept."""
         kind, _, shape = name.partition("/")
         return self.path / "shapes" / f"{shape}.npz" if kind == "learn" else self.path / f"{kind}.npz"
+
+    def _expect_checkpoint(self, name: str, fingerprint: str | None) -> None:
+        """Let a stage have the checkpoint of a fingerprint, or none; those made from other things go."""
+        folder, stem = self.path / "stages", name.replace("/", ".")
+        self.checkpoint_path = folder / f"{stem}.{fingerprint}.checkpoint" if fingerprint else None
+        for other in folder.glob(f"{stem}.*.checkpoint"):
+            if self._force or other != self.checkpoint_path:
+                other.unlink()
 
     def _compute(self, name: str, compute: Callable[[], V]) -> tuple[float, float]:
         """Compute a value and write it; seconds, and those of compiling."""

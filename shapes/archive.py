@@ -24,7 +24,7 @@ LARGEST_BYTES = 4 << 30
 _DAMAGE = (ValueError, EOFError, OSError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
-def save_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
+def save_arrays(path: Path, arrays: Mapping[str, ArrayLike], *, compressed: bool = True) -> None:
     """Write arrays under their names; the file appears whole or not at all.
 
     Zip entries carry no clock, so equal arrays give equal bytes.
@@ -35,9 +35,8 @@ def save_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
     descriptor, partial = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
     try:
         with os.fdopen(descriptor, "wb") as file:
-            np.savez_compressed(
-                file, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()}
-            )
+            save = np.savez_compressed if compressed else np.savez
+            save(file, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()})
             file.flush()
             os.fsync(file.fileno())
         Path(partial).chmod(0o666 & ~_umask())

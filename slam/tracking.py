@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
+from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
 from slam.filter.init import info_before_map, init
 from slam.filter.state import FilterState, FrameInfo
@@ -23,6 +24,7 @@ from slam.result import SlamResult
 from slam.smoothing import History
 
 OnFrame = Callable[[FrameInfo], None]
+OnCheckpoint = Callable[[Checkpoint], None]
 
 LEAST_RETURNS = 0.01
 """Share of the pixels of the first view of a map that must have returned."""
@@ -34,6 +36,9 @@ def track(
     intrinsics: CameraIntrinsics,
     config: SlamConfig,
     on_frame: OnFrame | None = None,
+    *,
+    checkpoint: Checkpoint | None = None,
+    on_checkpoint: OnCheckpoint | None = None,
 ) -> SlamResult:
     """Where the camera was in every frame, and how surely.
 
@@ -46,18 +51,24 @@ def track(
         intrinsics: of the recording; frames of another size are taken as resized.
         config: settings.
         on_frame: called after every frame.
+        checkpoint: how far a tracker of the same frames, key and settings came that was ended early.
+        on_checkpoint: called after every frame with how far this one came.
 
     Raises:
         ValueError: there is no frame, or none that a map can begin with.
     """
-    state: FilterState | None = None
-    history = History()
+    state: FilterState | None = checkpoint.state if checkpoint else None
+    history = checkpoint.history if checkpoint else History()
+    known = len(history.frames)
     waiting: list[int] = []
     details: list[KeyframeDetail] = []
     full_detail_noise = config.noise or DepthNoise()
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, (frame, view) in enumerate(_views_ahead(frames, intrinsics)):
         motion = odometry.register(frame) if odometry else None
+        if index < known:
+            _recall(history.frames[index], frame, intrinsics, details, full_detail_noise, on_frame)
+            continue
         if state is None and not _can_be_mapped(view):
             waiting.append(frame.time_ns)
             continue
@@ -76,6 +87,8 @@ def track(
             details.append(keyframe_detail(view_of_frame(frame, intrinsics, FINE_CANVAS), full_detail_noise))
         if on_frame is not None:
             on_frame(info)
+        if on_checkpoint is not None:
+            on_checkpoint(Checkpoint(state=state, history=history))
     if state is None and not waiting:
         raise ValueError("the recording has no depth frame")
     if state is None:
@@ -92,6 +105,21 @@ def track(
     state = choose_map(look_key, state, config, details, full_detail_noise, prior)
     state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, prior)
     return history.result(state, placed)
+
+
+def _recall(
+    info: FrameInfo,
+    frame: Frame,
+    intrinsics: CameraIntrinsics,
+    details: list[KeyframeDetail],
+    noise: DepthNoise,
+    on_frame: OnFrame | None,
+) -> None:
+    """Do again for a frame of a checkpoint what depends on its image alone."""
+    if info.keyframe is not None:
+        details.append(keyframe_detail(view_of_frame(frame, intrinsics, FINE_CANVAS), noise))
+    if on_frame is not None:
+        on_frame(info)
 
 
 def _can_be_mapped(view: CanvasView) -> bool:

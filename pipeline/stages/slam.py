@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.checkpoints import CheckpointKeeper
 from pipeline.errors import PipelineError
 from pipeline.run_folder import Committed
 from pipeline.session import Session
@@ -13,9 +14,16 @@ from pipeline.stages.room import room_stage
 from slam.config import SlamConfig
 
 if TYPE_CHECKING:
+    from slam.filter.state import FrameInfo
     from slam.result import SlamResult
 
 SOURCES = ("pipeline.stages.slam", "slam.tracking")
+MANY_SEARCHED = 10
+CAUSES = (
+    "tracking is slow and doubtful there: is it the right unit (--depth-scale), camera and depth topic, do "
+    "few frames a second leave out much of the way, does something large move, is there but a bare wall?"
+)
+"""Why so many frames in a row find no place near the one before."""
 
 
 def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> Committed[SlamResult]:
@@ -43,22 +51,38 @@ def _load(path: Path) -> SlamResult:
 
 
 def _track(session: Session, config: SlamConfig) -> SlamResult:
+    from slam.checkpoint import Checkpoint
     from slam.tracking import track
 
+    assert session.run.checkpoint_path is not None  # while the stage is computed
+    keeper = CheckpointKeeper(session.run.checkpoint_path)
     recording, key = session.recording, session.key("slam")
     with session.common.progress("slam", "frames") as progress:
         progress.phase("reading")
-        total, done = session.look().frames, 0
+        total, done, searched = session.look().frames, 0, 0
         progress.phase(f"compiling once for {recording.size[0]}x{recording.size[1]}")
 
-        def on_frame(_: object) -> None:
-            nonlocal done
+        def on_frame(info: FrameInfo) -> None:
+            nonlocal done, searched
             done += 1
+            searched = searched + 1 if info.unexpected else 0
+            if searched == MANY_SEARCHED:
+                session.warn(
+                    f"frames {done - searched} to {done - 1} had to be searched one by one; {CAUSES}"
+                )
             progress(done, total)
             if done == total:
                 progress.phase("refining the map")
 
         try:
-            return track(key, recording, recording.intrinsics, config, on_frame)
+            return track(
+                key,
+                recording,
+                recording.intrinsics,
+                config,
+                on_frame,
+                checkpoint=keeper.found(Checkpoint.load),
+                on_checkpoint=keeper.keep,
+            )
         except ValueError as error:
             raise PipelineError(f"{session.source.path}: {error}") from error

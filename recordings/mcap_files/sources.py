@@ -14,7 +14,7 @@ from recordings.errors import RecordingError
 
 _STEP = 1 << 20
 _KEPT = 4 * _STEP
-_SMALLEST_LIMIT, _LARGEST_RATIO = 1 << 28, 1000
+_SMALLEST_LIMIT, _LARGEST_RATIO = 1 << 26, 1000
 """How much may come out of a compressed file: images of one value compress 1000-fold, zeros 30,000-fold."""
 
 

@@ -93,6 +93,7 @@ def _first_frame_info(count: int) -> FrameInfo:
         ess=float(count),
         resampled=False,
         lost=False,
+        unexpected=False,
         explained=1.0,
         covered=1.0,
         keyframes=1,

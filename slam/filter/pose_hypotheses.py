@@ -74,8 +74,10 @@ def find_pose_hypotheses(
     prediction: Prediction,
     config: SlamConfig,
     odometry: NDArray[np.float64] | None,
-) -> list[Registration]:
-    """Optima worth proposing, the best first; a single one of group -1 where the camera is lost.
+) -> tuple[list[Registration], bool]:
+    """Optima worth proposing, the best first, and whether none was found where the camera was expected.
+
+    A single one of group -1 stands for a lost camera.
 
     Where depth tells nothing of a direction, as along a bare wall, a trusted prediction is kept.
 
@@ -87,7 +89,8 @@ def find_pose_hypotheses(
     found = _near_predictions(searcher, state, prediction, config, odometry)
     convincing = [located for located in found if located.is_accepted]
     doubtful = not any(located.is_unambiguous for located in found)
-    if not convincing or (doubtful and _step_may_be_wide(state.population)):
+    unexpected = not convincing
+    if unexpected or (doubtful and _step_may_be_wide(state.population)):
         everyone = _group_map(state, prediction.weights, 0)
         distances = np.asarray(pose_grids.ORBIT_DISTANCES) * central_depth(view)
         found.append(searcher.near(everyone, [state.last_found]))
@@ -95,7 +98,7 @@ def find_pose_hypotheses(
         convincing = [replace(located, group=0) for located in suppress_duplicates(found)]
     kept = prune_improbable(convincing, state.calibration.exponent)
     kept.sort(key=lambda located: -float(located.optimum.log_density))
-    return kept[:MAX_HYPOTHESES] or [replace(found[0], group=-1)]
+    return kept[:MAX_HYPOTHESES] or [replace(found[0], group=-1)], unexpected
 
 
 def _near_predictions(

@@ -60,6 +60,7 @@ class FrameInfo:
         ess: after weighting.
         resampled: whether particles were drawn anew.
         lost: whether no pose agreed with the map.
+        unexpected: whether no pose agreed where the camera was expected, and the map was searched.
         explained: share of returns on the map's surface.
         covered: share of returns that meet the map.
         keyframes: number of keyframes after this frame.
@@ -78,6 +79,7 @@ class FrameInfo:
     ess: float
     resampled: bool
     lost: bool
+    unexpected: bool
     explained: float
     covered: float
     keyframes: int

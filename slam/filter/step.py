@@ -54,10 +54,10 @@ def step(
     """
     state = with_room(state)
     prediction = predict(state, time_ns)
-    found = find_pose_hypotheses(state, view, prediction, config, odometry)
+    found, unexpected = find_pose_hypotheses(state, view, prediction, config, odometry)
     if state.calibration.frames == 0 and found[0].group >= 0:
         state = with_calibration(state, found[0])
-        found = find_pose_hypotheses(state, view, prediction, config, odometry)
+        found, unexpected = find_pose_hypotheses(state, view, prediction, config, odometry)
     components = _components(found, state, prediction.poses)
     population, info, proposed = _advance(
         key,
@@ -75,7 +75,7 @@ def step(
     moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
     if not lost:
         moved = with_frame(moved, view, found)
-    report = frame_info(moved, known, info, proposed, components, found, lost)
+    report = frame_info(moved, known, info, proposed, components, found, lost, unexpected)
     turned = state.steps_were_wide or turns_wide(*last_motion(population))
     return replace(moved, steps_were_wide=turned), report
 
@@ -144,6 +144,7 @@ def frame_info(
     components: Component,
     found: list[Registration],
     lost: bool,
+    unexpected: bool,
 ) -> FrameInfo:
     """Of a frame after its step.
 
@@ -155,6 +156,7 @@ def frame_info(
         components: of the proposal.
         found: optima, as by `slam.filter.pose_hypotheses.find_pose_hypotheses`.
         lost: whether there was none.
+        unexpected: whether none was found where the camera was expected.
     """
     particles: CameraParticles = state.population.particles
     anchor = int(found[0].indices[0])
@@ -177,6 +179,7 @@ def frame_info(
         ess=float(info.ess),
         resampled=bool(info.resampled),
         lost=lost,
+        unexpected=unexpected,
         explained=found[0].explained,
         covered=found[0].covered,
         keyframes=len(state.keyframe_map),
