@@ -77,6 +77,8 @@ class _Recovery:
         self._lost_chunk_end: int | None = None
         self._data_ended = False
         self._data_proven = False
+        self._is_chunked = bool(summary and summary.statistics and summary.statistics.chunk_count)
+        """Whether messages stand in chunks: what looks like one elsewhere is part of a chunk that failed."""
         self._next_chunk: int | None = 0
         """The first sound chunk from where one was last sought; None where there is none any more."""
 
@@ -118,6 +120,7 @@ class _Recovery:
 
     def _take(self, step: Step) -> bool:
         """Use a record; False if it is not what its opcode says."""
+        self._is_chunked |= step.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
         if step.opcode == Opcode.MESSAGE:
             return self._take_message(step)
         if step.opcode == Opcode.ATTACHMENT:
@@ -246,6 +249,7 @@ class _Recovery:
     def _lose(self, offset: int, end: int, reason: str) -> None:
         self._close_run()
         record = self._source.read(offset, min(end - offset, VISIBLE_SIZE))
+        self._is_chunked |= record[:1] == bytes([Opcode.CHUNK])
         self._losses.append(Loss(offset=offset, reason=reason, messages=visible_messages(record)))
         self._lost_chunk_end = end
 
@@ -254,7 +258,7 @@ class _Recovery:
         if self._next_chunk is not None and self._next_chunk < offset:
             self._next_chunk = next_sound_chunk(self._source, offset)
         chunk = self._next_chunk
-        if chunk is not None or any(block.is_chunk for block in self._blocks):
+        if chunk is not None or self._is_chunked:
             return chunk
         return next_chain(self._source, offset, self._channels)
 
