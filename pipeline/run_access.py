@@ -17,6 +17,7 @@ from pipeline.errors import PipelineError
 from pipeline.logs import log, logging_to
 from pipeline.machine import machine, versions
 from pipeline.run_folder import RunFolder
+from recordings.errors import RecordingError
 
 _OWN_FOLDERS = frozenset({"shapes", "recordings"})
 _OWN_FILES = frozenset(
@@ -94,8 +95,11 @@ def _clear(path: Path) -> None:
 
 
 def _remove_if_fruitless(path: Path, kind: type[BaseException] | None, *_: object) -> None:
-    """Leave nothing of a run that failed before anything was committed; an interrupted one may go on."""
-    if kind is None or not issubclass(kind, Exception):
+    """Leave nothing of a run that failed before anything was committed.
+
+    An interrupted one may go on; one that met a mistake of the program has its traceback in log.txt.
+    """
+    if kind is None or not issubclass(kind, PipelineError | RecordingError | OSError):
         return
     _remove_partial_files(path)
     if {file.name for file in path.rglob("*") if file.is_file()} <= {"inputs.json", "log.txt"}:
