@@ -83,7 +83,8 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             seeding = () if seed is None else (f"run.seed={seed}",)
             settings = Settings.read(config_file, (*overrides, *seeding), ("run", *sections))
             common = Common(as_json=as_json, quiet=quiet, settings=settings)
-            with common.progress(click.get_current_context().info_name or "voxscene", ""):
+            with common.progress(click.get_current_context().info_name or "voxscene", "") as display:
+                display.phase("working")
                 return command(*args, common=common, **kwargs)
 
         options = [
