@@ -209,14 +209,18 @@ class RemainingTime:
     Args:
         after: so many images.
         say: is given the sentence.
+        progress: is told images done and in all as well.
     """
 
-    def __init__(self, after: int, say: Callable[[str], None]) -> None:
-        self._after, self._say = after, say
+    def __init__(
+        self, after: int, say: Callable[[str], None], progress: Callable[[int, int | None], None]
+    ) -> None:
+        self._after, self._say, self._progress = after, say, progress
         self._begun: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int | None = None) -> None:
         """Images done and in all."""
+        self._progress(done, total)
         now = time.monotonic()
         if self._begun is None:
             self._begun = now, done

@@ -89,21 +89,21 @@ def command(
         if not common.quiet:
             click.echo(sentence, err=True)
 
-    request = Request(
-        out=output.resolve(),
-        shapes=shapes,
-        images=images,
-        data=None if data is None else BopImages(root=data.resolve(), split=split, shapes=shapes),
-        peers=tuple(words("--against", against, PEERS)),
-        seed=common.seed,
-        executors=executors,
-        at_once=at_once,
-        say=say,
-        progress=RemainingTime(ESTIMATE_AFTER, say),
-    )
     for part in ("tables", "figures"):
         (output / part).mkdir(parents=True, exist_ok=True)
-    with stdout_to_stderr():
+    with common.progress("reproduce", "images") as progress, stdout_to_stderr():
+        request = Request(
+            out=output.resolve(),
+            shapes=shapes,
+            images=images,
+            data=None if data is None else BopImages(root=data.resolve(), split=split, shapes=shapes),
+            peers=tuple(words("--against", against, PEERS)),
+            seed=common.seed,
+            executors=executors,
+            at_once=at_once,
+            say=say,
+            progress=RemainingTime(ESTIMATE_AFTER, say, progress),
+        )
         page = reproduce(request, sorted(chosen))
     path = output / "report.html"
     write_text(path, page.html())

@@ -52,7 +52,7 @@ def _real_images(request: Request, page: Page) -> None:
 
 
 def _sampler(request: Request, page: Page) -> None:
-    document = document_of(measure_sampler(request.seed, SAMPLER_MOVES, lambda *_: None))
+    document = document_of(measure_sampler(request.seed, SAMPLER_MOVES, request.progress))
     page.chapter("O. The sampler of scene graphs")
     page.text("Total variation of visited scene graphs from the enumerated posterior.")
     page.listing(request.command("bench", "sampler", meshes=False))

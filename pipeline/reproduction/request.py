@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.benchmarks.pose_sources import BopImages
-from pipeline.benchmarks.poses import RemainingTime
 from pipeline.mesh_source import MeshSource
 from pipeline.task_engine import Executors
 
@@ -39,7 +38,7 @@ class Request:
     executors: Executors
     at_once: int
     say: Callable[[str], None]
-    progress: RemainingTime
+    progress: Callable[[int, int | None], None]
 
     @property
     def rows(self) -> Path:

@@ -253,18 +253,14 @@ def _judge(
 
     keep, csv_path, curves, sheets = files
     executors, at_once = executors_for(workers)
-    remaining = RemainingTime(ESTIMATE_AFTER, lambda line: _say(common, line))
-    images = (
-        kept_images(source, methods, keep)
-        if watch
-        else judged_images(source, methods, executors, at_once, keep, remaining)
-    )
-    done = []
+    done = list(kept_images(source, methods, keep)) if watch else []
     try:
-        for key, found in images:
-            done.append((key, found))
+        with common.progress("poses", "images") as progress:
+            remaining = RemainingTime(ESTIMATE_AFTER, lambda line: _say(common, line), progress)
             if not watch:
-                _say(common, image_line(found))
+                for key, found in judged_images(source, methods, executors, at_once, keep, remaining):
+                    done.append((key, found))
+                    _say(common, image_line(found))
     finally:
         judged, seconds = collected(done)
         document = pose_figures(judged, seconds)

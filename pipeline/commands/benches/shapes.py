@@ -16,7 +16,7 @@ PEERS = ("carving", "votes", "octomap", "tsdf")
 POSES = ("true", "slam", "orbit")
 FIGURES = ("solid", "shell", "observed", "ceiling", "ratio", "reachable")
 SCORES = ("brier", "log_loss", "ece")
-TITLES = (*FIGURES, *PEERS, "Brier", "log loss", "ECE", "seconds")
+TITLES = (*FIGURES[:-1], "reach", *PEERS, "Brier", "log loss", "ECE", "seconds")
 COLUMNS: tuple[str, ...] = (
     *("object", "thin", "conditions", "noise_free", "poses", "views", *FIGURES, *PEERS, *SCORES),
     *("seconds", "supplement", "particles", "hidden_occupied", "failed"),

@@ -1,12 +1,16 @@
 """One page holds the experiments; a second run measures nothing again."""
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from pipeline.benchmarks.poses import RemainingTime
 from pipeline.executors import executors_for
+from pipeline.figures.canvas import panels, write_figure
 from pipeline.mesh_source import MeshSource
+from pipeline.report.page import Page
 from pipeline.reproduction import pose_chapters
 from pipeline.reproduction.reproduce import CHAPTERS, reproduce
 from pipeline.reproduction.request import Request
@@ -40,7 +44,7 @@ def test_the_page_holds_tables_curves_and_outlines(tmp_path: Path, monkeypatch: 
         executors=executors,
         at_once=at_once,
         say=said.append,
-        progress=RemainingTime(8, said.append),
+        progress=RemainingTime(8, said.append, lambda *_: None),
     )
     page = reproduce(request, ["D", "E"]).html()
 
@@ -57,3 +61,30 @@ def test_the_page_holds_tables_curves_and_outlines(tmp_path: Path, monkeypatch: 
     assert reproduce(request, ["D", "E"]).html() == page
     assert [len(one.tried) for one in columns] == tried
     assert set("CDEFO") == set(CHAPTERS)
+
+
+def test_the_page_opens_in_a_browser_without_a_network(tmp_path: Path) -> None:
+    """Headless, with every address out of reach: chapter, table and picture are there."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no browser here")
+    page = Page("Experiments", "seed 0")
+    page.chapter("E. Poses")
+    page.table(("images", "method"), [("all", "voxscene")])
+    figure, _ = panels(1, 1, 1.0, 1.0)
+    write_figure(figure, [tmp_path / "picture.png"])
+    page.pictures({"a picture": (tmp_path / "picture.png").read_bytes()})
+    (tmp_path / "report.html").write_text(page.html())
+    words = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    words += ["--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={tmp_path / 'profile'}"]
+    shown = subprocess.run(
+        [*words, f"file://{tmp_path / 'report.html'}"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    ).stdout
+
+    assert "E. Poses" in shown
+    assert "<td>voxscene</td>" in shown
+    assert 'src="data:image/png' in shown
