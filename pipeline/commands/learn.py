@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,7 +12,12 @@ from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
 from pipeline.options import Common, RecordingSource, common_options, numbers, recording_options, run_options
 
+if TYPE_CHECKING:
+    from pipeline.stages.region import LearnedRegion
+
 BOX_NUMBERS = 6
+LARGE_M = 0.4
+"""Larger regions are as a rule several things, or a piece of furniture."""
 
 
 @click.command(name="learn")
@@ -21,6 +27,17 @@ BOX_NUMBERS = 6
     "--box",
     metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
     help="Where the object is, in metres in the first depth frame's camera; found by itself otherwise.",
+)
+@click.option(
+    "--pixel",
+    metavar="U,V",
+    help="Column and row of the object in the first depth frame, where it is not what the camera looks at.",
+)
+@click.option(
+    "--preview",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="OUT.png",
+    help="Only draw the region that would be learned, on the first depth frame.",
 )
 @click.option("--pitch", "pitch_m", type=float, metavar="METRES", help="Edge of a voxel; 0.005.")
 @click.option(
@@ -41,6 +58,8 @@ def command(
     force: bool,
     name: str,
     box: str | None,
+    pixel: str | None,
+    preview: Path | None,
     pitch_m: float | None,
     poses: str,
 ) -> None:
@@ -52,10 +71,16 @@ def command(
     from pipeline.publishing.publish import stage_document
     from pipeline.session import open_session
     from pipeline.stages.learn import learn_stage
+    from pipeline.stages.region import preview_region
 
     if not re.fullmatch(FILE_NAME, name):
         raise ConfigError(f"--name {name}: use letters, digits, dots, dashes and underscores")
-    options = {"box": _box(box), "pitch_m": pitch_m}
+    options = {"box": _box(box), "pixel": _pixel(pixel), "pitch_m": pitch_m}
+    if preview is not None:
+        with open_session(common, source, run_path, force=force) as session:
+            region = preview_region(session, options, preview, recorded_poses=poses == "recorded")
+        common.report(*_region_told(region, preview))
+        return
     with open_session(common, source, run_path, force=force) as session:
         learn_stage(session, name, options, recorded_poses=poses == "recorded")
         damage = session.damage
@@ -69,6 +94,25 @@ def command(
     ]
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))
+
+
+def _region_told(region: LearnedRegion, picture: Path) -> tuple[dict[str, Any], list[str]]:
+    """The document and the lines on a region that would be learned."""
+    size = " x ".join(f"{100 * side:.0f}" for side in region.size_m)
+    lines = [f"{picture}: {size} cm, {region.voxels} voxels"]
+    if max(region.size_m) > LARGE_M:
+        lines.append("that is more than a thing in a hand: point at the object with --pixel, or give --box")
+    document = {"preview": str(picture), "size_m": list(region.size_m), "voxels": region.voxels}
+    return document, lines
+
+
+def _pixel(text: str | None) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    values = numbers("--pixel", text)
+    if len(values) != 2:
+        raise ConfigError(f"--pixel {text}: write column,row of the object in the first depth frame")
+    return values
 
 
 def _box(text: str | None) -> tuple[float, ...] | None:

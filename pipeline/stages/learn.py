@@ -77,6 +77,15 @@ def learn_stage(
     )
 
 
+def posed_frames(session: Session, *, recorded_poses: bool) -> PosedFrames:
+    """The frames that learning may use: those that slam, run now where it was not, did not lose.
+
+    Raises:
+        PipelineError: it lost all of them, or there are no recorded poses.
+    """
+    return _posed(_recorded(session)) if recorded_poses else tracked_frames(slam_stage(session).value)
+
+
 def tracked_frames(result: SlamResult) -> PosedFrames:
     """The poses of the frames that slam did not lose.
 

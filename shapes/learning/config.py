@@ -20,6 +20,8 @@ class LearnConfig:
         pitch_m: edge of a voxel.
         box: object region xmin, ymin, zmin, xmax, ymax, zmax in metres in the reference frame (the first
             depth frame's camera); None finds it.
+        pixel: column and row of the object in the first frame that is learned from; None takes what the
+            cameras look at.
         views: at most so many frames are used, spread evenly over the recording.
         trajectories: at most so many particles are distilled, drawn by their weights.
         prior_occupied: p0, of a voxel that was never seen.
@@ -37,6 +39,7 @@ class LearnConfig:
 
     pitch_m: float = 0.005
     box: tuple[float, float, float, float, float, float] | None = None
+    pixel: tuple[float, float] | None = None
     views: int = 40
     trajectories: int = 4
     prior_occupied: float = 0.5

@@ -213,8 +213,8 @@ def _read(
         above = eye[2] > height
         plane[above] = arrays["depth_m"][above] * (eye[2] / (eye[2] - height[above]))
     return ViewReadings(
-        before=look == BEFORE,
-        hidden=look == BEHIND,
+        before=np.packbits(look == BEFORE),
+        hidden=np.packbits(look == BEHIND),
         voxel=voxel,
         **arrays,
         normal=normal,

@@ -23,6 +23,8 @@ POINTS_PER_VIEW = 40_000
 """Memory and time."""
 CELL_M = 0.01
 """Edge of the cells in which points are averaged and clusters are connected."""
+PIXEL_REACH = 5
+"""Pixels round the one that a user points at: a click is seldom better."""
 FEWEST_CELLS = 8
 """A cluster of fewer is noise."""
 LEAST_HEIGHT_M = 0.006
@@ -72,7 +74,10 @@ def object_grid(
     ]
     points = np.concatenate(clouds)
     if config.box is None:
-        target = observed_region(depths_m, intrinsics, reference_from_camera)
+        if config.pixel is None:
+            target = observed_region(depths_m, intrinsics, reference_from_camera)
+        else:
+            target = point_at_pixel(depths_m[0], intrinsics, reference_from_camera[0], config.pixel)
         low, high = target - REACH_M, target + REACH_M
     else:
         low, high = np.asarray(config.box[:3]), np.asarray(config.box[3:])
@@ -132,6 +137,30 @@ def observed_region(
     return np.linalg.solve(
         matrix, (across @ eyes[:, :, None]).sum(axis=0)[:, 0] + pull * np.median(met, axis=0)
     )
+
+
+def point_at_pixel(
+    depth_m: NDArray[np.float32],
+    intrinsics: CameraIntrinsics,
+    reference_from_camera: NDArray[np.float64],
+    pixel: tuple[float, float],
+) -> NDArray[np.float64]:
+    """The point (3,) that a frame shows at a pixel (column, row): the median depth of its neighbourhood.
+
+    Raises:
+        ValueError: the pixel is outside the image, or nothing returned near it.
+    """
+    column, row = (round(value) for value in pixel)
+    if not (0 <= column < intrinsics.width and 0 <= row < intrinsics.height):
+        raise ValueError(
+            f"pixel {column},{row} is outside the image of {intrinsics.width}x{intrinsics.height}"
+        )
+    rows, columns = (slice(max(n - PIXEL_REACH, 0), n + PIXEL_REACH + 1) for n in (row, column))
+    returns = depth_m[rows, columns][depth_m[rows, columns] != NO_RETURN]
+    if not len(returns):
+        raise ValueError(f"nothing returned within {PIXEL_REACH} pixels of pixel {column},{row}")
+    point = intrinsics.rays(column, row) * float(np.median(returns))
+    return reference_from_camera[:3, :3] @ point + reference_from_camera[:3, 3]
 
 
 def _standing_on(

@@ -47,8 +47,9 @@ class ViewReadings:
     """Readings of one view as host arrays; see `shapes.learning.readings.Readings`.
 
     Attributes:
-        before: (V,) bool, voxels of the grid well before all surfaces there: a ray crosses them.
-        hidden: (V,) bool, voxels well behind.
+        before: (ceil(V / 8),) packed bits, voxels of the grid well before all surfaces there: a ray crosses
+            them. Of every view all voxels are held: as bytes they would be most of the memory of learning.
+        hidden: (ceil(V / 8),) packed bits, voxels well behind.
         voxel: (N,) the voxels near a surface, of which the rest is said.
         behind_m: (N, 2).
         sigma_m: (N, 2).
@@ -62,8 +63,8 @@ class ViewReadings:
         footprint: edge of a voxel in pixels.
     """
 
-    before: NDArray[np.bool_]
-    hidden: NDArray[np.bool_]
+    before: NDArray[np.uint8]
+    hidden: NDArray[np.uint8]
     voxel: NDArray[np.intp]
     behind_m: NDArray[np.float32]
     sigma_m: NDArray[np.float32]
@@ -128,10 +129,11 @@ def evidence(
         log_crossings[view.voxel[gone]] += np.log1p(
             -through[gone, None] * opacity[side[view.voxel[gone]]] * (1 - slip)
         )
+        before = np.unpackbits(view.before, count=count).view(np.bool_)
         for one in range(2):
-            crossings[one] += view.before & (side == one)
+            crossings[one] += before & (side == one)
         covered = np.where(measured & (view.behind_m > 0), view.association, 0.0).sum(axis=1) > 0.5
-        hidden |= view.hidden
+        hidden |= np.unpackbits(view.hidden, count=count).view(np.bool_)
         hidden[view.voxel] |= covered
         for layer in range(view.behind_m.shape[1]):
             near = np.flatnonzero(measured[:, layer] & (np.abs(view.behind_m[:, layer]) <= band[:, layer]))
@@ -161,13 +163,18 @@ def _band(view: ViewReadings, grid: VoxelGrid) -> NDArray[np.float32]:
 
 def _wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.float64]:
     """Line (N, 3) along which the surfaces near each voxel face, from all views; of either sign."""
-    spread = np.zeros((len(grid), 3, 3))
-    for view in views:
-        near = np.flatnonzero(view.normal.any(axis=1))
-        spread[view.voxel[near]] += view.normal[near, :, None] * view.normal[near, None, :]
+    near = [np.flatnonzero(view.normal.any(axis=1)) for view in views]
+    faces = np.zeros(len(grid), np.bool_)
+    for view, some in zip(views, near, strict=True):
+        faces[view.voxel[some]] = True
+    facing = np.flatnonzero(faces)
+    place = np.zeros(len(grid), np.int32)
+    place[facing] = np.arange(len(facing), dtype=np.int32)
+    spread = np.zeros((len(facing), 3, 3))
+    for view, some in zip(views, near, strict=True):
+        spread[place[view.voxel[some]]] += view.normal[some, :, None] * view.normal[some, None, :]
     walls = np.zeros((len(grid), 3))
-    facing = np.flatnonzero(np.trace(spread, axis1=1, axis2=2))
-    walls[facing] = np.linalg.eigh(spread[facing])[1][:, :, 2]
+    walls[facing] = np.linalg.eigh(spread)[1][:, :, 2]
     return walls
 
 

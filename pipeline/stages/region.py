@@ -1,0 +1,86 @@
+"""The region that learning would take, drawn on the first frame: nothing is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from pipeline.atomic import atomic_path
+from pipeline.errors import PipelineError
+from pipeline.report.pictures import depth_pixels
+from pipeline.session import Session
+from pipeline.stages.learn import posed_frames
+from recordings.types import CameraIntrinsics, Frame
+from shapes.learning.config import LearnConfig
+from shapes.learning.distillation import select_views
+from shapes.learning.region import object_grid
+from shapes.voxel_grid import VoxelGrid
+
+LINE_COLOUR = (255, 120, 0)
+LINE_PX = 2
+NEAREST_M = 0.01
+"""Corners nearer to the camera's plane than this are drawn there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedRegion:
+    """A box of voxels.
+
+    Attributes:
+        size_m: of its edges.
+        voxels: in it.
+    """
+
+    size_m: tuple[float, ...]
+    voxels: int
+
+
+def preview_region(
+    session: Session, options: Mapping[str, Any], picture: Path, *, recorded_poses: bool = False
+) -> LearnedRegion:
+    """Find the region as `learn` would, and draw it on the first frame that would be used.
+
+    Raises:
+        PipelineError: there is no object to learn; the message says why.
+    """
+    config = session.common.settings.section("learn", LearnConfig, options)
+    posed = posed_frames(session, recorded_poses=recorded_poses)
+    chosen = select_views(len(posed.times_ns), config)
+    stamps = set(posed.times_ns[chosen].tolist())
+    frames = [frame for frame in session.recording if frame.time_ns in stamps]
+    poses = posed.trajectories[int(np.argmax(posed.log_weights))][chosen]
+    camera = session.recording.intrinsics
+    try:
+        grid = object_grid([frame.depth_m for frame in frames], camera, poses, config)
+    except ValueError as error:
+        raise PipelineError(f"{session.source.path}: {error}") from error
+    image = drawn(frames[0], camera, grid, np.linalg.inv(poses[0]) @ grid.reference_from_grid)
+    with atomic_path(picture) as partial:
+        image.save(partial)
+    return LearnedRegion(size_m=tuple(side * grid.pitch_m for side in grid.shape), voxels=len(grid))
+
+
+def drawn(
+    frame: Frame, intrinsics: CameraIntrinsics, grid: VoxelGrid, camera_from_grid: NDArray[np.float64]
+) -> Image.Image:
+    """The frame, in colour where it has some, with the edges of a grid."""
+    pixels = depth_pixels(frame.depth_m) if frame.rgb is None else frame.rgb
+    image = Image.fromarray(np.asarray(pixels, np.uint8))
+    canvas = ImageDraw.Draw(image)
+    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
+    points = corners * np.asarray(grid.shape) * grid.pitch_m
+    x, y, z = (points @ camera_from_grid[:3, :3].T + camera_from_grid[:3, 3]).T
+    z = np.maximum(z, NEAREST_M)
+    seen = np.stack([intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy], axis=1)
+    for one in range(8):
+        for other in range(one + 1, 8):
+            if np.abs(corners[one] - corners[other]).sum() == 1:
+                ends = [tuple(seen[one].tolist()), tuple(seen[other].tolist())]
+                canvas.line(ends, fill=LINE_COLOUR, width=LINE_PX)
+    return image
