@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from pipeline.fingerprints import file_hash, source_hash
 from pipeline.logs import log
@@ -13,6 +13,7 @@ from pipeline.options import Common, RecordingSource
 from pipeline.publishing.publish import publish
 from pipeline.run_access import open_run_folder
 from pipeline.run_folder import Committed, RunFolder, V
+from pipeline.seeds import Stage, stage_key
 from recordings.depth_statistics import DepthStatistics
 from recordings.reading import McapRecording, open_recording
 from recordings.types import Damage
@@ -20,9 +21,6 @@ from recordings.types import Damage
 if TYPE_CHECKING:
     import jax
 
-Stage = Literal["slam", "learn", "parse", "draws"]
-STAGES: tuple[Stage, ...] = ("slam", "learn", "parse", "draws")
-"""In the order in which the root key is split; new stages go to the end."""
 READING_MODULE = "recordings.reading"
 
 
@@ -55,9 +53,7 @@ class Session:
 
     def key(self, stage: Stage) -> jax.Array:
         """The key of a stage."""
-        import jax
-
-        return jax.random.split(jax.random.key(self.common.seed), len(STAGES))[STAGES.index(stage)]
+        return stage_key(self.common.seed, stage)
 
     def stage(
         self,

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import jax
 
     from pipeline.meshes import Units
+    from recordings.reading import McapRecording
     from scene.result import SceneResult
 
 SOURCES = ("pipeline.stages.parse", "scene.parsing")
@@ -59,7 +60,7 @@ def parse_stage(
     def compute() -> SceneResult:
         poses = np.eye(4)[None]
         if trajectory is not None:
-            poses = _relative_poses(trajectory.value.mean, config.frames)
+            poses = relative_poses(trajectory.value.mean, config.frames)
         return _parse(session, shapes, surfaces.value, poses, config)
 
     uses = [surfaces] if trajectory is None else [surfaces, trajectory]
@@ -82,7 +83,7 @@ def _parse(
     from scene.parsing import parse_scene
 
     key, draw_key = session.key("parse"), session.key("draws")
-    draws = _draws(shapes, surfaces, draw_key, config)
+    draws = drawn_shapes(shapes, surfaces, draw_key, config)
     with session.common.progress("parse", "blocks") as progress:
         progress.phase("reading")
         session.look()
@@ -92,7 +93,7 @@ def _parse(
                 scene_object(name, one.vertices_m, one.faces, drawn)
                 for (name, one), drawn in zip(surfaces.by_name.items(), draws, strict=True)
             ]
-            numbers, frames = zip(*_frames(session, config.frames), strict=True)
+            numbers, frames = zip(*frames_to_parse(session.recording, config.frames), strict=True)
             return parse_scene(
                 key,
                 frames,
@@ -137,7 +138,7 @@ def _surfaces(
     return session.stage("objects", Surfaces.load, compute, {}, inputs, sources=SURFACE_SOURCES)
 
 
-def _draws(
+def drawn_shapes(
     folder: Path, surfaces: Surfaces, key: jax.Array, config: ParseConfig
 ) -> list[list[tuple[NDArray[np.float64], NDArray[np.int64]]]]:
     """Vertices and faces of random draws of every shape, none where shapes count as certain."""
@@ -155,28 +156,29 @@ def _draws(
     return [[(one.vertices_m, one.faces) for one in draws] for draws in drawn]
 
 
-def _frames(session: Session, numbers: tuple[int, ...]) -> list[tuple[int, Frame]]:
+def frames_to_parse(recording: McapRecording, numbers: tuple[int, ...]) -> list[tuple[int, Frame]]:
     """The depth frames of these numbers, or the first that shows enough.
 
     Raises:
-        PipelineError: the recording ends before the last of them.
+        PipelineError: none shows enough, or the recording ends before the last of them.
     """
     from scene.observation.segmentation import shows_enough
 
-    numbered = enumerate(session.recording)
+    path = recording.decoded.bag.path
+    numbered = enumerate(recording)
     if not numbers:
         shown = next((one for one in numbered if shows_enough(one[1].depth_m)), None)
         if shown is None:
-            raise PipelineError(f"{session.source.path} has no depth frame that shows enough to parse")
+            raise PipelineError(f"{path} has no depth frame that shows enough to parse")
         return [shown]
     wanted = set(numbers)
     frames = [one for one in itertools.islice(numbered, max(numbers) + 1) if one[0] in wanted]
     if len(frames) < len(numbers):
-        raise PipelineError(f"{session.source.path} has no depth frame {max(numbers)}")
+        raise PipelineError(f"{path} has no depth frame {max(numbers)}")
     return frames
 
 
-def _relative_poses(
+def relative_poses(
     reference_from_camera: NDArray[np.float64], numbers: tuple[int, ...]
 ) -> NDArray[np.float64]:
     """Poses (F, 4, 4) of the frames' cameras in that of the first of them."""

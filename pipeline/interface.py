@@ -1,0 +1,190 @@
+"""The Python interface of voxscene, which programs import as `voxscene`.
+
+    import voxscene
+
+    recording = voxscene.open_recording("kitchen.mcap", every=2)
+    trajectory = voxscene.track(recording)
+    shape = voxscene.learn(recording, trajectory)
+    scene = voxscene.parse(recording, "meshes", objects=("mug", "can"))
+
+Metres, radians, nanoseconds; poses are 4x4 matrices named target_from_source; camera frames look along +z
+with x to the right and y down. Equal inputs and seeds give the results of the command line. Compiled
+kernels are kept in the user's cache folder. Everything else in the packages may change without notice.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import ConfigError, PipelineError
+from pipeline.seeds import stage_key
+from recordings.errors import RecordingError
+from recordings.options import ReadOptions
+from recordings.reading import McapRecording
+from recordings.types import CameraIntrinsics, Frame, Trajectory
+from scene.config import ParseConfig
+from scene.result import SceneResult
+from shapes.learning.config import LearnConfig
+from shapes.prior import ShapePrior
+from slam.config import SlamConfig
+from slam.result import SlamResult
+
+__all__ = [
+    "CameraIntrinsics",
+    "ConfigError",
+    "Frame",
+    "LearnConfig",
+    "McapRecording",
+    "ParseConfig",
+    "PipelineError",
+    "ReadOptions",
+    "RecordingError",
+    "SceneResult",
+    "ShapePrior",
+    "SlamConfig",
+    "SlamResult",
+    "Trajectory",
+    "learn",
+    "open_recording",
+    "parse",
+    "recorded_trajectory",
+    "track",
+]
+
+
+def open_recording(path: str | Path, **options: Any) -> McapRecording:
+    """The depth frames of an MCAP file or a rosbag2 folder; no file stays open between iterations.
+
+    Args:
+        path: the file or folder.
+        options: fields of `ReadOptions`, such as depth_topic, every, start_s.
+
+    Raises:
+        RecordingError: it cannot be read, has no depth, or its camera is unknown.
+        ValueError: an option cannot be used.
+    """
+    from recordings.reading import open_recording as opened
+
+    return opened(Path(path), ReadOptions(**options))
+
+
+def recorded_trajectory(path: str | Path, **options: Any) -> Trajectory | None:
+    """The poses that a recording brings of its camera, for comparison; None where it brings none.
+
+    Raises:
+        RecordingError: it cannot be read, or several pose topics could be meant.
+    """
+    from recordings.poses.recorded import recorded_trajectory as recorded
+
+    return recorded(Path(path), ReadOptions(**options))
+
+
+def track(recording: McapRecording, *, seed: int = 0, **settings: Any) -> SlamResult:
+    """Where the camera was in every frame, and how surely.
+
+    Args:
+        recording: the frames.
+        seed: root of all randomness.
+        settings: fields of `SlamConfig`.
+
+    Raises:
+        ValueError: no frame has a return, or a setting cannot be used.
+    """
+    from slam.tracking import track as tracked
+
+    _prepare()
+    return tracked(stage_key(seed, "slam"), recording, recording.intrinsics, SlamConfig(**settings))
+
+
+def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **settings: Any) -> ShapePrior:
+    """The shape of the object that the recording looks at, voxel by voxel.
+
+    Args:
+        recording: the frames.
+        trajectory: of its camera, from `track`.
+        seed: root of all randomness.
+        settings: fields of `LearnConfig`.
+
+    Raises:
+        ValueError: there is no object to learn, or a setting cannot be used.
+        PipelineError: every frame is lost.
+    """
+    from pipeline.stages.learn import tracked_frames
+    from shapes.learning.distillation import learn_shape
+
+    _prepare()
+    posed = tracked_frames(trajectory)
+    stamps = set(posed.times_ns.tolist())
+    return learn_shape(
+        stage_key(seed, "learn"),
+        (frame for frame in recording if frame.time_ns in stamps),
+        recording.intrinsics,
+        posed.trajectories,
+        posed.log_weights,
+        LearnConfig(**settings).for_tracked_poses,
+    )
+
+
+def parse(
+    recording: McapRecording,
+    shapes: str | Path,
+    *,
+    trajectory: SlamResult | None = None,
+    seed: int = 0,
+    **settings: Any,
+) -> SceneResult:
+    """Which objects stand where in the recording, what rests on what, and how sure that is.
+
+    Args:
+        recording: the frames.
+        shapes: folder of learned shapes, a run that holds some, or meshes in metres.
+        trajectory: of its camera, from `track`; needed where `frames` names several.
+        seed: root of all randomness.
+        settings: fields of `ParseConfig`, such as objects and frames.
+
+    Raises:
+        PipelineError: a shape or frame is missing.
+        ValueError: the frames show nothing to parse, or a setting cannot be used.
+    """
+    import numpy as np
+
+    from pipeline.shape_folder import chosen, load_surfaces
+    from pipeline.stages.parse import drawn_shapes, frames_to_parse, relative_poses
+    from pipeline.surfaces import Surfaces
+    from recordings.types import DepthNoise
+    from scene.objects.scene_object import scene_object
+    from scene.parsing import parse_scene
+
+    _prepare()
+    config = ParseConfig(**settings)
+    if len(config.frames) > 1 and trajectory is None:
+        raise ValueError("several frames need a trajectory: give that of `track`")
+    poses = np.eye(4)[None]
+    if len(config.frames) > 1 and trajectory is not None:
+        poses = relative_poses(trajectory.mean, config.frames)
+    surfaces = Surfaces(chosen(load_surfaces(Path(shapes)), config.objects))
+    draws = drawn_shapes(Path(shapes), surfaces, stage_key(seed, "draws"), config)
+    objects = [
+        scene_object(name, one.vertices_m, one.faces, drawn)
+        for (name, one), drawn in zip(surfaces.by_name.items(), draws, strict=True)
+    ]
+    numbers, frames = zip(*frames_to_parse(recording, config.frames), strict=True)
+    return parse_scene(
+        stage_key(seed, "parse"),
+        frames,
+        numbers,
+        poses,
+        recording.intrinsics,
+        DepthNoise(),
+        objects,
+        config,
+    )
+
+
+def _prepare() -> None:
+    """Keep compiled kernels from now on."""
+    from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+
+    keep_compiled_kernels()
+    trace_without_pauses()

@@ -1,0 +1,76 @@
+"""`import voxscene` gives what the command line gives."""
+
+import ast
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pipeline import interface
+from pipeline.cli import voxscene
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_tracking_gives_the_bytes_of_the_command_line(mug_file: Path, tmp_path: Path) -> None:
+    """Same recording, seed and settings: the same saved trajectory."""
+    command = ["slam", str(mug_file), "-o", str(tmp_path / "run"), "--seed", "3", "-s", "slam.particles=16"]
+    result = CliRunner().invoke(voxscene, [*command, "--quiet"])
+    assert result.exit_code == 0, result.output
+    trajectory = interface.track(interface.open_recording(mug_file), seed=3, particles=16)
+    trajectory.save(tmp_path / "own.npz")
+    assert (tmp_path / "own.npz").read_bytes() == (tmp_path / "run" / "slam.npz").read_bytes()
+
+
+def test_recordings_open_with_options_and_bring_their_poses(mug_file: Path) -> None:
+    """Every second frame, and the poses for comparison."""
+    recording = interface.open_recording(mug_file, every=2)
+    assert len(list(recording)) == 3
+    trajectory = interface.recorded_trajectory(mug_file, every=2)
+    assert trajectory is not None
+    assert trajectory.reference_from_camera.shape == (3, 4, 4)
+    assert np.isfinite(trajectory.reference_from_camera).all()
+
+
+def test_a_setting_that_does_not_exist_is_refused(mug_file: Path) -> None:
+    """Before any work, by Python's own error."""
+    with pytest.raises(TypeError, match="particels"):
+        interface.track(interface.open_recording(mug_file), particels=16)
+
+
+def test_several_frames_need_a_trajectory(mug_file: Path, tmp_path: Path) -> None:
+    """Nobody else knows where the camera was."""
+    with pytest.raises(ValueError, match="trajectory"):
+        interface.parse(interface.open_recording(mug_file), tmp_path, frames=(0, 1))
+
+
+def test_the_package_gives_the_interface_and_is_typed() -> None:
+    """The folder that the wheel ships as `voxscene`: every documented name, and py.typed."""
+    folder = ROOT / "pipeline" / "package" / "voxscene"
+    spec = importlib.util.spec_from_file_location("voxscene", folder / "__init__.py")
+    assert spec is not None
+    assert spec.loader is not None
+    package = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(package)
+    assert package.__all__ == interface.__all__
+    assert all(hasattr(package, name) for name in interface.__all__)
+    assert (folder / "py.typed").is_file()
+
+
+def test_importing_starts_no_viewer_and_no_mesh_library() -> None:
+    """Rerun and Open3D are loaded when something asks for them."""
+    code = (
+        "import sys, pipeline.interface; print(sorted({'rerun', 'open3d', 'matplotlib'} & set(sys.modules)))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert ast.literal_eval(found.stdout) == []
+
+
+@pytest.mark.parametrize("name", sorted(set(interface.__all__)))
+def test_every_name_is_documented(name: str) -> None:
+    """With at least a sentence."""
+    assert (getattr(interface, name).__doc__ or "").strip()
