@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
-.PHONY: venv demo test lint bench clean
+.PHONY: venv demo test lint docs bench clean
 
 demo: venv
 	$(BIN)/voxscene demo --out demo
@@ -16,6 +16,9 @@ lint: venv
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+docs: venv
+	$(BIN)/mkdocs build --strict --quiet
 
 bench: venv
 	$(BIN)/voxscene bench speed

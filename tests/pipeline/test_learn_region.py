@@ -47,10 +47,11 @@ def test_the_region_is_drawn_round_the_object_and_nothing_is_learned(mug_file, f
 
 
 def test_a_pixel_on_the_object_means_the_object(mug_file, filmed_mug, tmp_path) -> None:
-    """The same region as that which is found where the cameras look."""
+    """The region that is found where the cameras look, but for a few cells at its rim."""
     column, row = object_pixel(filmed_mug)
     told = json.loads(learn(mug_file, tmp_path, "--pixel", f"{column:.0f},{row:.0f}").stdout)
-    assert told["size_m"] == json.loads(learn(mug_file, tmp_path).stdout)["size_m"]
+    found = json.loads(learn(mug_file, tmp_path).stdout)["size_m"]
+    np.testing.assert_allclose(told["size_m"], found, atol=0.03)
 
 
 @pytest.mark.parametrize(
