@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -41,11 +42,26 @@ def command(
     document = stage_document(session.run, "slam")
     paths = document["path_probabilities"]
     lines = [
-        f"{document['frames']} frames, {document['lost_frames']} lost, "
+        f"{document['frames']} frames over {document['length_m']:.2f} m, {document['lost_frames']} lost, "
         f"{document['frames_per_second']:.1f} a second, compiled in {document['compile_s']:.1f} s",
-        f"trajectory: {run_path / 'trajectory.tum'}",
+        *_doubts(document),
+        f"trajectory: {run_path / 'trajectory.tum'}; look at it: voxscene review {run_path}",
     ]
     if len(paths) > 1:
         lines.insert(1, f"{len(paths)} paths explain what was seen, the one told with {paths[0]:.0%}")
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))
+
+
+def _doubts(document: dict[str, Any]) -> list[str]:
+    """How surely the camera is known, and where it was lost."""
+    lines = []
+    if document["position_std_m"] is not None:
+        lines.append(
+            f"position known to {1000 * document['position_std_m']:.2g} mm (median), "
+            f"{1000 * document['largest_position_std_m']:.2g} mm in frame {document['least_sure_frame']}"
+        )
+    if document["lost"]:
+        first = document["lost"][0]
+        lines.append(f"lost first in frame {first['frame']}, at {first['stamp']} s; all stand in lost.txt")
+    return lines

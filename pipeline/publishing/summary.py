@@ -63,6 +63,9 @@ def timing_of(run: RunFolder, values: RunValues) -> dict[str, Any]:
 
 
 def _slam(result: SlamResult) -> dict[str, Any]:
+    found = np.flatnonzero(~result.lost)
+    places, spread = result.mean[found, :3, 3], result.covariance[found, :3, :3]
+    deviations_m = np.sqrt(np.maximum(np.trace(spread, axis1=1, axis2=2), 0.0))
     return {
         "frames": len(result),
         "lost_frames": int(result.lost.sum()),
@@ -70,6 +73,10 @@ def _slam(result: SlamResult) -> dict[str, Any]:
             {"frame": frame, "stamp": seconds_text(int(result.times_ns[frame]))}
             for frame in np.flatnonzero(result.lost).tolist()
         ],
+        "length_m": float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
+        "position_std_m": float(np.median(deviations_m)) if len(found) else None,
+        "largest_position_std_m": float(deviations_m.max()) if len(found) else None,
+        "least_sure_frame": int(found[np.argmax(deviations_m)]) if len(found) else None,
         "ess_min": float(result.ess.min()),
         "path_probabilities": np.round(result.path_probabilities, 6).tolist(),
         "log_evidence": float(result.log_evidence.sum()),

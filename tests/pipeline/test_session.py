@@ -50,6 +50,12 @@ def track(tracker: Tracker, recording: Path, run: Path, seed: int = 0, every: in
     return session
 
 
+def path_length_m(result: SlamResult) -> float:
+    """How far the camera went."""
+    steps = result.mean[1:, :3, 3] - result.mean[:-1, :3, 3]
+    return float(sum(np.sqrt((step**2).sum()) for step in steps))
+
+
 def test_a_stage_runs_again_for_another_seed_or_reading(
     mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
 ) -> None:
@@ -71,6 +77,9 @@ def test_the_run_folder_holds_what_other_programs_rely_on(
     summary = json.loads((run / "summary.json").read_text())
     slam = {"frames": 6, "lost_frames": 0, "lost": [], "ess_min": 2.0, "path_probabilities": [1.0]}
     slam |= {"log_evidence": 60.0, "warnings": []}
+    spread_m = pytest.approx(np.sqrt(3e-6))
+    slam |= {"position_std_m": spread_m, "largest_position_std_m": spread_m, "least_sure_frame": 0}
+    slam["length_m"] = pytest.approx(path_length_m(true_trajectory))
     assert summary == {"slam": slam}
     document = stage_document(session.run, "slam")
     assert set(document) == {*summary["slam"], "seconds", "compile_s", "frames_per_second", "machine"}
