@@ -107,6 +107,6 @@ def _dataclass(name: str) -> type:
     if module.partition(".")[0] not in PACKAGES:
         raise TypeError(f"{name} is not of this program")
     kind = getattr(importlib.import_module(module), qualname)
-    if not is_dataclass(kind):
+    if not (isinstance(kind, type) and is_dataclass(kind)):
         raise TypeError(f"{name} is no dataclass")
     return kind
