@@ -1,0 +1,148 @@
+"""A lattice of kinds and poses, rendered once for a camera, and the gain of adding each state to a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.colour.density import Segments, laplace_evidence, log_density
+from scene.colour.posterior import ColourImage, Scene, boxes_overlap, visible
+from scene.colour.world import Layers, TableWorld, render
+
+SPACING_M = 0.02
+"""Of places: a quarter of the width of a small thing, so that the next state covers most of its pixels."""
+YAWS = 12
+"""In a full turn: 30 degrees move a mug's handle by less than its length."""
+WEIGHED = 64
+"""States of each kind whose gain is worked out: those under which most is unexplained."""
+PARTED_STATES = 1.5
+"""Lattice spacings by which two candidates of one kind differ in place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """All states and their renderings.
+
+    Attributes:
+        kinds: (S,).
+        poses: (S, 3).
+        layers: of each state alone.
+    """
+
+    kinds: NDArray[np.int64]
+    poses: NDArray[np.float64]
+    layers: Layers
+
+    @classmethod
+    def of(cls, world: TableWorld, spacing_m: float = SPACING_M, yaws: int = YAWS) -> Lattice:
+        """Cells of about these sizes over the square and over the turn that tells a kind's yaws apart."""
+        count = max(round(2 * world.half_m / spacing_m), 1)
+        place = (np.arange(count) + 0.5) * (2 * world.half_m / count) - world.half_m
+        kinds, poses = [], []
+        for number, kind in enumerate(world.kinds):
+            turns = max(yaws // kind.turns, 1) if kind.turns else 1
+            yaw = np.arange(turns) * (2 * np.pi / turns / max(kind.turns, 1))
+            grid = np.stack(np.meshgrid(place, place, yaw, indexing="ij"), axis=-1).reshape(-1, 3)
+            kinds.append(np.full(len(grid), number))
+            poses.append(grid)
+        states = np.concatenate(kinds), np.concatenate(poses)
+        return cls(*states, render(world, *states))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What stands beside a thing that is to be placed: the rest of a scene.
+
+    Attributes:
+        scene: the rest.
+        depth_m: (H * W,) nearest, +inf over the table.
+        explained: (H * W,) log density of each pixel as the rest explains it, albedos at their best.
+    """
+
+    scene: Scene
+    depth_m: NDArray[np.float64]
+    explained: NDArray[np.float64]
+
+
+def surroundings(world: TableWorld, image: ColourImage, scene: Scene) -> Surroundings:
+    """Of a thing to be added to a scene."""
+    depth, explained = np.full(len(image.table), np.inf), image.table.copy()
+    if len(scene):
+        seen = visible(render(world, scene.kinds, scene.poses), world)
+        segments = Segments(seen.start, image.colour[seen.pixel], seen.shade)
+        _, albedo = laplace_evidence(segments, world.noise)
+        rendered = seen.shade[:, None] * albedo[segments.owner]
+        depth[seen.pixel] = seen.depth_m
+        explained[seen.pixel] = log_density(segments.colour, rendered, world.noise).sum(axis=1)
+    return Surroundings(scene, depth, explained)
+
+
+def gains(world: TableWorld, image: ColourImage, rest: Surroundings, layers: Layers) -> NDArray[np.float64]:
+    """Log evidence (B,) that each thing alone would add: of the pixels where it is seen, less as explained.
+
+    Laplace's evidence, the albedos of the rest held: for searching.
+    """
+    seen = layers.kept(layers.depth_m < rest.depth_m[layers.pixel])
+    segments = Segments(seen.start, image.colour[seen.pixel], seen.shade)
+    evidence, _ = laplace_evidence(segments, world.noise)
+    return evidence - _sums_of(rest.explained, seen)
+
+
+def placed_gains(
+    world: TableWorld,
+    image: ColourImage,
+    rest: Surroundings,
+    kinds: NDArray[np.int64],
+    poses: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """`gains` of things (B,) at poses (B, 3); -inf off the square or where boxes overlap."""
+    value = gains(world, image, rest, render(world, kinds, poses))
+    outside = (np.abs(poses[:, :2]) > world.half_m).any(axis=1)
+    return np.where(outside | _overlap_rest(world, rest, kinds, poses), -np.inf, value)
+
+
+def candidates(
+    world: TableWorld, image: ColourImage, rest: Surroundings, lattice: Lattice, of_each_kind: int
+) -> NDArray[np.int64]:
+    """States by gain, so many of each kind, apart from each other; only those that may stand there."""
+    need = 3 * np.log(1 / (world.noise.sigma * np.sqrt(2 * np.pi)))
+    unexplained = Surroundings(rest.scene, rest.depth_m, rest.explained - need)
+    layers = lattice.layers.kept(lattice.layers.depth_m < rest.depth_m[lattice.layers.pixel])
+    promise = -_sums_of(unexplained.explained, layers)
+    promise[_overlap_rest(world, rest, lattice.kinds, lattice.poses)] = -np.inf
+    weighed = np.concatenate(
+        [
+            (mine := np.flatnonzero(lattice.kinds == kind))[np.argsort(-promise[mine])[:WEIGHED]]
+            for kind in range(len(world.kinds))
+        ]
+    )
+    weighed = weighed[np.isfinite(promise[weighed])]
+    gain = gains(world, image, rest, lattice.layers.of(weighed))
+    ordered = weighed[np.argsort(-gain)]
+    chosen: list[int] = []
+    for state in ordered.tolist():
+        rivals = [one for one in chosen if lattice.kinds[one] == lattice.kinds[state]]
+        apart = all(
+            np.abs(lattice.poses[one] - lattice.poses[state])[:2].max() > PARTED_STATES * SPACING_M
+            for one in rivals
+        )
+        if len(rivals) < of_each_kind and apart:
+            chosen.append(state)
+    return np.array(chosen, np.int64)
+
+
+def _overlap_rest(
+    world: TableWorld, rest: Surroundings, kinds: NDArray[np.int64], poses: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    overlap = np.zeros(len(kinds), np.bool_)
+    for kind, pose in zip(rest.scene.kinds, rest.scene.poses, strict=True):
+        others = np.full(len(kinds), kind), np.broadcast_to(pose, poses.shape)
+        overlap |= boxes_overlap(world, kinds, poses, *others)
+    return overlap
+
+
+def _sums_of(values: NDArray[np.float64], layers: Layers) -> NDArray[np.float64]:
+    """Sums (B,) over each thing's pixels."""
+    return np.diff(np.concatenate([[0], np.cumsum(values[layers.pixel])])[layers.start])

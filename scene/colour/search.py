@@ -1,0 +1,181 @@
+"""How many things stand there, which and where: a search for the most probable scenes of one colour image.
+
+Things are added one by one from the lattice, refined before they are compared; then joint moves: one thing is
+replaced, dropped, split into two, or two are merged into one. Scenes of each number and kinds are compared by
+Laplace's evidence at their best poses, which gives p(N | image). A search: what it misses it does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.colour.lattice import Lattice, candidates, surroundings
+from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior
+from scene.colour.refinement import Refined, refine
+from scene.colour.world import TableWorld
+
+OF_EACH_KIND = 2
+"""Candidates of each kind that are refined."""
+COMPARED = 3
+"""Refined candidates whose scenes are weighed exactly."""
+SWEEPS = 4
+"""Most times that all moves are tried."""
+MERGED_M = 0.12
+"""Two things nearer than this may be one: the length of the largest of a table's usual things."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A scene with its evidence.
+
+    Attributes:
+        scene: the things.
+        sd: (N, 3) standard deviations of their poses, by curvature, each alone.
+        log_density: `log_posterior`.
+        log_evidence: of its number and kinds, by Laplace: density times the volume under the Gaussian.
+    """
+
+    scene: Scene
+    sd: NDArray[np.float64]
+    log_density: float
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class FoundScene:
+    """What one image says.
+
+    Attributes:
+        best: the scene of the greatest evidence.
+        count: (most + 1,) probabilities of each number of things, over the scenes that the search weighed.
+    """
+
+    best: Weighed
+    count: NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class _Table:
+    """The search on one image: the best scene of each number and kinds so far."""
+
+    world: TableWorld
+    lattice: Lattice
+    image: ColourImage
+    found: dict[tuple[int, ...], Weighed] = field(default_factory=dict)
+
+    def weigh(self, scene: Scene, sd: NDArray[np.float64]) -> Weighed:
+        """Exactly; kept if it is the best of its number and kinds."""
+        density = log_posterior(self.world, self.image, scene)
+        turns = np.array([self.world.kinds[kind].turns for kind in scene.kinds], np.int64)
+        volume = np.log(np.sqrt(2 * np.pi) * sd).sum() + np.log(np.maximum(turns, 1)).sum()
+        weighed = Weighed(scene, sd, density, density + float(volume))
+        key = tuple(sorted(scene.kinds.tolist()))
+        if key not in self.found or weighed.log_evidence > self.found[key].log_evidence:
+            self.found[key] = weighed
+        return weighed
+
+    def added(self, base: Weighed) -> Weighed | None:
+        """The best scene with one thing more, None where none fits."""
+        if len(base.scene) == self.world.most:
+            return None
+        rest = surroundings(self.world, self.image, base.scene)
+        states = candidates(self.world, self.image, rest, self.lattice, OF_EACH_KIND)
+        if not len(states):
+            return None
+        kinds = self.lattice.kinds[states]
+        refined = refine(self.world, self.image, rest, kinds, self.lattice.poses[states])
+        value = refined.gains + np.log(refined.sd).sum(axis=1)
+        scenes = [
+            self.weigh(
+                base.scene.joined(int(kinds[one]), refined.poses[one]),
+                np.concatenate([base.sd, refined.sd[one : one + 1]]),
+            )
+            for one in np.argsort(-value)[:COMPARED]
+        ]
+        return max(scenes, key=lambda one: one.log_evidence)
+
+    def settled(self, weighed: Weighed) -> Weighed:
+        """Each thing refined among the others, in turn."""
+        for one in range(len(weighed.scene)):
+            rest = surroundings(self.world, self.image, weighed.scene.without(one))
+            own = refine(
+                self.world,
+                self.image,
+                rest,
+                weighed.scene.kinds[one : one + 1],
+                weighed.scene.poses[one : one + 1],
+            )
+            moved = self.weigh(*_replaced(weighed, one, own))
+            weighed = max(weighed, moved, key=lambda each: each.log_evidence)
+        return weighed
+
+    def moves(self, weighed: Weighed) -> Iterator[Weighed | None]:
+        """Joint moves: drop, replace (kind and place), split, merge, add."""
+        for one in range(len(weighed.scene)):
+            base = self.weigh(weighed.scene.without(one), np.delete(weighed.sd, one, axis=0))
+            yield base
+            replaced = self.added(base)
+            yield replaced
+            yield self.added(replaced) if replaced else None
+        for pair in combinations(range(len(weighed.scene)), 2):
+            apart = np.subtract(*weighed.scene.poses[list(pair), :2])
+            if np.linalg.norm(apart) < MERGED_M:
+                base = self.weigh(weighed.scene.without(*pair), np.delete(weighed.sd, pair, axis=0))
+                yield self.added(base)
+        yield self.added(weighed)
+
+
+def _replaced(weighed: Weighed, one: int, own: Refined) -> tuple[Scene, NDArray[np.float64]]:
+    poses, sd = weighed.scene.poses.copy(), weighed.sd.copy()
+    poses[one], sd[one] = own.poses[0], own.sd[0]
+    return Scene(weighed.scene.kinds, poses), sd
+
+
+@dataclass(frozen=True, eq=False)
+class Searcher:
+    """A world with its lattice rendered; `find` serves every image of its camera."""
+
+    world: TableWorld
+    lattice: Lattice
+
+    @classmethod
+    def of(cls, world: TableWorld) -> Searcher:
+        """Render the lattice."""
+        return cls(world, Lattice.of(world))
+
+    def find(
+        self, image: NDArray[np.floating], table_colour: NDArray[np.floating] | None = None
+    ) -> FoundScene:
+        """The most probable scene of an image (H, W, C) in 0..1.
+
+        Args:
+            image: linear in light.
+            table_colour: (C,) of the empty table; None takes the image's median.
+        """
+        table = _Table(self.world, self.lattice, colour_image(self.world, image, table_colour))
+        best = table.weigh(Scene.empty(), np.zeros((0, 3)))
+        while (more := table.added(best)) is not None and more.log_evidence > best.log_evidence:
+            best = table.settled(more)
+        for _ in range(SWEEPS):
+            moved = max(
+                (one for one in table.moves(best) if one is not None),
+                key=lambda one: one.log_evidence,
+                default=best,
+            )
+            if moved.log_evidence <= best.log_evidence:
+                break
+            best = table.settled(moved)
+        return FoundScene(best, _count(table))
+
+
+def _count(table: _Table) -> NDArray[np.float64]:
+    log_mass = np.full(table.world.most + 1, -np.inf)
+    for kinds, weighed in table.found.items():
+        log_mass[len(kinds)] = np.logaddexp(log_mass[len(kinds)], weighed.log_evidence)
+    mass = np.exp(log_mass - log_mass.max())
+    return mass / mass.sum()

@@ -1,0 +1,96 @@
+"""The colour density integrates to one, agrees with its sampler, and albedos are integrated out exactly."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from scene.colour.density import (
+    ColourNoise,
+    Segments,
+    albedo_evidence,
+    fitted_albedo,
+    laplace_evidence,
+    log_density,
+    sample,
+)
+from tests.statistical import FALSE_ALARM
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.05, 0.3])
+@pytest.mark.parametrize("outlier", [0.001, 0.05, 0.5])
+@pytest.mark.parametrize("rendered", [-0.2, 0.0, 0.4, 1.3])
+def test_the_density_of_a_channel_integrates_to_one(sigma: float, outlier: float, rendered: float) -> None:
+    """Over the whole line: what is darker than 0 or brighter than 1 is not clipped."""
+    noise = ColourNoise(sigma=sigma, outlier=outlier)
+    edges = np.concatenate([np.linspace(-4, 0, 40001), np.linspace(0, 1, 20001), np.linspace(1, 4, 30001)])
+    middle, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+
+    assert np.exp(log_density(middle, np.float64(rendered), noise)) @ width == pytest.approx(1, abs=1e-6)
+
+
+def test_the_sampler_draws_from_the_density(seed: int) -> None:
+    """Kolmogorov-Smirnov against the cumulated density; false alarm 1e-6."""
+    noise = ColourNoise(sigma=0.05, outlier=0.3)
+    drawn = sample(np.random.default_rng(seed), np.full(20_000, 0.9), noise)
+
+    def cumulated(value: np.ndarray) -> np.ndarray:
+        normal = stats.norm(0.9, noise.sigma).cdf(value)
+        return (1 - noise.outlier) * normal + noise.outlier * np.clip(value, 0, 1)
+
+    assert stats.kstest(drawn, cumulated).pvalue > FALSE_ALARM
+
+
+def pixels(rng: np.random.Generator, counts: list[int], noise: ColourNoise) -> Segments:
+    """Objects of so many pixels, drawn from the model."""
+    start = np.concatenate([[0], np.cumsum(counts)])
+    shade = rng.uniform(0.2, 1, start[-1])
+    albedo = np.clip(rng.normal(0.5, 0.3, (len(counts), 3)), 0.02, 1)
+    rendered = shade[:, None] * np.repeat(albedo, counts, axis=0)
+    return Segments(start, sample(rng, rendered, noise), shade)
+
+
+@pytest.mark.parametrize("outlier", [0.01, 0.05, 0.2])
+def test_albedos_are_integrated_out_exactly(seed: int, outlier: float) -> None:
+    """As by sums over 20,000 points, from one pixel to two hundred."""
+    noise = ColourNoise(outlier=outlier)
+    segments = pixels(np.random.default_rng(seed), [1, 2, 3, 5, 12, 15, 16, 40, 200], noise)
+    grid = np.linspace(noise.albedo_mean - 2.4, noise.albedo_mean + 2.4, 20_001)
+    prior = stats.norm(noise.albedo_mean, noise.albedo_sd).logpdf(grid)
+    expected = []
+    for first, last in zip(segments.start[:-1], segments.start[1:], strict=True):
+        total = 0.0
+        for channel in range(3):
+            joint = prior.copy()
+            for colour, shade in zip(
+                segments.colour[first:last, channel], segments.shade[first:last], strict=True
+            ):
+                joint += log_density(colour, shade * grid, noise)
+            total += np.log(np.exp(joint - joint.max()).sum() * (grid[1] - grid[0])) + joint.max()
+        expected.append(total)
+
+    np.testing.assert_allclose(albedo_evidence(segments, noise), expected, atol=1e-8)
+
+
+def test_the_fitted_albedo_is_that_of_most_pixels(seed: int) -> None:
+    """Within four of its own standard deviations, outliers left out; Laplace's evidence within 0.1 nat."""
+    noise = ColourNoise()
+    rng = np.random.default_rng(seed)
+    shade = rng.uniform(0.4, 1, 300)
+    colour = sample(rng, shade[:, None] * np.array([0.2, 0.5, 0.9]), noise)
+    segments = Segments(np.array([0, 300]), colour, shade)
+    albedo, precision = fitted_albedo(segments, noise)
+
+    assert (np.abs(albedo - [0.2, 0.5, 0.9]) * np.sqrt(precision) < 5).all()
+    np.testing.assert_allclose(
+        laplace_evidence(segments, noise)[0], albedo_evidence(segments, noise), atol=0.1
+    )
+
+
+def test_objects_without_pixels_have_no_evidence() -> None:
+    """Zero, between others too."""
+    noise = ColourNoise()
+    start = np.array([0, 0, 2, 2])
+    segments = Segments(start, np.full((2, 3), 0.4), np.ones(2))
+
+    assert albedo_evidence(segments, noise)[[0, 2]] == pytest.approx([0, 0], abs=1e-6)
+    assert laplace_evidence(segments, noise)[0][[0, 2]].tolist() == [0, 0]
