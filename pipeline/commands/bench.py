@@ -7,6 +7,6 @@ from pipeline.cli import LazyGroup
 command = LazyGroup(
     name="bench",
     package="pipeline.commands.benches",
-    members=("shapes", "slam", "poses", "sampler", "speed"),
+    members=("shapes", "slam", "poses", "sampler", "speed", "air"),
     help="Measure speed and accuracy beside peers.",
 )

@@ -1,10 +1,12 @@
-"""Tabletop scenes of a few simple things, after those of attend, infer, repeat (Eslami et al. 2016): one colour
-image each, rendered by Embree, independently of the model that reads them.
+"""Tabletop scenes of a few simple things, one colour image each, as in attend, infer, repeat.
+
+Eslami et al. 2016. Rendered by Embree, independently of the model that reads them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
@@ -14,7 +16,9 @@ from numpy.typing import NDArray
 
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.solids import block, cylinder, surface_of
-from recordings.types import CameraIntrinsics
+from recordings.truth import TABLE, SceneTruth, TrueObject, write_scene_truth
+from recordings.types import NO_RETURN, CameraIntrinsics, Frame
+from recordings.writer import RecordingWriter
 from scene.colour.density import ColourNoise, sample
 from scene.colour.posterior import Scene, overlapping
 from scene.colour.world import Kind, Light, TableWorld
@@ -30,6 +34,9 @@ TABLE_COLOUR = (0.75, 0.72, 0.68)
 BALL_M = 0.042
 """Radius of the ball; the other things are as large."""
 BALL_SEGMENTS = 32
+OUTLIERS = 1e-4
+"""Share of channels that tell nothing: dead pixels; silhouettes are mixed beside these."""
+FIRST_STAMP_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,9 +77,7 @@ def air_world(width: int = 64, height: int = 64, light: Light | None = None) -> 
     camera_from_world[:3, :3] = [[1, 0, 0], [0, -sine, -cosine], [0, cosine, -sine]]
     camera_from_world[:3, 3] = [0, 0, DISTANCE_M]
     kinds = tuple(Kind.standing(name, mesh) for name, mesh in air_meshes().items())
-    return TableWorld(
-        camera=camera, camera_from_world=camera_from_world, kinds=kinds, light=light or Light()
-    )
+    return TableWorld(camera=camera, camera_from_world=camera_from_world, kinds=kinds, light=light or Light())
 
 
 def air_scene(world: TableWorld, seed: int) -> AirScene:
@@ -88,10 +93,6 @@ def air_scene(world: TableWorld, seed: int) -> AirScene:
     return AirScene(truth=truth, albedo=albedo, visible=visible, image=sample(rng, clean, outliers))
 
 
-OUTLIERS = 1e-4
-"""Share of channels that tell nothing: dead pixels; silhouettes are mixed beside these."""
-
-
 def _drawn(world: TableWorld, count: int, rng: np.random.Generator) -> Scene:
     """So many things by the prior: all drawn again while two overlap."""
     while True:
@@ -102,22 +103,56 @@ def _drawn(world: TableWorld, count: int, rng: np.random.Generator) -> Scene:
             return scene
 
 
+def write_air_scene(world: TableWorld, scene: AirScene, path: Path) -> None:
+    """One frame as an MCAP file: colour in 8 bits, depth without any return, the camera's pose, the truth.
+
+    Raises:
+        RecordingError: the file cannot be written.
+    """
+    things = []
+    for number, (kind, pose) in enumerate(zip(scene.truth.kinds, scene.truth.poses, strict=True)):
+        shape = world.kinds[kind]
+        things.append(
+            TrueObject(
+                name=f"{shape.name} {number}",
+                shape=shape.name,
+                world_from_object=_upright(pose),
+                vertices_m=shape.vertices_m,
+                faces=shape.faces.astype(np.int32),
+                parent=TABLE,
+            )
+        )
+    truth = SceneTruth(objects=tuple(things), support_plane=np.array([0.0, 0.0, 1.0, 0.0]))
+    rgb = np.rint(np.clip(scene.image, 0, 1) * 255).astype(np.uint8)
+    nothing = np.full(rgb.shape[:2], NO_RETURN, np.float32)
+    with RecordingWriter(path, world.camera) as writer:
+        write_scene_truth(writer, truth, FIRST_STAMP_NS)
+        writer.write_camera_pose(FIRST_STAMP_NS, np.linalg.inv(world.camera_from_world))
+        writer.write_depth(Frame(time_ns=FIRST_STAMP_NS, depth_m=nothing, rgb=rgb))
+
+
+def _upright(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World from thing (4, 4) of (x, y, yaw)."""
+    world_from_thing = trimesh.transformations.rotation_matrix(pose[2], [0, 0, 1])
+    world_from_thing[:2, 3] = pose[:2]
+    return world_from_thing
+
+
 def photograph(
-    world: TableWorld, scene: Scene, albedo: NDArray[np.float64]
+    world: TableWorld, scene: Scene, albedo: NDArray[np.float64], subsamples: int = SUBSAMPLES
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Noise-free image (H, W, 3) on the table, and how many pixels each thing fills by more than half."""
     camera = world.camera
-    fine = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
+    fine = (np.arange(subsamples) + 0.5) / subsamples - 0.5
     columns = (np.arange(camera.width)[:, None] + fine).ravel()
     rows = (np.arange(camera.height)[:, None] + fine).ravel()
     directions = camera.rays(columns[None], rows[:, None]) @ world.camera_from_world[:3, :3]
     origin = np.broadcast_to(np.linalg.inv(world.camera_from_world)[:3, 3], directions.shape)
     caster = o3d.t.geometry.RaycastingScene(nthreads=1)
     for kind, pose in zip(scene.kinds, scene.poses, strict=True):
-        turn = trimesh.transformations.rotation_matrix(pose[2], [0, 0, 1])
-        turn[:2, 3] = pose[:2]
-        points = trimesh.transform_points(world.kinds[kind].vertices_m, turn)
-        caster.add_triangles(points.astype(np.float32), world.kinds[kind].faces.astype(np.uint32))
+        points = trimesh.transform_points(world.kinds[kind].vertices_m, _upright(pose))
+        corners, faces = points.astype(np.float32), world.kinds[kind].faces.astype(np.uint32)
+        caster.add_triangles(o3d.core.Tensor.from_numpy(corners), o3d.core.Tensor.from_numpy(faces))
     rays = np.concatenate([origin, directions], axis=-1).astype(np.float32)
     if not len(scene):
         return np.broadcast_to(TABLE_COLOUR, (camera.height, camera.width, 3)).copy(), np.zeros(0, np.int64)
@@ -126,6 +161,6 @@ def photograph(
     shade = world.light.shade(hits["primitive_normals"].numpy())
     colours = np.concatenate([albedo, [TABLE_COLOUR]])[thing]
     colours *= np.where(thing < len(scene), shade, 1.0)[..., None]
-    blocks = (camera.height, SUBSAMPLES, camera.width, SUBSAMPLES)
+    blocks = (camera.height, subsamples, camera.width, subsamples)
     filled = [(thing == one).reshape(blocks).mean(axis=(1, 3)) > 0.5 for one in range(len(scene))]
     return colours.reshape(*blocks, 3).mean(axis=(1, 3)), np.array([one.sum() for one in filled])

@@ -118,7 +118,9 @@ def fitted_albedo(segments: Segments, noise: ColourNoise) -> tuple[NDArray[np.fl
     return albedo, precision
 
 
-def laplace_evidence(segments: Segments, noise: ColourNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def laplace_evidence(
+    segments: Segments, noise: ColourNoise
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Log evidence (B,) by a Gaussian at the most probable albedo (B, C), and that albedo; for searching."""
     albedo, precision = fitted_albedo(segments, noise)
     density = log_density(segments.colour, segments.shade[:, None] * albedo[segments.owner], noise)

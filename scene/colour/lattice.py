@@ -70,7 +70,7 @@ def surroundings(world: TableWorld, image: ColourImage, scene: Scene) -> Surroun
     """Of a thing to be added to a scene."""
     depth, explained = np.full(len(image.table), np.inf), image.table.copy()
     if len(scene):
-        seen = visible(render(world, scene.kinds, scene.poses), world)
+        seen = visible(world, render(world, scene.kinds, scene.poses))
         segments = Segments(seen.start, image.colour[seen.pixel], seen.shade)
         _, albedo = laplace_evidence(segments, world.noise)
         rendered = seen.shade[:, None] * albedo[segments.owner]

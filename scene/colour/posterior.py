@@ -64,7 +64,7 @@ class ColourImage:
 def colour_image(
     world: TableWorld, image: NDArray[np.floating], table_colour: NDArray[np.floating] | None = None
 ) -> ColourImage:
-    """An image (H, W, C) in 0..1 as the posterior wants it; without a known colour the table has the median's.
+    """An image (H, W, C) in 0..1 as the posterior wants it; a table of unknown colour has the median's.
 
     Raises:
         ValueError: the image is not of the camera's size.
@@ -98,14 +98,18 @@ def log_prior(world: TableWorld, scene: Scene) -> float:
 def log_likelihood(world: TableWorld, image: ColourImage, scene: Scene) -> float:
     """Log density of the image given the scene less that given the empty table."""
     layers = render(world, scene.kinds, scene.poses)
-    return float(visible_gain(world, image, visible(layers, world)).sum())
+    return float(visible_gain(world, image, visible(world, layers)).sum())
 
 
-def visible(layers: Layers, world: TableWorld) -> Layers:
-    """Of things that are all there, what the nearer ones leave to be seen."""
-    nearest = np.full(world.camera.width * world.camera.height, np.inf)
-    np.minimum.at(nearest, layers.pixel, layers.depth_m)
-    return layers.kept(layers.depth_m <= nearest[layers.pixel])
+def visible(world: TableWorld, layers: Layers, scenes: NDArray[np.int64] | None = None) -> Layers:
+    """Of things that are all there, or in these scenes (B,), what the nearer ones leave to be seen."""
+    pixels = world.camera.width * world.camera.height
+    place, count = layers.pixel, 1
+    if scenes is not None:
+        place, count = place + pixels * np.repeat(scenes, np.diff(layers.start)), scenes.max(initial=0) + 1
+    nearest = np.full(pixels * count, np.inf)
+    np.minimum.at(nearest, place, layers.depth_m)
+    return layers.kept(layers.depth_m <= nearest[place])
 
 
 def visible_gain(world: TableWorld, image: ColourImage, seen: Layers) -> NDArray[np.float64]:
@@ -137,15 +141,13 @@ def boxes_overlap(
     other_kinds: NDArray[np.int64],
     other_poses: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Whether boxes (...) overlap others (...) by more than `OVERLAP_M` along every axis that could part them.
+    """Whether boxes (...) overlap others (...) by more than `OVERLAP_M` along each axis that could part them.
 
     Separating axes of two rectangles (Gottschalk, Lin and Manocha 1996); a round thing's box has yaw 0.
     """
     halves = np.array([kind.half_m for kind in world.kinds])
     is_round = np.array([kind.turns == 0 for kind in world.kinds])
-    turns = [
-        np.where(is_round[k], 0.0, p[..., 2]) for k, p in ((kinds, poses), (other_kinds, other_poses))
-    ]
+    turns = [np.where(is_round[k], 0.0, p[..., 2]) for k, p in ((kinds, poses), (other_kinds, other_poses))]
     half = [halves[kinds], halves[other_kinds]]
     apart = other_poses[..., :2] - poses[..., :2]
     least = np.full(kinds.shape, np.inf)

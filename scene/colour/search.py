@@ -79,25 +79,24 @@ class _Table:
             self.found[key] = weighed
         return weighed
 
-    def added(self, base: Weighed) -> Weighed | None:
-        """The best scene with one thing more, None where none fits."""
+    def added(self, base: Weighed) -> list[Weighed]:
+        """The best scenes with one thing more, none where none fits."""
         if len(base.scene) == self.world.most:
-            return None
+            return []
         rest = surroundings(self.world, self.image, base.scene)
         states = candidates(self.world, self.image, rest, self.lattice, OF_EACH_KIND)
         if not len(states):
-            return None
+            return []
         kinds = self.lattice.kinds[states]
         refined = refine(self.world, self.image, rest, kinds, self.lattice.poses[states])
         value = refined.gains + np.log(refined.sd).sum(axis=1)
-        scenes = [
+        return [
             self.weigh(
                 base.scene.joined(int(kinds[one]), refined.poses[one]),
                 np.concatenate([base.sd, refined.sd[one : one + 1]]),
             )
             for one in np.argsort(-value)[:COMPARED]
         ]
-        return max(scenes, key=lambda one: one.log_evidence)
 
     def settled(self, weighed: Weighed) -> Weighed:
         """Each thing refined among the others, in turn."""
@@ -111,23 +110,29 @@ class _Table:
                 weighed.scene.poses[one : one + 1],
             )
             moved = self.weigh(*_replaced(weighed, one, own))
-            weighed = max(weighed, moved, key=lambda each: each.log_evidence)
+            weighed = max(weighed, moved, key=_evidence)
         return weighed
 
-    def moves(self, weighed: Weighed) -> Iterator[Weighed | None]:
-        """Joint moves: drop, replace (kind and place), split, merge, add."""
+    def moves(self, weighed: Weighed) -> Iterator[Weighed]:
+        """Joint moves: drop, replace (kind and place), split, merge, replace two that are near, add."""
         for one in range(len(weighed.scene)):
             base = self.weigh(weighed.scene.without(one), np.delete(weighed.sd, one, axis=0))
             yield base
             replaced = self.added(base)
-            yield replaced
-            yield self.added(replaced) if replaced else None
+            yield from replaced
+            yield from self.added(max(replaced, key=_evidence)) if replaced else ()
         for pair in combinations(range(len(weighed.scene)), 2):
             apart = np.subtract(*weighed.scene.poses[list(pair), :2])
             if np.linalg.norm(apart) < MERGED_M:
                 base = self.weigh(weighed.scene.without(*pair), np.delete(weighed.sd, pair, axis=0))
-                yield self.added(base)
-        yield self.added(weighed)
+                for merged in self.added(base):
+                    yield merged
+                    yield from self.added(merged)
+        yield from self.added(weighed)
+
+
+def _evidence(weighed: Weighed) -> float:
+    return weighed.log_evidence
 
 
 def _replaced(weighed: Weighed, one: int, own: Refined) -> tuple[Scene, NDArray[np.float64]]:
@@ -159,15 +164,10 @@ class Searcher:
         """
         table = _Table(self.world, self.lattice, colour_image(self.world, image, table_colour))
         best = table.weigh(Scene.empty(), np.zeros((0, 3)))
-        while (more := table.added(best)) is not None and more.log_evidence > best.log_evidence:
+        while (more := max([best, *table.added(best)], key=_evidence)) is not best:
             best = table.settled(more)
         for _ in range(SWEEPS):
-            moved = max(
-                (one for one in table.moves(best) if one is not None),
-                key=lambda one: one.log_evidence,
-                default=best,
-            )
-            if moved.log_evidence <= best.log_evidence:
+            if (moved := max([best, *table.moves(best)], key=_evidence)) is best:
                 break
             best = table.settled(moved)
         return FoundScene(best, _count(table))

@@ -28,7 +28,7 @@ ODD_TURNS_RAD = (0.7, 1.9, 2.6)
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """One lamp far away and light from everywhere: shade = ambient + (1 - ambient) max(0, normal . direction).
+    """A far lamp and light from everywhere: shade = ambient + (1 - ambient) max(0, normal . direction).
 
     Attributes:
         direction: towards the lamp, in the world.

@@ -1,0 +1,208 @@
+"""`bench air`: number, kind and place of things on a table from one colour image, against the truth."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from pipeline.errors import PipelineError
+from pipeline.synthesis.air import AirScene, air_scene, air_world
+from scene.colour.posterior import colour_image, log_posterior
+from scene.colour.search import FoundScene, Searcher
+from scene.colour.world import TableWorld
+
+SEEN_PX = 12
+"""Visible pixels from which a thing is judged (issue's rule: fewer are a speck in 64 pixels)."""
+TOLERANCE_NATS = 2.0
+"""By which the truth may score higher than what was found before the search is said to have failed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AirRow:
+    """One scene.
+
+    Attributes:
+        scene: its number, which seeds it.
+        true_kinds: names, in order, with + between.
+        found_kinds: likewise.
+        least_visible: pixels of the thing that is seen least; -1 on an empty table.
+        count_probability: that the method gives to the true number.
+        told_probability: of the number that it holds for most probable.
+        most_probable: that number.
+        score_gap: log density of what was found less that of the truth.
+        errors_m: distances of places, things of like kind matched, with + between; empty if kinds differ.
+        mug_yaw_errors_rad: likewise, of mugs.
+        seconds: taken by the search.
+    """
+
+    scene: int
+    true_kinds: str
+    found_kinds: str
+    least_visible: int
+    count_probability: float
+    told_probability: float
+    most_probable: int
+    score_gap: float
+    errors_m: str
+    mug_yaw_errors_rad: str
+    seconds: float
+
+    @property
+    def count_right(self) -> bool:
+        """As many things were found as there are."""
+        return len(_parts(self.true_kinds)) == len(_parts(self.found_kinds))
+
+
+def measure_air(
+    first: int,
+    scenes: int,
+    side: int,
+    path: Path | None,
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """Search the scenes one by one; rows are added to a CSV file as they are done.
+
+    Args:
+        first: number of the first scene.
+        scenes: how many.
+        side: of the images in pixels.
+        path: of the CSV; scenes that it holds already are not searched again.
+        progress: told scenes done and in all.
+
+    Raises:
+        PipelineError: the file holds something else.
+    """
+    rows = {row.scene: row for row in read_rows(path)} if path else {}
+    started = time.perf_counter()
+    world = air_world(side, side)
+    searcher = Searcher.of(world)
+    set_up_s = time.perf_counter() - started
+    wanted = range(first, first + scenes)
+    for number in wanted:
+        if number not in rows:
+            rows[number] = _row(searcher, air_scene(world, number), number)
+            if path:
+                _append(path, rows[number])
+        progress(number - first + 1, scenes)
+    return {"set_up_s": set_up_s, **figures([rows[number] for number in wanted])}
+
+
+def _row(searcher: Searcher, scene: AirScene, number: int) -> AirRow:
+    world = searcher.world
+    started = time.perf_counter()
+    found = searcher.find(scene.image)
+    seconds = time.perf_counter() - started
+    truth = log_posterior(world, colour_image(world, scene.image), scene.truth)
+    places, yaws = _errors(world, scene, found)
+    return AirRow(
+        scene=number,
+        true_kinds=_names(world, scene.truth.kinds),
+        found_kinds=_names(world, found.best.scene.kinds),
+        least_visible=int(scene.visible.min(initial=10**6)) if len(scene.truth) else -1,
+        count_probability=float(found.count[len(scene.truth)]),
+        told_probability=float(found.count.max()),
+        most_probable=int(found.count.argmax()),
+        score_gap=found.best.log_density - truth,
+        errors_m="+".join(f"{error:.6f}" for error in places),
+        mug_yaw_errors_rad="+".join(f"{error:.4f}" for error in yaws),
+        seconds=seconds,
+    )
+
+
+def _errors(world: TableWorld, scene: AirScene, found: FoundScene) -> tuple[list[float], list[float]]:
+    """Errors of places and of mugs' yaws where kinds are right; things of one kind matched by distance."""
+    true, got = scene.truth, found.best.scene
+    if sorted(true.kinds.tolist()) != sorted(got.kinds.tolist()):
+        return [], []
+    apart = np.linalg.norm(true.poses[:, None, :2] - got.poses[None, :, :2], axis=-1)
+    unlike = true.kinds[:, None] != got.kinds[None]
+    pairs = zip(*linear_sum_assignment(apart + 1e3 * unlike), strict=True)
+    places, yaws = [], []
+    for one, other in pairs:
+        places.append(float(apart[one, other]))
+        if world.kinds[true.kinds[one]].turns == 1:
+            turn = true.poses[one, 2] - got.poses[other, 2]
+            yaws.append(float(np.abs((turn + np.pi) % (2 * np.pi) - np.pi)))
+    return places, yaws
+
+
+def figures(rows: Sequence[AirRow]) -> dict[str, Any]:
+    """Shares and quantiles over scenes."""
+    seen = [row for row in rows if row.least_visible == -1 or row.least_visible >= SEEN_PX]
+    counted = [row for row in rows if row.count_right]
+    errors = _numbers(row.errors_m for row in rows)
+    yaws = _numbers(row.mug_yaw_errors_rad for row in rows)
+    seconds = np.array([row.seconds for row in rows])
+    return {
+        "scenes": len(rows),
+        "count_right": _share([row.count_right for row in rows]),
+        "scenes_all_seen": len(seen),
+        "count_right_all_seen": _share([row.count_right for row in seen]),
+        "kinds_right_where_count_is": _share([row.true_kinds == row.found_kinds for row in counted]),
+        "places": len(errors),
+        "place_median_m": _quantile(errors, 0.5),
+        "place_95_m": _quantile(errors, 0.95),
+        "mug_yaw_median_rad": _quantile(yaws, 0.5),
+        "found_at_least_truth": _share([row.score_gap >= -TOLERANCE_NATS for row in rows]),
+        "missed_by_search": [row.scene for row in rows if row.score_gap < -TOLERANCE_NATS],
+        "count_told": float(np.mean([row.told_probability for row in rows])),
+        "count_told_right": _share([row.most_probable == len(_parts(row.true_kinds)) for row in rows]),
+        "seconds_median": float(np.median(seconds)),
+        "seconds_95": float(np.quantile(seconds, 0.95)),
+    }
+
+
+def read_rows(path: Path) -> list[AirRow]:
+    """What earlier runs wrote; nothing where there is no file.
+
+    Raises:
+        PipelineError: the file holds something else.
+    """
+    if not path.exists():
+        return []
+    types = {"int": int, "float": float, "str": str}
+    with path.open(newline="", encoding="utf-8") as file:
+        try:
+            return [
+                AirRow(**{field.name: types[str(field.type)](row[field.name]) for field in fields(AirRow)})
+                for row in csv.DictReader(file)
+            ]
+        except (KeyError, ValueError, TypeError) as error:
+            raise PipelineError(f"{path} was not written by bench air: {error}") from error
+
+
+def _append(path: Path, row: AirRow) -> None:
+    begun = path.exists() and path.stat().st_size > 0
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(AirRow)])
+        if not begun:
+            writer.writeheader()
+        writer.writerow(asdict(row))
+
+
+def _names(world: TableWorld, kinds: NDArray[np.int64]) -> str:
+    return "+".join(sorted(world.kinds[kind].name for kind in kinds))
+
+
+def _parts(text: str) -> list[str]:
+    return text.split("+") if text else []
+
+
+def _numbers(cells: Any) -> NDArray[np.float64]:
+    return np.array([float(part) for cell in cells for part in _parts(cell)])
+
+
+def _share(right: Sequence[bool]) -> float | None:
+    return float(np.mean(right)) if right else None
+
+
+def _quantile(values: NDArray[np.float64], share: float) -> float | None:
+    return float(np.quantile(values, share)) if len(values) else None

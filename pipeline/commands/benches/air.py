@@ -1,0 +1,61 @@
+"""`voxscene bench air`: things on a table from one colour image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pipeline.options import Common, common_options
+
+
+@click.command(name="air")
+@click.option("--scenes", type=click.IntRange(min=1), default=40, show_default=True)
+@click.option(
+    "--side", type=click.IntRange(16, 1024), default=64, show_default=True, help="Of images, pixels."
+)
+@click.option(
+    "--csv",
+    "csv_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Add a row for each scene as it is done; scenes that the file holds already are not run again.",
+)
+@common_options()
+def command(common: Common, scenes: int, side: int, csv_path: Path | None) -> None:
+    """Number, kind and place of 0 to 3 things from one colour image.
+
+    Balls, cubes, cylinders and mugs of unknown colour on a plain table, rendered by Embree with mixed
+    silhouettes and noise; camera and lamp known, no depth, no training. The scenes are numbered from --seed
+    on. Set-up is told apart.
+    """
+    from pipeline.benchmarks.air import measure_air
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    with common.progress("air", "scenes") as progress, stdout_to_stderr():
+        document = measure_air(common.seed, scenes, side, csv_path, progress)
+    common.report(document, _lines(document))
+
+
+def _lines(document: dict[str, Any]) -> list[str]:
+    def share(name: str) -> str:
+        value = document[name]
+        return "-" if value is None else f"{100 * value:.1f}%"
+
+    def number(name: str, scale: float, unit: str) -> str:
+        value = document[name]
+        return "-" if value is None else f"{scale * value:.2f} {unit}"
+
+    missed = ", ".join(map(str, document["missed_by_search"])) or "none"
+    return [
+        f"{document['scenes']} scenes, set up in {document['set_up_s']:.1f} s",
+        f"count right: {share('count_right')}; where every thing shows 12 pixels: "
+        f"{share('count_right_all_seen')} of {document['scenes_all_seen']}",
+        f"kinds right where the count is: {share('kinds_right_where_count_is')}",
+        f"places of {document['places']}: median {number('place_median_m', 1e3, 'mm')}, "
+        f"95% {number('place_95_m', 1e3, 'mm')}",
+        f"yaw of mugs: median {number('mug_yaw_median_rad', 57.29578, 'degrees')}",
+        f"p(N): mean of the most probable {share('count_told')}, right {share('count_told_right')}",
+        f"scores as high as the truth less 2 nats: {share('found_at_least_truth')}; below: {missed}",
+        f"seconds a frame: median {document['seconds_median']:.2f}, 95% {document['seconds_95']:.2f}",
+    ]
