@@ -15,10 +15,12 @@ SPACING_M = 0.02
 """Of places: a quarter of the width of a small thing, so that the next state covers most of its pixels."""
 YAWS = 12
 """In a full turn: 30 degrees move a mug's handle by less than its length."""
-WEIGHED = 64
-"""States of each kind whose gain is worked out: those under which most is unexplained."""
-PARTED_STATES = 1.5
-"""Lattice spacings by which two candidates of one kind differ in place."""
+WEIGHED = 24
+"""States of each kind and yaw whose gain is worked out: those under which most is unexplained."""
+TURNED_M = 0.021
+"""Round a pose, in which states of other yaws are looked at: the places next to it."""
+PARTED = 1.5
+"""Lattice spacings, of place or of yaw, by which two candidates of one kind differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,27 +30,36 @@ class Lattice:
     Attributes:
         kinds: (S,).
         poses: (S, 3).
+        groups: (S,) numbers of kind and yaw together.
         layers: of each state alone.
     """
 
     kinds: NDArray[np.int64]
     poses: NDArray[np.float64]
+    groups: NDArray[np.int64]
     layers: Layers
+
+    def apart(self, one: int, other: int) -> bool:
+        """Whether two states differ by more than neighbours do, in place or in yaw."""
+        shift = np.abs(self.poses[one] - self.poses[other])
+        turn = min(shift[2], 2 * np.pi - shift[2])
+        return bool(shift[:2].max() > PARTED * SPACING_M or turn > PARTED * 2 * np.pi / YAWS)
 
     @classmethod
     def of(cls, world: TableWorld, spacing_m: float = SPACING_M, yaws: int = YAWS) -> Lattice:
         """Cells of about these sizes over the square and over the turn that tells a kind's yaws apart."""
         count = max(round(2 * world.half_m / spacing_m), 1)
         place = (np.arange(count) + 0.5) * (2 * world.half_m / count) - world.half_m
-        kinds, poses = [], []
+        kinds, poses, groups = [], [], []
         for number, kind in enumerate(world.kinds):
             turns = max(yaws // kind.turns, 1) if kind.turns else 1
             yaw = np.arange(turns) * (2 * np.pi / turns / max(kind.turns, 1))
             grid = np.stack(np.meshgrid(place, place, yaw, indexing="ij"), axis=-1).reshape(-1, 3)
+            groups.append(sum(len(np.unique(one)) for one in groups) + np.tile(np.arange(turns), count**2))
             kinds.append(np.full(len(grid), number))
             poses.append(grid)
         states = np.concatenate(kinds), np.concatenate(poses)
-        return cls(*states, render(world, *states))
+        return cls(*states, np.concatenate(groups), render(world, *states))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,23 +125,30 @@ def candidates(
     promise[_overlap_rest(world, rest, lattice.kinds, lattice.poses)] = -np.inf
     weighed = np.concatenate(
         [
-            (mine := np.flatnonzero(lattice.kinds == kind))[np.argsort(-promise[mine])[:WEIGHED]]
-            for kind in range(len(world.kinds))
+            (mine := np.flatnonzero(lattice.groups == group))[np.argsort(-promise[mine])[:WEIGHED]]
+            for group in range(lattice.groups.max() + 1)
         ]
     )
     weighed = weighed[np.isfinite(promise[weighed])]
     gain = gains(world, image, rest, lattice.layers.of(weighed))
-    ordered = weighed[np.argsort(-gain)]
     chosen: list[int] = []
-    for state in ordered.tolist():
+    for state in weighed[np.argsort(-gain)].tolist():
         rivals = [one for one in chosen if lattice.kinds[one] == lattice.kinds[state]]
-        apart = all(
-            np.abs(lattice.poses[one] - lattice.poses[state])[:2].max() > PARTED_STATES * SPACING_M
-            for one in rivals
-        )
-        if len(rivals) < of_each_kind and apart:
+        if len(rivals) < of_each_kind and all(lattice.apart(one, state) for one in rivals):
             chosen.append(state)
     return np.array(chosen, np.int64)
+
+
+def turned(
+    world: TableWorld, image: ColourImage, rest: Surroundings, lattice: Lattice, kind: int, pose: NDArray
+) -> NDArray[np.int64]:
+    """The states of one kind near a pose with the greatest gain for each yaw, the better ones first."""
+    near = np.abs(lattice.poses[:, :2] - pose[:2]).max(axis=1) <= TURNED_M
+    states = np.flatnonzero(near & (lattice.kinds == kind))
+    states = states[~_overlap_rest(world, rest, lattice.kinds[states], lattice.poses[states])]
+    ordered = states[np.argsort(-gains(world, image, rest, lattice.layers.of(states)))]
+    _, first = np.unique(lattice.groups[ordered], return_index=True)
+    return ordered[np.sort(first)]
 
 
 def _overlap_rest(

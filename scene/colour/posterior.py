@@ -146,10 +146,15 @@ def boxes_overlap(
     Separating axes of two rectangles (Gottschalk, Lin and Manocha 1996); a round thing's box has yaw 0.
     """
     halves = np.array([kind.half_m for kind in world.kinds])
+    middles = np.array([kind.middle_m for kind in world.kinds])
     is_round = np.array([kind.turns == 0 for kind in world.kinds])
     turns = [np.where(is_round[k], 0.0, p[..., 2]) for k, p in ((kinds, poses), (other_kinds, other_poses))]
     half = [halves[kinds], halves[other_kinds]]
-    apart = other_poses[..., :2] - poses[..., :2]
+    ends = [
+        place[..., :2] + _rotated(middles[kind], turn)
+        for kind, place, turn in zip((kinds, other_kinds), (poses, other_poses), turns, strict=True)
+    ]
+    apart = ends[1] - ends[0]
     least = np.full(kinds.shape, np.inf)
     for turn in turns:
         for quarter in (0.0, np.pi / 2):
@@ -161,3 +166,10 @@ def boxes_overlap(
             distance = np.abs(np.cos(axis) * apart[..., 0] + np.sin(axis) * apart[..., 1])
             least = np.minimum(least, reach - distance)
     return least > OVERLAP_M
+
+
+def _rotated(points: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (..., 2) turned by angles (...)."""
+    cosine, sine = np.cos(turn), np.sin(turn)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)

@@ -14,13 +14,15 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.lattice import Lattice, candidates, surroundings
+from scene.colour.lattice import Lattice, candidates, surroundings, turned
 from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior
 from scene.colour.refinement import Refined, refine
 from scene.colour.world import TableWorld
 
-OF_EACH_KIND = 2
-"""Candidates of each kind that are refined."""
+OF_EACH_KIND = 3
+"""Candidates of each kind that are refined: a mug's handle may be taken to be on any side."""
+YAWS_REFINED = 6
+"""Half of the lattice's yaws: those of the greatest gain."""
 COMPARED = 3
 """Refined candidates whose scenes are weighed exactly."""
 SWEEPS = 4
@@ -113,9 +115,23 @@ class _Table:
             weighed = max(weighed, moved, key=_evidence)
         return weighed
 
+    def turned(self, weighed: Weighed, one: int) -> Weighed:
+        """One thing turned in place: the best of several yaws, each refined."""
+        rest = surroundings(self.world, self.image, weighed.scene.without(one))
+        kind = int(weighed.scene.kinds[one])
+        states = turned(self.world, self.image, rest, self.lattice, kind, weighed.scene.poses[one])[
+            :YAWS_REFINED
+        ]
+        if len(states) < 2:
+            return weighed
+        own = refine(self.world, self.image, rest, self.lattice.kinds[states], self.lattice.poses[states])
+        best = int(own.gains.argmax())
+        return self.weigh(*_replaced(weighed, one, own, best))
+
     def moves(self, weighed: Weighed) -> Iterator[Weighed]:
-        """Joint moves: drop, replace (kind and place), split, merge, replace two that are near, add."""
+        """Joint moves: turn, drop, replace (kind and place), split, merge, replace two that are near, add."""
         for one in range(len(weighed.scene)):
+            yield self.turned(weighed, one)
             base = self.weigh(weighed.scene.without(one), np.delete(weighed.sd, one, axis=0))
             yield base
             replaced = self.added(base)
@@ -135,9 +151,9 @@ def _evidence(weighed: Weighed) -> float:
     return weighed.log_evidence
 
 
-def _replaced(weighed: Weighed, one: int, own: Refined) -> tuple[Scene, NDArray[np.float64]]:
+def _replaced(weighed: Weighed, one: int, own: Refined, which: int = 0) -> tuple[Scene, NDArray[np.float64]]:
     poses, sd = weighed.scene.poses.copy(), weighed.sd.copy()
-    poses[one], sd[one] = own.poses[0], own.sd[0]
+    poses[one], sd[one] = own.poses[which], own.sd[which]
     return Scene(weighed.scene.kinds, poses), sd
 
 

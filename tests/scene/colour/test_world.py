@@ -10,7 +10,7 @@ from scene.colour.world import Kind, render
 
 
 def test_turns_are_those_of_the_shapes() -> None:
-    """Round, fourfold, twofold, and a mug that looks the same only after a whole turn."""
+    """Round, fourfold, twofold, a mug that looks the same only after a whole turn, about its body's axis."""
     kinds = {name: Kind.standing(name, mesh) for name, mesh in air_meshes().items()}
     kinds["brick"] = Kind.standing("brick", trimesh.creation.box((0.2, 0.1, 0.05)))
 
@@ -23,7 +23,12 @@ def test_turns_are_those_of_the_shapes() -> None:
     }
     for kind in kinds.values():
         assert kind.vertices_m[:, 2].min() == pytest.approx(0)
-        np.testing.assert_allclose(kind.vertices_m[:, :2].min(axis=0), -kind.half_m)
+    body = kinds["mug"].vertices_m[:, :2]
+    assert np.linalg.norm(body, axis=1).max() > 0.06  # the handle
+    assert np.median(np.linalg.norm(body[kinds["mug"].vertices_m[:, 2] < 1e-4], axis=1)) == pytest.approx(
+        0.042, abs=5e-4
+    )
+    np.testing.assert_allclose(kinds["brick"].middle_m, 0, atol=1e-12)
 
 
 def test_renderings_are_what_embree_sees(seed: int) -> None:
