@@ -190,8 +190,8 @@ def _render_kind(world: TableWorld, number: int, poses: NDArray[np.float64]) -> 
 
 def _axis(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
     """Where (2,) the upright line stands about which most of a surface is round; else the box's middle."""
-    points, faces = trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=0)
-    direction, point = spin_line(np.asarray(points), mesh.face_normals[faces])
+    drawn = trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=0)
+    direction, point = spin_line(np.asarray(drawn[0]), mesh.face_normals[drawn[1]])
     if abs(direction[2]) < UPRIGHT:
         return mesh.bounds[:, :2].mean(axis=0)
     return (point - direction * (point[2] / direction[2]))[:2]
