@@ -16,10 +16,10 @@ from pipeline.options import Common, common_options, image_size
 @click.option("--size", metavar="WIDTHxHEIGHT", default="64x64", show_default=True, help="Image size.")
 @common_options()
 def command(common: Common, out: Path, scenes: int, size: str) -> None:
-    """Recordings of one colour frame each in OUT: 0 to 3 balls, cubes, cylinders and mugs on a table.
+    """Photograph simple things on a table, into OUT.
 
-    Those of `bench air`, numbered from --seed on: colours in 8 bits, depth without any return, the truth in
-    the file.
+    One colour frame for each recording: 0 to 3 balls, cubes, cylinders and mugs. The scenes are those of
+    `bench air`, numbered from --seed on: colours in 8 bits, depth without any return, the truth in the file.
     """
     from pipeline.quiet_stdout import stdout_to_stderr
     from pipeline.synthesis.air import air_scene, air_world, write_air_scene
