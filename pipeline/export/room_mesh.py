@@ -82,12 +82,16 @@ class _Grid:
             block_resolution=BLOCK,
             block_count=10_000,
         )
+        self._empty = True
         # Open3D looks up the pixel below a projection: its pixel centres lie at halves.
         matrix = [[intrinsics.fx, 0, intrinsics.cx + 0.5], [0, intrinsics.fy, intrinsics.cy + 0.5], [0, 0, 1]]
         self._camera = _tensor(np.asarray(matrix, np.float64))
 
     def add(self, depth_m: NDArray[np.float32], reference_from_camera: NDArray[np.float64]) -> None:
-        """Take in one depth image (H, W)."""
+        """Take in one depth image (H, W); one that shows nothing near enough changes nothing."""
+        if not ((depth_m > 0) & (depth_m < FARTHEST_M)).any():  # Open3D raises where it has no block to touch
+            return
+        self._empty = False
         depth = o3d.t.geometry.Image(_tensor(depth_m))
         camera_from_reference = _tensor(np.linalg.inv(reference_from_camera))
         settings = (1.0, FARTHEST_M, TRUNCATION_PITCHES)  # metres for a stored 1
@@ -99,6 +103,8 @@ class _Grid:
 
     def surface(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Vertices (V, 3) in metres and triangles (F, 3) of the zero level."""
+        if self._empty:
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         mesh = self._voxels.extract_triangle_mesh(weight_threshold=FEWEST_VIEWS)
         if mesh.is_empty():
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
