@@ -199,11 +199,7 @@ class McapRecording:
         self._length = count
 
     def statistics(self) -> DepthStatistics:
-        """What the depths and stamps look like, by reading all messages and decoding a few of them.
-
-        A frame is decoded where its number has at most three binary digits before its zeros: 0 to 8, then
-        four in each octave.
-        """
+        """What depths and stamps look like: all messages are read, the first and four an octave decoded."""
         found = DepthStatistics()
 
         def lose(_: object) -> None:
