@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.evaluation.scenes import parents_right
 from pipeline.mesh_source import MeshSource
 from pipeline.peers.registration import Model, settings
+from pipeline.session import stage_key
 from pipeline.timing import Timing, timed
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
@@ -104,7 +104,7 @@ class Parse:
         sought = [self._sought(shapes, name).scene_object for name in names]
         with timed() as timing:
             scene = parse_scene(
-                jax.random.key(self.seed),
+                stage_key(self.seed, "parse"),
                 [image.frame],
                 [0],
                 np.eye(4)[None],
