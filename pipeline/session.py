@@ -24,13 +24,6 @@ if TYPE_CHECKING:
 READING_MODULE = "recordings.reading"
 
 
-def stage_key(seed: int, stage: Stage) -> jax.Array:
-    """The key of a stage in all runs of that seed."""
-    import jax
-
-    return jax.random.split(jax.random.key(seed), len(STAGES))[STAGES.index(stage)]
-
-
 class Session:
     """What a stage needs to be wired up.
 

@@ -19,7 +19,7 @@ from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.evaluation.scenes import parents_right
 from pipeline.mesh_source import MeshSource
 from pipeline.peers.registration import Model, settings
-from pipeline.session import stage_key
+from pipeline.seeds import stage_key
 from pipeline.timing import Timing, timed
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
