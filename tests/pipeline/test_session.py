@@ -14,7 +14,8 @@ from pipeline.cli import Failure
 from pipeline.config import Settings
 from pipeline.options import Common, RecordingSource, common_options, recording_options
 from pipeline.publishing.publish import stage_document
-from pipeline.session import STAGES, Session, open_session
+from pipeline.seeds import STAGES
+from pipeline.session import Session, open_session
 from slam.config import SlamConfig
 from slam.result import SlamResult
 
