@@ -1,13 +1,13 @@
-"""Signed distance of a triangle mesh on a grid: exact near the surface, sign by what the outside can reach.
+"""The sheets of a triangle mesh nearest to the voxels of a grid: the surface and, at a thin wall, its back.
 
-Scanned meshes have holes, flipped faces and inner walls, so the sign does not come from normals: a voxel
-is inside if no path of voxels leads to it from the grid's border without touching the surface. Where a
-wall is thinner than a voxel both sides are outside and the distance is unsigned.
+Scanned meshes have holes, flipped faces and inner walls: where the faces are not wound alike, a voxel is
+inside if no path of voxels leads to it from the grid's border without touching the surface.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -27,6 +27,24 @@ REACH = 5
 
 UNREACHED = 2**32 - 1
 
+TOUCHING = 1e-3
+"""Voxels from the surface up to which the way to it has no direction."""
+
+HALF = 0.51
+"""Voxels from the surface up to which a voxel may be on either side."""
+
+EDGEWAYS = 0.3
+"""Cosine between the way to the surface and its normal up to which the normal does not tell the side."""
+
+ELSEWHERE = 0.5
+"""Cosine between the normals of two sheets below which the second says more of the solid than the first."""
+
+OPPOSITE = -0.3
+SIDEWAYS = 0.25
+"""Where the cosine is over `OPPOSITE` a sheet counts as so many voxels further: a thin wall's back first."""
+WOUND = 0.99
+"""Share of the edges that have both directions where the faces of a mesh are wound alike."""
+
 CHUNK = 4096
 """Triangles per compiled call."""
 
@@ -34,10 +52,27 @@ VOXELS = 2**16
 """Voxels per compiled call, so that one kernel serves meshes of any size."""
 
 
-def signed_distance(
+@dataclass(frozen=True, kw_only=True)
+class Sheets:
+    """The two surface planes of every voxel that say most of the solid in it; leaves (X, Y, Z, ...).
+
+    Attributes:
+        distance: signed distance in voxels of the voxel's centre from the nearest sheet, positive outside.
+        normal: (..., 3) its unit gradient.
+        second_distance: from the tangent plane of the nearest sheet that faces elsewhere, within `BAND`.
+        second_normal: (..., 3) outward; zero where there is no such sheet.
+    """
+
+    distance: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    second_distance: NDArray[np.float32]
+    second_normal: NDArray[np.float32]
+
+
+def nearest_sheets(
     vertices: NDArray[np.floating], faces: NDArray[np.integer], size: tuple[int, int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Signed distance to a mesh at the voxel centres (i + 0.5, j + 0.5, k + 0.5), positive outside.
+) -> Sheets:
+    """The sheets of a mesh nearest to the voxel centres (i + 0.5, j + 0.5, k + 0.5).
 
     Args:
         vertices: (V, 3) in voxels; the mesh lies at least two voxels inside the grid.
@@ -45,8 +80,8 @@ def signed_distance(
         size: voxels per axis.
 
     Returns:
-        Distance (size) in voxels and its unit gradient (size, 3). Exact within 1.5 voxels of the
-        surface; beyond, the distance to the triangle nearest to the nearest such voxel.
+        Leaves (size, ...). Exact within 1.5 voxels of the surface; beyond, the distance to the triangle
+        nearest to the nearest such voxel.
     """
     triangles = _subdivided(np.asarray(vertices, np.float32)[np.asarray(faces)], LONGEST_EDGE)
     nearest = _nearest_triangle(triangles, size)
@@ -56,10 +91,22 @@ def signed_distance(
     nearest = nearest[tuple(features)]
     offset = _offset_of_voxels(triangles, nearest)
     distance = np.linalg.norm(offset, axis=-1)
-    normal = _unit(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))
-    touching = distance < 1e-3
-    direction = np.where(touching[..., None], normal[nearest], offset / np.maximum(distance, 1e-9)[..., None])
-    return _signed(distance, direction, touching)
+    outside, inside = _regions(distance)
+    outward = _outward(triangles, np.asarray(faces), outside, inside)
+    sign = _signs(distance, offset, outward[nearest], outside, inside)
+    touching = (distance < TOUCHING)[..., None]
+    gradient = offset * (sign / np.maximum(distance, 1e-9))[..., None]
+    second = _nearest_elsewhere(triangles, outward, nearest)
+    apart = triangles.mean(axis=1)[second] - triangles.mean(axis=1)[nearest]
+    across = outward[second]
+    convex = (second >= 0) & (((outward[nearest] - across) * apart).sum(axis=-1) < 0)
+    from_second = _offset_of_voxels(triangles, np.maximum(second, 0))
+    return Sheets(
+        distance=distance * sign,
+        normal=np.where(touching, outward[nearest], gradient),
+        second_distance=(across * from_second).sum(axis=-1),
+        second_normal=np.where(convex[..., None], across, np.float32(0)),
+    )
 
 
 def _subdivided(triangles: NDArray[np.float32], longest: float) -> NDArray[np.float32]:
@@ -113,8 +160,37 @@ def _reached(triangles, start, size):
         (square <= BAND**2) & (i >= 0) & (i < size[0]) & (j >= 0) & (j < size[1]) & (k >= 0) & (k < size[2])
     )
     name = start + jnp.arange(len(triangles), dtype=jnp.uint32)[:, None]
-    key = (jnp.sqrt(square) * 4095).astype(jnp.uint32) << 20 | name
+    key = (jnp.sqrt(square) * 2047).astype(jnp.uint32) << 20 | name
     return jnp.where(inside, (i * size[1] + j) * size[2] + k, np.iinfo(np.int32).max), key
+
+
+def _nearest_elsewhere(triangles, outward, nearest):
+    """For each voxel the nearest triangle within `BAND` that faces elsewhere than the nearest; -1 without."""
+    size = nearest.shape
+    padding = -len(triangles) % CHUNK
+    padded = np.concatenate([triangles, np.full((padding, 3, 3), -1e3, np.float32)])
+    normals = jnp.asarray(np.concatenate([outward, np.zeros((padding, 3), np.float32)]))
+    count = nearest.size
+    room = 1 << (count - 1).bit_length()
+    first = jnp.asarray(np.pad(nearest.ravel(), (0, room - count)))
+    best = jnp.asarray(np.full(room, UNREACHED, np.uint32))
+    for start in range(0, len(padded), CHUNK):
+        chunk = padded[start : start + CHUNK]
+        best = _lower(best, *_reached_elsewhere(chunk, start, np.asarray(size, np.int32), normals, first))
+    best = np.asarray(best)[:count].reshape(size)
+    found = (best & (2**20 - 1)).astype(np.int32)
+    found[best == UNREACHED] = -1
+    return found
+
+
+@jax.jit
+def _reached_elsewhere(triangles, start, size, normals, first):
+    index, key = _reached(triangles, start, size)
+    mine = jax.lax.dynamic_slice_in_dim(normals, start, len(triangles))
+    there = normals[first.at[index].get(mode="clip")]
+    cosine = jnp.sum(there * mine[:, None], axis=2)
+    penalty = jnp.where(cosine > OPPOSITE, jnp.uint32(SIDEWAYS * 2047), 0) << 20
+    return jnp.where(cosine < ELSEWHERE, index, np.iinfo(np.int32).max), key + penalty
 
 
 def _offset_of_voxels(triangles: NDArray[np.float32], nearest: NDArray[np.int32]) -> NDArray[np.float32]:
@@ -173,28 +249,60 @@ def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _signed(distance, direction, touching):
-    """Distance and gradient with the sign of what the border of the grid can reach."""
-    near = distance <= 0.51
+def _regions(distance):
+    """Voxels that a path from the grid's border reaches without touching the surface, and those shut in."""
+    near = distance <= HALF
     regions = np.zeros(near.shape, np.int32)
     ndimage.label(~near, output=regions)
     outside = regions == regions[0, 0, 0]
-    inside = ~near & ~outside
+    return outside, ~near & ~outside
 
-    index = np.argwhere(near)
-    walk = direction[near]
-    side = np.zeros(len(index), np.int8)
-    back = np.zeros(len(index), np.int8)
-    limit = np.array(distance.shape) - 1
-    for step in (0.75, 1.25, 1.75, 2.25):
-        for sign, found in ((1, side), (-1, back)):
-            there = np.clip(np.floor(index + 0.5 + sign * step * walk).astype(int), 0, limit)
-            here = outside[tuple(there.T)].astype(np.int8) - inside[tuple(there.T)].astype(np.int8)
-            np.copyto(found, here, where=found == 0)
-    inward = (side < 0) | ((side == 0) & (back > 0) & touching[near])
+
+def _region_ahead(outside, inside, points, directions):
+    """+1 outside, -1 inside or 0 (P,): the first region met from points (P, 3) along directions."""
+    found = np.zeros(len(points), np.int8)
+    limit = np.array(outside.shape) - 1
+    for step in (0.0, 0.75, 1.25, 1.75, 2.25):
+        there = np.clip(np.floor(points + step * directions).astype(int), 0, limit)
+        here = outside[tuple(there.T)].astype(np.int8) - inside[tuple(there.T)].astype(np.int8)
+        np.copyto(found, here, where=found == 0)
+    return found
+
+
+def _are_wound_alike(faces):
+    """Whether nearly every edge of the faces (F, 3) is run through once in either direction."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    there, back = (np.sort(edges[:, i] * (faces.max() + 1) + edges[:, 1 - i]) for i in (0, 1))
+    return bool((there == back).mean() > WOUND)
+
+
+def _outward(triangles, faces, outside, inside):
+    """Unit normals (T, 3) that point out of the solid.
+
+    By the order of the corners where the faces are wound alike; else by the regions on both sides, and by
+    what most of the others tell of that order where both are outside, as at a thin wall.
+    """
+    normal = _unit(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))
+    volume = np.sign((triangles[:, 0] * np.cross(triangles[:, 1], triangles[:, 2])).sum()) or np.float32(1)
+    if _are_wound_alike(faces):
+        return normal * volume
+    middle = triangles.mean(axis=1)
+    front, back = (_region_ahead(outside, inside, middle, sign * normal) for sign in (1, -1))
+    told = (front - back) // 2
+    return normal * np.where(told != 0, told, np.sign(told.sum()) or volume).astype(np.float32)[:, None]
+
+
+def _signs(distance, offset, outward, outside, inside):
+    """+1 outside and -1 inside of the solid, for every voxel."""
     sign = np.where(outside, 1.0, -1.0).astype(np.float32)
-    sign[near] = np.where(inward, -1.0, 1.0)
-    return distance * sign, direction * sign[..., None]
+    near = np.flatnonzero(distance < BAND)
+    way = offset.reshape(-1, 3)[near]
+    side = (way * outward.reshape(-1, 3)[near]).sum(axis=1)
+    edgeways = np.abs(side) < EDGEWAYS * distance.ravel()[near]
+    where = np.stack(np.unravel_index(near, distance.shape), axis=1) + 0.5
+    ahead = _region_ahead(outside, inside, where, _unit(way))
+    sign.ravel()[near] = np.where(np.where(edgeways & (ahead != 0), ahead, side) < 0, -1.0, 1.0)
+    return sign
 
 
 def _unit(vectors):

@@ -5,6 +5,7 @@ A ray is p(z) = origin + z direction in the object's voxel coordinates, where z 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any
@@ -14,34 +15,35 @@ import jax.numpy as jnp
 import numpy as np
 
 from shapes.geometry.camera import Camera
-from shapes.rendering.object_library import LEVELS, ObjectLibrary, level_of, unpack
+from shapes.rendering.object_library import LEVELS, WORDS, ObjectLibrary, level_of, unpack, unpack_second
 from shapes.rendering.tiles import TILE, TILE_PIXELS
 
-ARRIVED = 0.15
-"""Voxels from the surface at which a ray's last look has met it."""
-
-MET = 0.1
-"""The same on the way, where most rays that come so near only graze it."""
-
+MET = 0.3
+"""Voxels along the ray from the solid at which it is met: its planes are exact there to first order."""
+BEHIND = 1.0
+"""Voxels along the ray that a plane may lie behind a point of the solid to be where the ray came in."""
 NEAR = 2.0
 """Voxels from the surface from which a ray steps onto the tangent plane."""
-
 SHALLOW = 0.3
 """Least cosine to the normal with which such a step reckons: no further than 1 / SHALLOW distances."""
-
+SHALLOWEST = 0.1
+"""Least cosine with which the depth of a crossing is reckoned: planes of small voxels tell no less."""
 LONGEST = 1.5
-"""Longest step in distances to the surface."""
-
+"""Longest step in distances to the surface, where no plane faces the ray."""
+LEAST = 0.3
+"""Shortest step in voxels, so that a ray gets away from a surface that it has passed."""
+SHORT = 0.25
+"""Voxels before the surface at which rays that approach it stop, to look at both planes from there."""
 UNSEEN = 0.5
 """Voxels between the empty balls round both ends of a step from which on a thin wall may lie there."""
-
-STEPS = (4, 6, 12, 24)
+APPROACH_STEPS = 4
+"""Looks at the nearest plane alone, which costs half, before those at both; three or six make it slower."""
+STEPS = (1, 6, 12, 24)
 """After each of these the rays that are not done go on by themselves."""
-
 SHRINKING = 8
 """How many times fewer rays go on together."""
 
-CONE_STEPS = 8
+CONE_STEPS = 12
 """Steps of the coarse march of a tile's cone: speed."""
 
 CONE_SLACK = 0.3
@@ -194,7 +196,7 @@ def first_hits(table: jax.Array, tiles: Rays, free: jax.Array) -> jax.Array:
     number = jnp.arange(TILE_PIXELS, dtype=jnp.int32)[None]
     rays = jax.tree.map(lambda leaf: leaf[:, None], tiles)
     start = jnp.broadcast_to(free[:, None], (len(free), TILE_PIXELS))
-    reached = advance(table, rays, number, start, STEPS[0]).reshape(-1)
+    reached = advance(table, rays, number, start, STEPS[0], APPROACH_STEPS).reshape(-1)
     pixel = jnp.arange(len(reached), dtype=jnp.int32)
     hits = jnp.where(reached < 0, -reached, jnp.inf)
     return _continued(table, tiles, pixel, reached, hits, STEPS[1:]).reshape(-1, TILE_PIXELS)
@@ -240,13 +242,15 @@ def sort_chosen_first(chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
     return order, place[-1] + 1
 
 
-def advance(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, steps: int) -> jax.Array:
+def advance(
+    table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, steps: int, approach_steps: int = 0
+) -> jax.Array:
     """Depths of pixels `number` of tiles after so many steps; negated where the surface is met, +inf beyond.
 
-    Sphere tracing with longer steps (Keinert et al. 2014, Enhanced Sphere Tracing): towards a plane at
-    an angle with cosine a, the empty balls round both ends of a step of 2 / (1 + a) distances just touch.
-    Close to the surface the tangent plane is met itself, and a ray that has met it stays there. Where the
-    balls do not touch, a thin wall may have been crossed: the ray goes back to the end of the first.
+    First by sphere tracing (Hart 1996), with the nearest plane alone, up to just before the surface. Then a
+    ray meets the solid behind the planes of its voxel, where it enters by one that faces it; so the two
+    sides of a wall thinner than a voxel are told apart. It goes back where a step has led through such a
+    wall, or where the empty balls round its ends do not touch; a ray that has met the surface stays there.
     """
     column, row = number % TILE, number // TILE
     direction = _direction(rays, column, row)
@@ -257,36 +261,36 @@ def advance(table: jax.Array, rays: Rays, number: jax.Array, depth: jax.Array, s
         point = [p + depth * d for p, d in zip(rays.origin, direction, strict=True)]
         return [jnp.clip(p, 0.0, n - 0.5) for p, n in zip(point, rays.size, strict=True)]
 
-    def word_at(depth: jax.Array) -> jax.Array:
-        return _word(table, rays, point_at(depth))
+    def approach(_: int, depth: jax.Array) -> jax.Array:
+        point = point_at(depth)
+        clear = jnp.abs(_plane_distance(_word(table, rays, point), point)[0])
+        return depth + jnp.maximum(clear - SHORT, 0.0) * voxel_m
 
-    def look(depth: jax.Array, word: jax.Array) -> tuple[jax.Array, jax.Array]:
-        distance, normal = _plane_distance(word, point_at(depth))
-        approach = -_dot(normal, direction) * voxel_m
-        onto = distance / jnp.maximum(approach, SHALLOW)
-        along = distance * jnp.clip(2.0 / jnp.maximum(1.0 + approach, 1e-3), 1.0, LONGEST)
-        step = jnp.where(distance < NEAR, onto, along)
-        return distance, jnp.maximum(depth + step * voxel_m, NEAREST_M)
-
-    def advance(
-        _: jax.Array, march: tuple[jax.Array, jax.Array, jax.Array]
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        depth, empty, word = march  # met surfaces have negated depths; nothing is before `empty`
-        distance, further = look(depth, word)
-        met = distance < MET
-        leapt = (depth - (distance + UNSEEN) * voxel_m > empty) & ~met
-        further = jnp.where(leapt, empty, jnp.where(met, -further, further))
-        empty = jnp.where(leapt, empty, depth + distance * voxel_m)
-        depth = jnp.where(depth < 0, depth, further)
-        return depth, empty, word_at(jnp.abs(depth))
+    def look(_: int, march: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        depth, empty = march  # met surfaces have negated depths; nothing is before `empty` or `depth`
+        point = point_at(jnp.abs(depth))
+        # computed once: the compiler would look them up again wherever one of them is used
+        words = jax.lax.optimization_barrier(_words(table, rays, point))
+        distance, entered, left = _stay(words, point, direction, voxel_m)
+        clear = jnp.abs(distance) * voxel_m
+        known = entered > -BEHIND * voxel_m
+        inside = (entered < MET * voxel_m) & (left > 0)
+        gap = jnp.where(inside, LEAST, UNSEEN) * voxel_m + jnp.where(inside, 0.0, clear)
+        leapt = (depth - gap > empty) & ~(inside & known)
+        passed = (entered > -jnp.inf) & (entered < left) & (left <= 0) & (depth + left > empty)
+        onto = jnp.where(entered > 0, jnp.minimum(entered, clear / SHALLOW), LONGEST * clear)
+        step = jnp.maximum(jnp.where(clear < NEAR * voxel_m, onto, clear), LEAST * voxel_m)
+        middle = 0.5 * (jnp.maximum(entered, left - voxel_m) + left)
+        further = jnp.where(leapt, empty, depth + jnp.where(passed, middle, step))
+        hit = jnp.maximum(depth + jnp.where(known, entered, 0.0), NEAREST_M)
+        further = jnp.where(inside & ~leapt, -hit, further)
+        return jnp.where(depth < 0, depth, further), depth + clear
 
     depth = jnp.maximum(depth, enter)
-    depth, _, word = jax.lax.fori_loop(0, steps - 1, advance, (depth, depth, word_at(depth)))
-    distance, further = look(depth, word)
-    further = jnp.where(distance < ARRIVED, -further, further)
-    further = jnp.where(depth < 0, depth, further)
+    depth = jax.lax.fori_loop(0, approach_steps, approach, depth)
+    depth, _ = jax.lax.fori_loop(0, steps, look, (depth, depth))
     # one array, computed once: three would each look at the voxel again
-    return jax.lax.optimization_barrier(jnp.where(jnp.abs(depth) <= leave, further, jnp.inf))
+    return jax.lax.optimization_barrier(jnp.where(jnp.abs(depth) <= leave, depth, jnp.inf))
 
 
 def _direction(rays: Rays, column: Any, row: Any) -> Vector:
@@ -295,16 +299,52 @@ def _direction(rays: Rays, column: Any, row: Any) -> Vector:
 
 
 def _word(table: jax.Array, rays: Rays, point: Vector) -> jax.Array:
-    """The packed voxel that holds a point of the grid."""
+    """The packed nearest plane of the voxel that holds a point of the grid."""
+    return _words(table, rays, point)[0]
+
+
+def _words(table: jax.Array, rays: Rays, point: Vector) -> list[jax.Array]:
+    """Both packed planes of the voxel that holds a point of the grid."""
     i, j, k = (jnp.floor(p) for p in point)
-    index = rays.first_voxel + ((i * rays.size[1] + j) * rays.size[2] + k).astype(jnp.int32)
-    return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    index = WORDS * (rays.first_voxel + ((i * rays.size[1] + j) * rays.size[2] + k).astype(jnp.int32))
+    return [
+        table.at[index + word].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        for word in range(WORDS)
+    ]
 
 
 def _plane_distance(word: jax.Array, point: Vector) -> tuple[jax.Array, Vector]:
     """Signed distance of a point in voxels by the tangent plane of its voxel, and that plane's normal."""
     distance, *normal = unpack(word)
     return distance + _dot(normal, [p - jnp.floor(p) - 0.5 for p in point]), normal
+
+
+def _stay(
+    words: Sequence[jax.Array], point: Vector, direction: Vector, voxel_m: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Distance of a point from the nearest sheet in voxels, and a ray's stay in the solid of its voxel.
+
+    The solid is what lies behind both of the voxel's planes. Behind one that the ray comes nearer to, at a
+    rate a > 0, it is from s / a on, and behind one that it moves away from until then.
+
+    Returns:
+        Distance, and the depths in metres from the point on at which the ray enters the solid, -inf where no
+        plane faces it and +inf where it misses the solid, and at which it leaves it.
+    """
+    offset = [p - jnp.floor(p) - 0.5 for p in point]
+    least = SHALLOWEST / voxel_m
+    enter, leave, distances = [], [], []
+    for word, unpacked in zip(words, (unpack, unpack_second), strict=True):
+        distance, *normal = unpacked(word)
+        distance = distance + _dot(normal, offset)
+        rate = -_dot(normal, direction)
+        facing = rate > 0
+        crossing = distance / jnp.where(facing, jnp.maximum(rate, least), jnp.minimum(rate, -least))
+        enter.append(jnp.where(facing, crossing, -jnp.inf))
+        leave.append(jnp.where(facing, jnp.inf, crossing))
+        distances.append(distance)
+    first, last = jnp.maximum(*enter), jnp.minimum(*leave)
+    return distances[0], jnp.where(first < last, first, jnp.inf), last
 
 
 def _crossing(rays: Rays, direction: Vector) -> tuple[jax.Array, jax.Array]:
