@@ -28,8 +28,8 @@ ROUNDS = 5
 VIEWS = 64
 DENSE_STEPS = 16
 """Looks a ray in the measurement of their rate."""
-BYTES = 4 + 3 * 4
-"""Of a covered pixel: a packed voxel; the observed depth, the rest's depth and the rest's density."""
+BYTES = 8 + 3 * 4
+"""Of a covered pixel: the two planes of a voxel; observed depth, the depth of the rest and its density."""
 OPERATIONS = 120
 """Of a covered pixel, counted in the source: ray and voxel 30, tangent plane and step 40, density 50."""
 
