@@ -5,7 +5,7 @@ The variational family of 3DP3, supplement I, equation 2: independent Bernoulli 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 
@@ -163,6 +163,14 @@ class ShapePrior:
     def sample(self, key: jax.Array, count: int) -> jax.Array:
         """Binary shapes (count, I, J, K) drawn voxel by voxel with probability phi."""
         return jax.random.bernoulli(key, jnp.asarray(self.phi)[None], (count, *self.phi.shape))
+
+    def seen_part(self, surface: SurfaceMesh) -> SurfaceMesh:
+        """One of this shape's surfaces without what closes it behind and below: open where nothing was seen.
+
+        The triangles that are left have their inner side in voxels that were seen.
+        """
+        seen = self.seen_occupied[tuple(surface.inner.T)]
+        return replace(surface, triangles=surface.triangles[seen[surface.triangles].all(axis=1)])
 
     def surface(self, level: float = 0.5) -> SurfaceMesh:
         """Closed surface where the probability crosses `level`, enclosed voxels filled, in the grid frame.

@@ -14,6 +14,9 @@ DEFAULT_FORMATS = "ply,glb"
 OVERLAY = "overlay"
 """A picture, where the other formats are models."""
 
+SOLIDS = frozenset({"bop", "urdf", "mjcf"})
+"""Formats whose readers take a surface for a solid with a volume."""
+
 
 @click.command(name="export")
 @click.argument("source", metavar="SHAPE.npz|DIR|RUN", type=click.Path(path_type=Path))
@@ -33,6 +36,13 @@ OVERLAY = "overlay"
     default="base",
     show_default=True,
     help="Of learned shapes: middle of the footprint, of the bounding box, or the grid's corner.",
+)
+@click.option(
+    "--unseen",
+    type=click.Choice(["fill", "open"]),
+    default="fill",
+    show_default=True,
+    help="Of learned shapes: close the surface behind what was seen, or leave it open there.",
 )
 @click.option("--shells", is_flag=True, help="Also the surfaces where the probability is 0.1 and 0.9.")
 @click.option(
@@ -76,6 +86,7 @@ def command(
     output: Path,
     units: Any,
     origin: Any,
+    unseen: Any,
     shells: bool,
     ids: Path | None,
     density: float | None,
@@ -107,12 +118,15 @@ def command(
         if form not in (*MODEL_FORMATS, OVERLAY):
             raise ConfigError(f"--format {form}: write some of {', '.join((*MODEL_FORMATS, OVERLAY))}")
     models = tuple(form for form in wanted if form != OVERLAY)
+    if unseen == "open" and (solids := sorted(set(wanted) & SOLIDS)):
+        raise ConfigError(f"--unseen open: {solids[0]} needs closed surfaces; leave it out")
     if (mesh or pitch_m or recording or OVERLAY in wanted) and not is_run(source):
         raise ConfigError("--mesh, --pitch, --recording and overlay are for the run of one recording")
     options = ExportOptions(
         units=units or "m",
         origin=origin,
         shells=shells,
+        unseen=unseen,
         ids=read_ids(ids),
         density=density or DENSITY_KG_M3,
         force=force,
@@ -124,6 +138,23 @@ def command(
 
         paths += export_overlay(source, output, recording, truth)
     lines = [str(path) for path in paths]
+    lines += _seen_shares(output)
     if room is not None:
         lines.append(f"room: {len(room.faces)} triangles")
     common.report({"files": [str(path) for path in paths]}, lines)
+
+
+def _seen_shares(output: Path) -> list[str]:
+    """How much of each learned surface was seen, as the manifest has it."""
+    import json
+
+    manifest = output / "manifest.json"
+    if not manifest.is_file():
+        return []
+    entries = json.loads(manifest.read_text()).get("exports", {})
+    return [
+        f"{name}: {shape['surface']['seen']:.0%} of the surface seen, {shape['surface']['inferred']:.0%} "
+        f"inferred, {shape['surface']['never_seen']:.0%} never seen"
+        for name, shape in entries.items()
+        if isinstance(shape, dict) and "surface" in shape
+    ]

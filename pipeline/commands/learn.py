@@ -90,6 +90,7 @@ def command(
         f"{name}: {document['seen_occupied']} voxels of {1000 * document['pitch_m']:g} mm seen occupied, "
         f"{document['enclosed']} enclosed, "
         f"{' x '.join(f'{100 * side:.1f}' for side in size)} cm; {document['seconds']:.1f} s",
+        *_surface(document),
         f"shape: {run_path / 'shapes' / f'{name}.npz'}",
     ]
     common.report(document, lines)
@@ -113,6 +114,20 @@ def _pixel(text: str | None) -> tuple[float, ...] | None:
     if len(values) != 2:
         raise ConfigError(f"--pixel {text}: write column,row of the object in the first depth frame")
     return values
+
+
+def _surface(document: dict[str, Any]) -> list[str]:
+    """How much of the surface was seen, and what is doubtful."""
+    shares = document["surface"]
+    told = (
+        []
+        if shares is None
+        else [
+            f"surface: {shares['seen']:.0%} seen, {shares['inferred']:.0%} inferred, "
+            f"{shares['never_seen']:.0%} never seen"
+        ]
+    )
+    return told + [f"warning: {warning}" for warning in document["warnings"]]
 
 
 def _box(text: str | None) -> tuple[float, ...] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
@@ -19,8 +19,14 @@ PER_METRE = {"m": 1.0, "mm": 1000.0}
 Geometry = trimesh.Trimesh | trimesh.PointCloud
 
 
-def shape_mesh(shape: ShapePrior, name: str, level: float = 0.5) -> trimesh.Trimesh:
-    """Surface of a shape in metres in its grid frame, enclosed voxels filled.
+Unseen = Literal["fill", "open"]
+"""What a learned shape's surface does where nothing was seen: close behind it, or end there."""
+
+
+def shape_mesh(
+    shape: ShapePrior, name: str, level: float = 0.5, *, unseen: Unseen = "fill"
+) -> trimesh.Trimesh:
+    """Surface of a shape in metres in its grid frame, enclosed voxels filled or the surface left open there.
 
     Raises:
         PipelineError: no voxel lies above the level, or the surface is not closed and outward.
@@ -29,6 +35,8 @@ def shape_mesh(shape: ShapePrior, name: str, level: float = 0.5) -> trimesh.Trim
         surface = shape.surface(level)
     except ValueError as error:
         raise PipelineError(f"{name}: {error}") from error
+    if unseen == "open":
+        return as_trimesh(shape.seen_part(surface))
     return checked(as_trimesh(surface), name)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.export.bop import IDS_FILE, MODELS, bop_models
 from pipeline.export.files import write_files
-from pipeline.export.meshes import glb_bytes, mesh_bytes, moved
+from pipeline.export.meshes import Unseen, glb_bytes, mesh_bytes, moved
 from pipeline.export.models import ExportModel, Origin
 from pipeline.export.simulators import DENSITY_KG_M3, simulator_files
 from pipeline.meshes import Units
@@ -31,6 +31,7 @@ class ExportOptions:
         origin: of learned shapes: middle of the footprint, of the bounding box, or the grid's corner. BOP
             has the middle by its own rules.
         shells: also the surfaces where the probability is 0.1 and 0.9.
+        unseen: whether learned surfaces close behind what was seen, or are open there.
         ids: of shapes in BOP's files, by name.
         density: of the solids for simulators, in kg/m^3.
         force: replace files that say something else.
@@ -39,6 +40,7 @@ class ExportOptions:
     units: Units = "m"
     origin: Origin = "base"
     shells: bool = False
+    unseen: Unseen = "fill"
     ids: Mapping[str, int] = field(default_factory=dict)
     density: float = DENSITY_KG_M3
     force: bool = False
@@ -98,7 +100,7 @@ def _facts(model: ExportModel, options: ExportOptions) -> dict[str, Any]:
     return {
         **model.facts,
         "size_m": model.mesh.extents.tolist(),
-        "volume_m3": float(model.mesh.volume),
+        "volume_m3": float(model.mesh.volume) if model.mesh.is_watertight else None,
         "object_from_model": model.own_from_model(options.origin).tolist(),
         "files": [],
     }

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pipeline.export.meshes import checked, moved, shape_mesh
+from pipeline.export.meshes import Unseen, checked, moved, shape_mesh
 from pipeline.meshes import Units
 from pipeline.publishing.values import RunValues
 from pipeline.shape_folder import usable
@@ -69,24 +69,29 @@ class ExportModel:
         return moved(self.mesh, np.asarray(np.linalg.inv(own_from_model), np.float64), units)
 
 
-def learned_model(path: Path, *, shells: bool = False) -> ExportModel:
-    """The surface of a learned shape.
+def learned_model(path: Path, *, shells: bool = False, unseen: Unseen = "fill") -> ExportModel:
+    """The surface of a learned shape, closed where nothing was seen or left open there.
 
     Raises:
         PipelineError: the shape cannot be read, or has no closed surface.
     """
     with usable(path):
         shape = ShapePrior.load(path)
+        shares = shape.surface_shares(shape.surface())
     return ExportModel(
         name=path.stem,
-        mesh=shape_mesh(shape, path.stem),
+        mesh=shape_mesh(shape, path.stem, unseen=unseen),
         learned=True,
-        shells={level: shape_mesh(shape, path.stem, level) for level in SHELLS} if shells else {},
+        shells={level: shape_mesh(shape, path.stem, level, unseen=unseen) for level in SHELLS}
+        if shells
+        else {},
         npz=path.read_bytes(),
         facts={
             "frame": GRID_FRAME,
             "pitch_m": shape.pitch_m,
             "reference_from_grid": shape.reference_from_grid.tolist(),
+            "unseen": unseen,
+            "surface": {state.name.lower(): round(share, 4) for state, share in shares.items()},
         },
     )
 

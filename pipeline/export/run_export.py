@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
 from pipeline.export.files import write_files
-from pipeline.export.meshes import Geometry, glb_bytes, mesh_bytes, moved, shape_mesh
+from pipeline.export.meshes import Geometry, Unseen, glb_bytes, mesh_bytes, moved, shape_mesh
 from pipeline.export.model_export import ExportOptions, export_models
 from pipeline.export.models import ExportModel, learned_model, looked_for_models
 from pipeline.publishing.bop_poses import bop_lines
@@ -49,7 +49,7 @@ def export_run(
         PipelineError: the run holds nothing to export, or a file is there that says something else.
     """
     values = RunValues.load(RunFolder(run, force=False))
-    posed = _posed_objects(values)
+    posed = _posed_objects(values, options.unseen)
     geometry: Geometry | None = room if room is not None else _points(values)
     if geometry is None and not posed:
         raise PipelineError(f"{run} holds neither a room nor objects; make them with slam, learn or parse")
@@ -68,7 +68,7 @@ def export_run(
     paths = write_files(out, contents, entry, force=options.force) if contents else []
     if not one_by_one:
         return paths
-    models = _models(run, values, shells=options.shells)
+    models = _models(run, values, options)
     if not models:
         raise PipelineError(f"{run} holds no objects for --format {','.join(one_by_one)}")
     written = export_models(
@@ -77,10 +77,13 @@ def export_run(
     return list(dict.fromkeys([*paths[:-1], *written]))
 
 
-def _models(run: Path, values: RunValues, *, shells: bool) -> list[ExportModel]:
+def _models(run: Path, values: RunValues, options: ExportOptions) -> list[ExportModel]:
     """The run's learned shapes, and what its parse looked for."""
     folder = RunFolder(run, force=False)
-    learned = [learned_model(folder.value_path(f"learn/{name}"), shells=shells) for name in values.shapes]
+    learned = [
+        learned_model(folder.value_path(f"learn/{name}"), shells=options.shells, unseen=options.unseen)
+        for name in values.shapes
+    ]
     names = {model.name for model in learned}
     return learned + [model for model in looked_for_models(values) if model.name not in names]
 
@@ -109,10 +112,13 @@ def _points(values: RunValues) -> trimesh.PointCloud | None:
     return trimesh.PointCloud(values.room.points_m.astype(np.float64), colors=values.room.rgb)
 
 
-def _posed_objects(values: RunValues) -> dict[str, tuple[trimesh.Trimesh, NDArray[np.float64]]]:
+def _posed_objects(
+    values: RunValues, unseen: Unseen
+) -> dict[str, tuple[trimesh.Trimesh, NDArray[np.float64]]]:
     """Meshes of what was learned and of what was found, with their poses in the reference frame."""
     posed = {
-        name: (shape_mesh(shape, name), shape.reference_from_grid) for name, shape in values.shapes.items()
+        name: (shape_mesh(shape, name, unseen=unseen), shape.reference_from_grid)
+        for name, shape in values.shapes.items()
     }
     scene = values.scene
     if scene is not None and values.surfaces is not None:

@@ -38,11 +38,13 @@ def export(
         PipelineError: the source holds nothing to export, or a file is there that says something else.
     """
     if source.is_file() or not source.exists():
-        return export_models([learned_model(source, shells=options.shells)], formats, out, options)
+        return export_models(
+            [learned_model(source, shells=options.shells, unseen=options.unseen)], formats, out, options
+        )
     if is_project(source):
         written: list[Path] = []
         if shapes := sorted((source / "shapes").glob("*.npz")):
-            models = [learned_model(path, shells=options.shells) for path in shapes]
+            models = [learned_model(path, shells=options.shells, unseen=options.unseen) for path in shapes]
             written += export_models(models, formats, out / "shapes", options)
         for run in sorted((source / "recordings").iterdir()):
             if is_run(run):
@@ -52,7 +54,10 @@ def export(
         return export_run(source, formats, out, options, room)
     if shapes := sorted(source.glob("*.npz")):
         return export_models(
-            [learned_model(path, shells=options.shells) for path in shapes], formats, out, options
+            [learned_model(path, shells=options.shells, unseen=options.unseen) for path in shapes],
+            formats,
+            out,
+            options,
         )
     raise PipelineError(
         f"{source} is neither a learned shape (NAME.npz), a folder of them, nor a run; "

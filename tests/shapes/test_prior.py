@@ -185,3 +185,9 @@ def test_what_is_known_of_a_surface() -> None:
     assert sum(shares.values()) == pytest.approx(1.0)
     assert 0.3 < shares[SurfaceState.SEEN] < 0.8
     assert set(np.unique(shape.voxel_states)) == set(VoxelState)
+
+    part = shape.seen_part(surface)
+    assert 0 < len(part.triangles) < len(surface.triangles)
+    centres = part.vertices_m[part.triangles].mean(axis=1)
+    seen_m = (np.argwhere(shape.seen_occupied) + 0.5) * shape.pitch_m
+    assert np.linalg.norm(centres[:, None] - seen_m[None], axis=2).min(axis=1).max() <= shape.pitch_m
