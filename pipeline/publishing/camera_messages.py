@@ -29,6 +29,8 @@ from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
 from slam.result import SlamResult
 
+VIEW = "voxscene_view"
+"""Frame of the thinned images, where the recording's own is: each keeps a calibration of its own."""
 PATH_WIDTH_M = 0.006
 PATH_STEP_M = 0.003
 """Between points of the path's cloud, so that it looks like a line."""
@@ -54,6 +56,11 @@ def camera_transforms(values: RunValues) -> Iterator[tuple[int, FrameTransform]]
             yield time_ns, frame_transform(values.camera_frame, REFERENCE, np.linalg.inv(pose))
         else:
             yield time_ns, frame_transform(REFERENCE, values.camera_frame, pose)
+
+
+def view_transform(values: RunValues) -> FrameTransform:
+    """From the recording's frame of the camera to the frame of the thinned images: none."""
+    return frame_transform(values.camera_frame, VIEW, np.eye(4))
 
 
 def level_from_reference(up: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -107,7 +114,7 @@ def view_messages(room: RoomView) -> Iterator[tuple[int, str, Any]]:
     """Stamps, topics and messages of the thinned images, with the camera that they are of."""
     height, width = room.depth_mm.shape[1:]
     fx, fy, cx, cy = room.intrinsics.tolist()
-    frame = str(room.frame_id)
+    frame = VIEW
     for view, stamp in enumerate(room.times_ns.tolist()):
         yield (
             stamp,

@@ -18,6 +18,7 @@ from pipeline.publishing.camera_messages import (
     path_update,
     static_transform,
     view_messages,
+    view_transform,
 )
 from pipeline.publishing.finite import finite_json
 from pipeline.publishing.foxglove_geometry import REFERENCE, point_cloud
@@ -78,6 +79,7 @@ def write_messages(
         first_ns = values.first_ns
         if values.slam is not None or values.room is not None:
             _write(writer, "/transforms/map", static_transform(values), first_ns)
+            _write(writer, "/transforms/view", view_transform(values), first_ns)
         _write_whole(writer, values, first_ns)
         for time_ns, transform in camera_transforms(values):
             _write(writer, "/transforms/camera", transform, time_ns)

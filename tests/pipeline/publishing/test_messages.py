@@ -20,7 +20,16 @@ from pipeline.synthesis.recording import SyntheticRecording
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
-WHOLE = ("/transforms/map", "/room", "/slam/path", "/slam/weights", "/shapes", "/scene", "/summary")
+WHOLE = (
+    "/transforms/map",
+    "/transforms/view",
+    "/room",
+    "/slam/path",
+    "/slam/weights",
+    "/shapes",
+    "/scene",
+    "/summary",
+)
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +164,7 @@ def test_what_holds_for_all_of_the_run_is_stamped_with_its_first_frame(
 
     assert {len(messages) for name, messages in topics.items() if name.startswith(WHOLE)} == {1}
     assert {messages[0][0] for messages in topics.values()} == {whole.first_ns}
-    assert sum(name.startswith(WHOLE) for name in topics) == 11
+    assert sum(name.startswith(WHOLE) for name in topics) == 12
 
 
 @pytest.mark.parametrize("has_parent", [False, True])
@@ -169,19 +178,19 @@ def test_every_frame_leads_to_the_root_at_every_stamp(
     write_messages(tmp_path / "run.mcap", whole, {})
     topics = read(tmp_path / "run.mcap")
 
-    transforms = topics.pop("/transforms/map") + topics.pop("/transforms/camera")
+    transforms = [one for topic in ("map", "view", "camera") for one in topics.pop(f"/transforms/{topic}")]
     parents = {one.child_frame_id: one.parent_frame_id for _, one in transforms}
     assert parents == (
-        {"map": "reference", "reference": "optical"}
+        {"map": "reference", "reference": "optical", "voxscene_view": "optical"}
         if has_parent
-        else {"reference": "map", "optical": "reference"}
+        else {"reference": "map", "optical": "reference", "voxscene_view": "optical"}
     )
     moving = {time for time, one in transforms if "optical" in (one.parent_frame_id, one.child_frame_id)}
     for messages in topics.values():
         for time, message in messages:
             stamped = getattr(message, "entities", [message])
             frames = {one.frame_id for one in stamped if hasattr(one, "frame_id")}
-            assert frames <= {"map", "reference", "optical"}
+            assert frames <= set(parents) | set(parents.values())
             assert not frames or time in moving
     up = Rotation.from_quat([getattr(transforms[0][1].rotation, axis) for axis in "xyzw"]).as_matrix()
     np.testing.assert_allclose((up if has_parent else up.T)[:, 2], whole.up, atol=1e-9)
