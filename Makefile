@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
-.PHONY: venv demo test lint docs bench clean
+.PHONY: venv demo test lint docs bench pictures clean
 
 demo: venv
 	$(BIN)/voxscene demo --out demo
@@ -25,6 +25,28 @@ bench: venv
 	$(BIN)/voxscene bench sampler
 	$(BIN)/voxscene bench slam --rooms 2
 	$(BIN)/voxscene bench poses --tables 10
+
+# The pictures in docs/: of the demo, and of real recordings where DATA holds them (7-Scenes, YCB-Video).
+DATA ?= ../shared/data
+RUNS := build/pictures
+
+pictures: venv
+	$(BIN)/voxscene demo --out demo
+	$(BIN)/voxscene review demo/run/recordings/table --rebuild --screenshot docs/parsed.png
+	$(BIN)/voxscene review demo/run/recordings/can --rebuild --screenshot docs/learned.png
+	mkdir -p $(RUNS)
+	test ! -d $(DATA) || $(MAKE) docs/camera.png docs/clutter.png
+
+docs/camera.png: venv
+	$(BIN)/voxscene import 7scenes $(DATA)/sevenscenes_redkitchen $(RUNS)/kitchen.mcap --frames 0:60
+	$(BIN)/voxscene slam $(RUNS)/kitchen.mcap -o $(RUNS)/kitchen.run
+	$(BIN)/voxscene review $(RUNS)/kitchen.run --screenshot $@
+
+docs/clutter.png: venv
+	$(BIN)/voxscene import bop $(DATA)/ycbv/scenes/0001 $(RUNS)/clutter.mcap
+	$(BIN)/voxscene parse $(RUNS)/clutter.mcap --shapes $(DATA)/ycbv/models -o $(RUNS)/clutter.run \
+	    --objects 002_master_chef_can,003_cracker_box,004_sugar_box,006_mustard_bottle --frames 0,4,8,12,16
+	$(BIN)/voxscene review $(RUNS)/clutter.run --screenshot $@
 
 venv: $(INSTALLED)
 

@@ -20,7 +20,7 @@ FUSED_FRAMES = 60
 POINTS_PER_FRAME = 40_000
 NEIGHBOURS = 30
 """Points to which a plane is fitted for a normal: three rings round a point of a flat grid."""
-FEW, FINE_VOXEL_M = 5, 0.004
+FEW, FINE_VOXEL_M = 1, 0.004
 """Of so few frames the points are kept closer together, and single ones too: there is little to fuse."""
 MOST_POINTS = 400_000
 UNSEEN_GREY = 128

@@ -37,7 +37,7 @@ def legend(
         low, high = depth_range_m
         rows.append(("depth", depth_colours(np.linspace(0, 1, BAR_PX)), (f"{low:.2g} m", f"{high:.2g} m")))
         signed = difference_colours(np.linspace(-1, 1, BAR_PX)).astype(np.uint8)
-        ends = f"-{DIFFERENCE_MM:.0f} mm (nearer)", f"+{DIFFERENCE_MM:.0f} mm (farther than rendered)"
+        ends = f"-{DIFFERENCE_MM:.0f} mm (nearer)", f"+{DIFFERENCE_MM:.0f} mm (farther)"
         rows.append(("residual", signed, ends))
     if path:
         marks = [("mean path, particles", PATH), ("frames that were lost", LOST)]

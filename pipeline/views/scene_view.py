@@ -145,7 +145,7 @@ def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
     ]
     told = [f"{scene.edge_probabilities[edge]:.0%}" for edge in edges]
     between = [f"{names[child]} on {names[parent]}" for child, parent in edges]
-    middles = [(2 * places[child] + places[parent]) / 3 for child, parent in edges]
+    middles = [(places[child] + places[parent]) / 2 for child, parent in edges]
     recording.log(
         "graph",
         rr.GraphNodes(
