@@ -6,6 +6,7 @@ World frame: the table's top is z = 0, z up. A thing stands upright on it; its p
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import trimesh
@@ -80,17 +81,17 @@ class Kind:
         faces = np.asarray(mesh.faces, np.int64)
         return cls(name=name, vertices_m=np.asarray(moved.vertices), faces=faces, turns=_turns(moved))
 
-    @property
+    @cached_property
     def half_m(self) -> NDArray[np.float64]:
         """Half the width and depth (2,) of its box."""
         return np.ptp(self.vertices_m[:, :2], axis=0) / 2
 
-    @property
+    @cached_property
     def middle_m(self) -> NDArray[np.float64]:
         """Middle (2,) of its box."""
         return (self.vertices_m[:, :2].min(axis=0) + self.vertices_m[:, :2].max(axis=0)) / 2
 
-    @property
+    @cached_property
     def normals(self) -> NDArray[np.float64]:
         """Unit normals (F, 3)."""
         corner = self.vertices_m[self.faces]

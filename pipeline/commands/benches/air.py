@@ -57,5 +57,6 @@ def _lines(document: dict[str, Any]) -> list[str]:
         f"yaw of mugs: median {number('mug_yaw_median_rad', 57.29578, 'degrees')}",
         f"p(N): mean of the most probable {share('count_told')}, right {share('count_told_right')}",
         f"scores as high as the truth less 2 nats: {share('found_at_least_truth')}; below: {missed}",
-        f"seconds a frame: median {document['seconds_median']:.2f}, 95% {document['seconds_95']:.2f}",
+        f"seconds a frame: median {document['seconds_median']:.2f}, 95% {document['seconds_95']:.2f}; "
+        f"of one core {document['core_seconds_median']:.2f}, 95% {document['core_seconds_95']:.2f}",
     ]

@@ -53,7 +53,7 @@ def test_drawn_scenes_follow_the_prior() -> None:
 def test_the_bench_resumes_from_its_rows(tmp_path: Path) -> None:
     """Two scenes, then a third: rows that are there are not searched again."""
     path = tmp_path / "air.csv"
-    arguments = ["bench", "air", "--side", "32", "--seed", "3", "--csv", str(path), "--json"]
+    arguments = ["bench", "air", "--side", "24", "--seed", "3", "--csv", str(path), "--json"]
     for scenes in ("1", "2"):
         result = CliRunner().invoke(voxscene, [*arguments, "--scenes", scenes])
         assert result.exit_code == 0, result.output
@@ -81,6 +81,7 @@ def row(true: str, found: str, gap: float = 0.0, visible: int = 50) -> AirRow:
         errors_m="0.001+0.003" if true == found else "",
         mug_yaw_errors_rad="",
         seconds=1.0,
+        core_seconds=1.0,
     )
 
 
