@@ -10,9 +10,7 @@ from recordings.types import DepthNoise
 from scene.search.competing_scenes import rivals_of
 from scene.search.hypotheses import PosePools
 from scene.search.scene_edits import filled
-from scene.verification.appearance_test import log_ratio_of_lookalike
-from scene.verification.object_crop import close_views
-from shapes.depth_noise import with_surface_error
+from scene.verification.evidence import log_evidence
 
 CONVINCING = 4.6
 """Log odds, 99 to 1, above which an object is sought nowhere else, and which it has to reach elsewhere: who
@@ -32,7 +30,6 @@ def without_lookalikes(
     lookalike is still there: an object that was convincing beside it is so without its name, although what
     carries it seems to go on below.
     """
-    noise = with_surface_error(noise, pools.config.model_error_m)
     settled, most = np.zeros(len(scene), bool), np.full(len(scene), np.nan)
     beside = np.full(len(scene), -np.inf)
     while True:
@@ -51,7 +48,7 @@ def without_lookalikes(
 
 def convincing(pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.bool_]:
     """Which objects (N,) of a scene look like themselves beside all others that it holds."""
-    odds = _log_odds(pools, scene, with_surface_error(noise, pools.config.model_error_m))
+    odds = _log_odds(pools, scene, noise)
     return (scene < pools.absent) & (odds > CONVINCING)
 
 
@@ -92,11 +89,10 @@ def _filled(pools: PosePools, scene: NDArray[np.integer], one: int) -> NDArray[n
 
 
 def _log_odds(pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise) -> NDArray[np.float64]:
-    """Of every object (N,) being there against the best scene without it, or a lookalike in its place."""
+    """Of every object (N,) being there against the best scene without it, or something unknown there."""
     config = pools.config
     _, by_scene = rivals_of(pools, scene)
     odds = config.pixel_weight * by_scene.astype(np.float64)
-    by_look = np.full(len(scene), logit(config.presence))
-    for one, view in close_views(pools, scene, noise).items():
-        by_look[one] += log_ratio_of_lookalike(view, config.pixel_weight)
-    return np.where(scene < pools.absent, -np.logaddexp(-odds, -by_look), odds)
+    # what is unknown had as many poses: their share counts in the scene's odds alone
+    log_odds = logit(config.presence) + log_evidence(pools, scene, noise)
+    return np.where(scene < pools.absent, -np.logaddexp(-odds, -log_odds), odds)

@@ -21,7 +21,7 @@ from scene.search.hypotheses import PosePools
 from scene.search.search_round import SearchRound
 from scene.verification.reassignment import CONVINCING, without_lookalikes
 from shapes.geometry.poses import poses_of
-from tests.scene.verification.test_appearance_test import camera, moved
+from tests.scene.verification.test_evidence import camera, moved
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
 SHAPES = {

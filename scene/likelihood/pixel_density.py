@@ -1,0 +1,247 @@
+"""A density of a depth image given a scene: a product over pixels in raster order.
+
+A pixel shows the nearest of the scene's surface at depth d and of what is unknown: with the unknown mixture
+u of `scene.likelihood.unknown_surfaces` and the probability kappa that something unknown is there,
+
+    p(z) = (1 - p0) { (1 - kappa U) [(1 - m) a(z) + m u(z)] + kappa u(z) Phi((d - z) / sigma) };  atom: p0
+
+where U is the integral of u(z) Phi((d - z) / sigma), so that p integrates to 1, and m the probability that
+the surface is not where it should be. The scene's part
+
+    a(z) = eps / D + (1 - eps) [ sum_k v_k Normal(z; d + r_k, s_k) + (1 - sum_k v_k) Normal(z; d, sigma) ]
+
+foretells the residual z - d as u foretells the depth: errors of neighbouring pixels are alike, so that those
+before it that show the same surface foretell r_k, with the weights and scales of u. Where nothing is curved
+both are as sharp. Whether a neighbour shows the surface is told by its own measurement alone, and so are
+kappa and m: unknown things and errors come in pieces. Everything that a factor looks at is the scene or a
+pixel before, so that the product is a density of the image (docs/model.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from numpy.typing import NDArray
+
+from recordings.types import NO_RETURN, DepthNoise
+from scene.likelihood.unknown_surfaces import UnknownSurfaces, UnknownWeights, extrapolated, shifted
+from shapes.depth_noise import standard_deviation
+
+OUTLIERS = 0.02
+"""eps: returns that are neither, uniform over the range."""
+SUPPORT_ERROR = 0.01
+"""Error of a support over its depth, which is a depth camera's scale and bend."""
+LEAST_DENSITY = 1e-8
+"""Of a depth beyond the range, which no density allows; less than an outlier's, 2e-3."""
+UNKNOWN, CHANGES = 0.5, 0.05
+"""kappa where nothing was measured before, and the probability that a pixel's neighbour shows the scene
+where it shows something unknown, or the other way round: what stands about is some ten pixels wide."""
+JUST_BEFORE, FAR_M = 1 - 1e-6, 1e6
+"""What an object does to the second pixels beside it is behind all objects and before the supports."""
+MISSING, MISSING_ON = 0.01, 0.5
+"""Probability that a surface ends before its outline, or is not there, at a pixel, and beside such pixels."""
+EDGE_PX = 3.0
+"""Pixels of an image by which cameras shift outlines."""
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """A surface of the scene: depth (H, W), +inf where it is not, and its own error."""
+
+    depth_m: jax.Array
+    sigma_m: jax.Array
+
+    @property
+    def there(self) -> jax.Array:
+        return jnp.isfinite(self.depth_m)
+
+    @property
+    def finite_m(self) -> jax.Array:
+        return jnp.where(self.there, self.depth_m, 1.0)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PixelDensity:
+    """The density of one image, ready for scenes.
+
+    Attributes:
+        noise: of the sensor.
+        shape_sigma_m: error of objects' surfaces.
+        observed_m: (H, W), `NO_RETURN` where nothing was measured.
+        edge_share: of the pixels at an outline that show the other side of it.
+        learned: how well pixels foretell each other.
+        unknown: what else the pixels may show.
+    """
+
+    noise: DepthNoise
+    shape_sigma_m: jax.Array
+    observed_m: jax.Array
+    edge_share: jax.Array
+    learned: UnknownWeights
+    unknown: UnknownSurfaces
+
+    @classmethod
+    def of(
+        cls,
+        depth_m: NDArray[np.float32],
+        noise: DepthNoise,
+        shape_sigma_m: float,
+        stride: int,
+    ) -> PixelDensity:
+        """The density of every `stride`-th pixel (H, W) of an image, from which the unknown's is learned.
+
+        Args:
+            depth_m: of these pixels.
+            noise: of the sensor.
+            shape_sigma_m: error of objects' surfaces.
+            stride: pixels of the image from one of these to the next.
+        """
+        edge_share = 0.5 * min(1.0, EDGE_PX / stride)
+        sigma_m, share = (jax.device_put(np.float32(number)) for number in (shape_sigma_m, edge_share))
+        observed_m, learned = jax.device_put(depth_m), UnknownWeights.learned(depth_m, noise)
+        unknown = UnknownSurfaces.of(observed_m, noise, learned)
+        return cls(noise, sigma_m, observed_m, share, learned, unknown)
+
+    def of_rest(self, rest_m: jax.Array) -> jax.Array:
+        """Log density (H, W) where no object is, before supports at depth (H, W), +inf where none is."""
+        rest = self._support(rest_m)
+        shows = self._shows(rest)
+        return self._log_density(rest, shows, shows, jnp.zeros_like(shows))
+
+    def of_object(self, layer_m: jax.Array, rest_m: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Log density (H, W) of the pixels that an object has a part in, and its depth there, else +inf.
+
+        A camera shifts outlines: at one a pixel may show the other side of it. Where the object ends no
+        unknown surface goes on from it, which two pixels beside it tell: the first is part of the object, the
+        second behind all others, just before the supports.
+
+        Args:
+            layer_m: (H, W) depth of the object alone, +inf beside it.
+            rest_m: (H, W) of the supports.
+        """
+        covers = layer_m < rest_m
+        layer_m = jnp.where(covers, layer_m, jnp.inf)
+        nearest_m = _nearest_beside(layer_m)
+        wide_m = jnp.where(covers, layer_m, jnp.where(nearest_m < rest_m, nearest_m, jnp.inf))
+        touches = jnp.isfinite(wide_m)
+        one, rest = _Surface(wide_m, jnp.where(touches, self.shape_sigma_m, 0.0)), self._support(rest_m)
+        mine, behind = self._shows(one), self._shows(rest)
+        scene = jnp.where(touches, mine, behind)
+        shares = jnp.where(_all_beside(covers), 0.0, self.edge_share)
+        shares = jnp.where(covers, 1 - shares, jnp.where(touches, shares, 0.0))
+        mixed = jnp.logaddexp(
+            jnp.log(shares) + self._log_density(one, mine, scene, mine),
+            jnp.log1p(-shares) + self._log_density(rest, behind, scene, mine),
+        )
+        left, above = _left_and_above(touches)
+        just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
+        return mixed, jnp.where(touches, wide_m, jnp.where(left | above, just_before, jnp.inf))
+
+    def _support(self, rest_m: jax.Array) -> _Surface:
+        return _Surface(rest_m, SUPPORT_ERROR * jnp.where(jnp.isfinite(rest_m), rest_m, 0.0))
+
+    def _sigma_m(self, surface: _Surface) -> jax.Array:
+        """Standard deviation (H, W) of a measurement of the surface."""
+        return jnp.hypot(standard_deviation(self.noise, surface.finite_m), surface.sigma_m)
+
+    def _shows(self, surface: _Surface) -> jax.Array:
+        """Probability (H, W) that a pixel shows a surface and nothing unknown, by its own measurement."""
+        there = surface.there & (self.observed_m != NO_RETURN)
+        mine = _normal(self.observed_m, surface.finite_m, self._sigma_m(surface))
+        return jnp.where(there, mine / (mine + 1 / self.learned.reach_m), 0.0)
+
+    def _log_density(
+        self, surface: _Surface, same: jax.Array, scene: jax.Array, objects: jax.Array
+    ) -> jax.Array:
+        """Log density (H, W) of pixels that show a surface, or nothing where there is none.
+
+        Args:
+            surface: what they show.
+            same: (H, W) probability that a pixel shows this surface.
+            scene: (H, W) that it shows anything of the scene.
+            objects: (H, W) that it shows an object.
+        """
+        z, none_hit = self.observed_m, self.noise.none_hit_probability
+        none_miss = self.noise.none_miss_probability
+        kappa = self._kappa(_left_and_above(scene))
+        unknown = self.unknown.not_continuing(*_left_and_above(objects))
+        u, sigma_m = unknown.density(z), self._sigma_m(surface)
+        missing = self._missing(surface, same)
+        a = (1 - missing) * self._scene(surface, same) + missing * u
+        nearer = kappa * unknown.share_before(surface.finite_m, sigma_m)
+        in_front = kappa * u * ndtr((surface.finite_m - z) / sigma_m)
+        hit = (1 - none_hit) * ((1 - nearer) * a + in_front)
+        miss = (1 - kappa) * (1 - none_miss) * self._uniform() + kappa * (1 - none_hit) * u
+        none = jnp.where(surface.there, none_hit, (1 - kappa) * none_miss + kappa * none_hit)
+        density = jnp.where(z == NO_RETURN, none, jnp.where(surface.there, hit, miss))
+        return jnp.log(jnp.maximum(density, LEAST_DENSITY))
+
+    def _scene(self, surface: _Surface, same: jax.Array) -> jax.Array:
+        """The scene's part a (H, W), where pixels show this surface with probabilities (H, W)."""
+        depth_m, sigma_m = surface.finite_m, self._sigma_m(surface)
+        residual_m = jnp.where(surface.there, self.observed_m - depth_m, 0.0)
+        left_m, above_m = _left_and_above(residual_m)
+        left, above = _left_and_above(same)
+        plane_m = extrapolated(lambda *by: (shifted(residual_m, *by), shifted(same, *by)))
+        by_plane, by_above_plane, by_left, by_above, wide, _ = self.learned.weights
+        parts = (
+            (by_plane + by_above_plane, plane_m, 0, 1 - (1 - left) * (1 - above)),
+            (wide, plane_m, 4, 1 - (1 - left) * (1 - above)),
+            (by_left, left_m, 2, left),
+            (by_above, above_m, 3, above),
+        )
+        sensor_m = standard_deviation(self.noise, depth_m)
+        told, mixed = jnp.zeros_like(depth_m), jnp.zeros_like(depth_m)
+        for weight, foretold_m, scale, share in parts:
+            told += weight * share
+            mean_m, spread_m = depth_m + foretold_m, self.learned.scales[scale] * sensor_m
+            mixed += weight * share * _normal(self.observed_m, mean_m, spread_m)
+        mixed += (1 - told) * _normal(self.observed_m, depth_m, sigma_m)
+        return OUTLIERS * self._uniform() + (1 - OUTLIERS) * mixed
+
+    def _missing(self, surface: _Surface, same: jax.Array) -> jax.Array:
+        """Probability (H, W) that a surface is not where it should be: what is behind it is seen there.
+
+        Shapes, calibration and outlines are wrong in pieces.
+        """
+        behind = surface.there & (self.observed_m > surface.finite_m)
+        left, above = _left_and_above(jnp.where(behind, 1 - same, 0.0))
+        return MISSING + (MISSING_ON - MISSING) * (left + above) / 2
+
+    def _kappa(self, shows: tuple[jax.Array, jax.Array]) -> jax.Array:
+        """Probability (H, W) of something unknown, by what the pixels before show."""
+        measured = _left_and_above((self.observed_m != NO_RETURN).astype(jnp.float32))
+        count = measured[0] + measured[1]
+        known = (measured[0] * shows[0] + measured[1] * shows[1]) / jnp.maximum(count, 1.0)
+        return jnp.where(count > 0, CHANGES + (1 - 2 * CHANGES) * (1 - known), UNKNOWN)
+
+    def _uniform(self) -> jax.Array:
+        range_m = self.noise.max_range_m
+        return ((self.observed_m >= 0) & (self.observed_m <= range_m)) / range_m
+
+
+def _left_and_above(image: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """For every pixel the value of that to the left and of that above, 0 beyond the border."""
+    return jnp.pad(image, ((0, 0), (1, 0)))[:, :-1], jnp.pad(image, ((1, 0), (0, 0)))[:-1]
+
+
+def _nearest_beside(layer_m: jax.Array) -> jax.Array:
+    """The least depth (H, W) of the four pixels beside each."""
+    wide = jnp.pad(layer_m, 1, constant_values=jnp.inf)
+    beside = wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]
+    return jnp.min(jnp.stack(beside), axis=0)
+
+
+def _all_beside(mask: jax.Array) -> jax.Array:
+    """Whether a mask (H, W) holds the four pixels beside each; what is beyond the border counts as held."""
+    wide = jnp.pad(mask, 1, constant_values=True)
+    return wide[:-2, 1:-1] & wide[2:, 1:-1] & wide[1:-1, :-2] & wide[1:-1, 2:]
+
+
+def _normal(value: jax.Array, mean: jax.Array, sigma: jax.Array) -> jax.Array:
+    return jnp.exp(-0.5 * ((value - mean) / sigma) ** 2) / (sigma * jnp.sqrt(2 * jnp.pi))
