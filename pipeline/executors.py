@@ -80,7 +80,7 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 def _client(address: str) -> Any:
     try:
-        from distributed import Client
+        from distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise PipelineError(
             "a cluster needs Dask; install it with: pip install 'voxscene[cluster]'"

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 
 jax.tree_util.register_dataclass(DepthNoise)
 
 
-def standard_deviation(noise: DepthNoise, rendered_m: jax.Array) -> jax.Array:
+Depth = TypeVar("Depth", jax.Array, NDArray[np.floating])
+
+
+def standard_deviation(noise: DepthNoise, rendered_m: Depth) -> Depth:
     """sigma(z~) in metres for a surface at `rendered_m`."""
     return noise.sigma_base_m + noise.sigma_growth_per_m * (rendered_m - 0.4) ** 2
 

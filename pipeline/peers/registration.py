@@ -121,7 +121,7 @@ def point_pair_features_icp(
 @lru_cache(maxsize=64)
 def _pair_detector(model: Model, step: float) -> Any:
     """A trained detector of one model (extra `bench`)."""
-    import cv2
+    import cv2  # pyright: ignore[reportMissingImports]
 
     detector = cv2.ppf_match_3d.PPF3DDetector(step, step)
     # sampled as the detector would: it trains on the square of the points that it is given

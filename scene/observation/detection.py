@@ -131,7 +131,7 @@ def given_support(
     if len(members) < PIECE_POINTS:
         place = ", ".join(f"{value:g}" for value in place_m)
         raise ValueError(f"no measured point lies in the support through ({place})")
-    return _settled(_rectangle(members, np.asarray(place_m, np.float64), upward), points_m)
+    return _settled(_rectangle(members.astype(np.float64), np.asarray(place_m, np.float64), upward), points_m)
 
 
 def _planes(sampled: NDArray[np.float64], rng: np.random.Generator) -> list[NDArray[np.float64]]:

@@ -227,7 +227,7 @@ def _others(
         check_results(path, shapes.ids.values(), images)
     if "ppf" in peers:
         try:
-            import cv2  # noqa: F401
+            import cv2  # noqa: F401  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise PipelineError("ppf needs OpenCV's contributions: pip install 'voxscene[bench]'") from error
     with stdout_to_stderr():

@@ -17,7 +17,7 @@ def occupied_after_one_view(behind_m: list[float]) -> np.ndarray:
     count = len(behind_m)
     grid = VoxelGrid(shape=(count, 1, 1), pitch_m=0.005, reference_from_grid=np.eye(4), on_plane=False)
     behind = np.asarray(behind_m, np.float32)
-    nowhere = np.zeros(count, np.bool_)
+    nowhere = np.packbits(np.zeros(count, np.bool_))
     view = ViewReadings(
         before=nowhere,
         hidden=nowhere,

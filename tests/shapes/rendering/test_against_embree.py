@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ def sphere(wall_m: float) -> trimesh.Trimesh:
     """A hollow sphere of 10 cm."""
     inner = trimesh.creation.icosphere(4, 0.05 - wall_m)
     inner.invert()
-    return trimesh.util.concatenate([trimesh.creation.icosphere(4, 0.05), inner])
+    outer = trimesh.creation.icosphere(4, 0.05)
+    return cast("trimesh.Trimesh", trimesh.util.concatenate([outer, inner]))
 
 
 def cup(wall_m: float) -> trimesh.Trimesh:
@@ -68,7 +70,7 @@ def jumps(before: NDArray[np.floating], after: NDArray[np.floating]) -> int:
 def ycb(folder: Path) -> Iterator[tuple[str, trimesh.Trimesh]]:
     """The 21 meshes."""
     for path in sorted(folder.glob("*.ply")):
-        yield path.stem, trimesh.load(path, process=False)
+        yield path.stem, cast("trimesh.Trimesh", trimesh.load(path, process=False))
 
 
 @pytest.mark.parametrize("wall_mm", [0.5, 2.0])
