@@ -60,7 +60,8 @@ def test_a_spin_leaves_the_line_in_place(key: jax.Array) -> None:
     def at(point: jax.Array, pose: jax.Array) -> jax.Array:
         return jaxlie.SO3(pose[:4]).as_matrix() @ point + pose[4:]
 
-    for point in (LINE.points_m, LINE.points_m + LINE.directions):
+    first = LINE.points_m.astype(jnp.float64)  # single precision would put the sum off the line
+    for point in (first, first + LINE.directions):
         np.testing.assert_allclose(at(point, pose), at(point, there), atol=1e-12)
     assert float(jnp.linalg.norm(at(jnp.zeros(3), pose) - at(jnp.zeros(3), there))) > 0.1
 
