@@ -82,6 +82,7 @@ def test_a_shape_becomes_a_mesh(small_shape: ShapePrior, tmp_path: Path, capsys)
     assert "triangles" in capsys.readouterr().out
 
 
+@pytest.mark.slow  # tests/pipeline/test_interface.py tracks through the same interface
 def test_a_recording_is_tracked(mug_file: Path, capsys) -> None:
     """The example follows the mug's film to a centimetre of its truth."""
     example("track_a_recording").main(str(mug_file), particles=16)

@@ -39,7 +39,7 @@ def same(one: SlamResult, other: SlamResult) -> bool:
     )
 
 
-@pytest.mark.parametrize("killed_after", [2, 7])
+@pytest.mark.parametrize("killed_after", [pytest.param(2, marks=pytest.mark.slow), 7])
 def test_a_killed_tracker_ends_with_the_same_bytes(
     key: jax.Array, seed: int, tmp_path: Path, killed_after: int
 ) -> None:
