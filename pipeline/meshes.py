@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
 from pipeline.logs import log
-from pipeline.shape_folder import MESH_SUFFIXES
+from pipeline.surfaces import MESH_SUFFIXES
 
 Units = Literal["m", "mm"]
 

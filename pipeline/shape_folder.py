@@ -11,15 +11,12 @@ import numpy as np
 
 from pipeline.errors import PipelineError
 from pipeline.fingerprints import file_hash
-from pipeline.surfaces import SceneSurface
+from pipeline.surfaces import MESH_SUFFIXES, SceneSurface
 
 if TYPE_CHECKING:
     import jax
 
     from pipeline.meshes import Units
-
-
-MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".off")
 
 
 def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSurface]:

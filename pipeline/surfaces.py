@@ -14,6 +14,9 @@ from pipeline.errors import PipelineError
 from recordings.dataset_numbers import DatasetNumbers
 from shapes.archive import load_arrays, save_arrays
 
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".off")
+"""Of mesh files, as trimesh reads them; here, where nothing heavy is imported."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneSurface:
