@@ -15,7 +15,6 @@ from pipeline.export.meshes import Unseen, checked, moved, shape_mesh
 from pipeline.meshes import Units
 from pipeline.publishing.values import RunValues
 from pipeline.shape_folder import usable
-from pipeline.surfaces import SceneSurface
 from shapes.prior import ShapePrior
 
 Origin = Literal["base", "middle", "grid"]
@@ -115,7 +114,3 @@ def looked_for_models(values: RunValues) -> list[ExportModel]:
         )
         for name, one in values.surfaces.by_name.items()
     ]
-
-
-def _own_mesh(surface: SceneSurface) -> trimesh.Trimesh:
-    return trimesh.Trimesh(surface.vertices_m, surface.faces, vertex_colors=surface.rgb, process=False)
