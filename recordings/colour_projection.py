@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.cameras.distortion import distortion_model, is_distorted, unfolded_radius
-from recordings.cameras.matching import is_rectified, matching_camera, shared_namespace
+from recordings.cameras.matching import is_rectified, matching_camera, namespace, shared_namespace
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
     CameraMessage,
     CompressedImageMessage,
+    ExtrinsicsMessage,
     ImageMessage,
     UndecodableMessage,
 )
@@ -142,6 +143,8 @@ def projected_colour(
         tree = tree or recorded_transforms(decoded, mountings_only=True)
         colour_from_depth = tree.mounting(first.frame_id, frame_id)
         if colour_from_depth is None:
+            colour_from_depth = _drivers_extrinsics(decoded, depth_topic, topic)
+        if colour_from_depth is None:
             continue
         lens = _lens(topic, first, cameras)
         if lens is not None:
@@ -154,6 +157,25 @@ def projected_colour(
                 colour_from_depth=colour_from_depth,
                 depth_intrinsics=depth_intrinsics,
             )
+    return None
+
+
+def _drivers_extrinsics(
+    decoded: DecodedBag, depth_topic: str, colour_topic: str
+) -> NDArray[np.float64] | None:
+    """colour_from_depth (4, 4) of a driver's topic, if there is one: /camera/extrinsics/depth_to_color.
+
+    Its name tells the two cameras by the last part of their topics' namespaces.
+    """
+    depth, colour = namespace(depth_topic), namespace(colour_topic)
+    if not (depth and colour):
+        return None
+    for name in decoded.topic_names:
+        beside = min(shared_namespace(name, depth_topic), shared_namespace(name, colour_topic))
+        if name.endswith(f"/{depth[-1]}_to_{colour[-1]}") and beside == len(depth) - 1 == len(colour) - 1:
+            message = decoded.first(name)
+            if isinstance(message, ExtrinsicsMessage):
+                return message.second_from_first
     return None
 
 

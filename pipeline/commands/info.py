@@ -140,7 +140,7 @@ def _candidate(one: DepthCandidate, *, taken: bool) -> str:
 
 def _colour(depth: DepthOverview) -> str:
     if depth.colour_topic is None:
-        return "none that is registered to the depth, or whose calibration and /tf_static are recorded"
+        return "none that is registered to the depth, or whose calibration and mounting are recorded"
     how = ", of another camera, projected onto the depth" if depth.colour_is_projected else ""
     return f"{depth.colour_topic}{how}"
 

@@ -55,12 +55,9 @@ def command(
 
 def _doubts(document: dict[str, Any]) -> list[str]:
     """How surely the camera is known, and where it was lost."""
-    lines = []
-    if document["position_std_m"] is not None:
-        lines.append(
-            f"position known to {1000 * document['position_std_m']:.2g} mm (median), "
-            f"{1000 * document['largest_position_std_m']:.2g} mm in frame {document['least_sure_frame']}"
-        )
+    from pipeline.publishing.told_spread import camera_text
+
+    lines = [text] if (text := camera_text(document)) else []
     if document["lost"]:
         first = document["lost"][0]
         lines.append(f"lost first in frame {first['frame']}, at {first['stamp']} s; all stand in lost.txt")

@@ -29,6 +29,20 @@ def position_text(one: Mapping[str, Any]) -> str:
     return f"+- {length_text(one['middle_std_m'], converged=one['converged'])}"
 
 
+def camera_text(slam: Mapping[str, Any]) -> str:
+    """+- of the camera's position over the frames of summary.json's `slam`; empty where all were lost."""
+    if slam["position_std_m"] is None:
+        return ""
+    median, largest = (
+        length_text(slam[key], converged=True) for key in ("position_std_m", "largest_position_std_m")
+    )
+    low, high = REAL_CAMERA_FACTOR
+    return (
+        f"position +- {median} (median), {largest} in frame {slam['least_sure_frame']}, if only sensor noise "
+        f"errs; real recordings erred {low:g} to {high:g} times as much"
+    )
+
+
 def rotation_text(one: Mapping[str, Any]) -> str:
     """+- of the orientation of an object of summary.json, over all samples."""
     degrees = math.degrees(one["rotation_std_rad"])

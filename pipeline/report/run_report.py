@@ -13,7 +13,7 @@ from pipeline.errors import PipelineError
 from pipeline.export.models import learned_model
 from pipeline.export.sources import is_project, is_run
 from pipeline.publishing.summary import summary_of, timing_of
-from pipeline.publishing.told_spread import agreement_text, position_text, rotation_text
+from pipeline.publishing.told_spread import agreement_text, camera_text, position_text, rotation_text
 from pipeline.publishing.values import RunValues
 from pipeline.report import charts
 from pipeline.report.page import Page
@@ -144,9 +144,7 @@ def _figures(run: ReportedRun) -> dict[str, str]:
         found["frames"] = f"{len(slam)} in {seconds:.1f} s"
         found["lost frames"] = str(int(slam.lost.sum()))
         found["path length"] = f"{length_m:.2f} m"
-        found["position spread (median, worst)"] = "{:.2f}, {:.2f} mm".format(
-            *np.quantile(_position_std_mm(run), [0.5, 1.0])
-        )
+        found["position"] = camera_text(run.summary["slam"]).removeprefix("position ")
         found["least effective sample size"] = f"{slam.ess.min():.1f} of {len(slam.log_weights)}"
     for name, shape in run.values.shapes.items():
         size = " x ".join(f"{100 * side:.1f}" for side in np.ptp(shape.bounding_box_m, axis=0))
@@ -186,7 +184,7 @@ def _camera(page: Page, run: ReportedRun) -> None:
     if slam is not None and len(slam) > 1:
         time_s = (slam.times_ns - slam.times_ns[0]) / 1e9
         lost = time_s[slam.lost]
-        spread = {"standard deviation an axis": _position_std_mm(run)}
+        spread = {"root mean square distance": _position_std_mm(run)}
         pictures["spread of the camera's position; lost frames in red"] = charts.lines(
             time_s, spread, "time, s", "mm", marked=lost
         )
@@ -272,4 +270,4 @@ def _settings(page: Page, run: ReportedRun) -> None:
 def _position_std_mm(run: ReportedRun) -> np.ndarray:
     slam = run.values.slam
     assert slam is not None
-    return 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2) / 3)
+    return 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2))

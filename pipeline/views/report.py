@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.publishing.told_spread import (
-    REAL_CAMERA_FACTOR,
+    camera_text,
     position_text,
     rotation_text,
     shares_text,
@@ -31,24 +31,20 @@ def report_markdown(values: RunValues, summary: Mapping[str, Any]) -> str:
     if "parse" in summary:
         parts += _scene(summary["parse"])
     if values.slam is not None:
-        parts += _camera(values.slam)
+        parts += _camera(values.slam, summary["slam"])
     if "learn" in summary:
         parts += _shapes(summary["learn"])
     return "\n".join(parts) + "\n"
 
 
-def _camera(slam: SlamResult) -> list[str]:
-    deviation_mm = 1000 * np.sqrt(np.trace(slam.covariance[:, :3, :3], axis1=1, axis2=2) / 3)
-    lost = int(slam.lost.sum())
-    length_m = np.linalg.norm(np.diff(slam.mean[:, :3, 3], axis=0), axis=1).sum()
-    low, high = REAL_CAMERA_FACTOR
+def _camera(slam: SlamResult, told: Mapping[str, Any]) -> list[str]:
+    spread = camera_text(told)
     return [
         "",
         "**Camera**",
         "",
-        f"- {len(slam)} frames over {length_m:.2f} m, {lost or 'none'} lost",
-        f"- position +- {np.median(deviation_mm):.2g} mm an axis, {deviation_mm.max():.2g} mm at worst, "
-        f"if only sensor noise errs; real recordings erred {low:g} to {high:g} times as much",
+        f"- {told['frames']} frames over {told['length_m']:.2f} m, {told['lost_frames'] or 'none'} lost",
+        *([f"- {spread}"] if spread else []),
         f"- least effective sample size {slam.ess.min():.1f} of {len(slam.log_weights)} particles",
         *_paths(slam.path_probabilities),
         "- ellipsoids: 95% regions of positions, of true size; ten times larger as `uncertainty_10x`",

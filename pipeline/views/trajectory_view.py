@@ -18,12 +18,12 @@ ELLIPSOIDS = 40
 PATH_WIDTH, PARTICLE_WIDTH = rr.Radius.ui_points(4.0), rr.Radius.ui_points(0.7)
 """In points of the screen: a path is seen at any distance."""
 PLOTS = {
-    "position": ("Position spread, mm an axis", ORANGE),
-    "rotation": ("Rotation spread, deg an axis", PURPLE),
+    "position": ("Position spread, mm", ORANGE),
+    "rotation": ("Rotation spread, deg", PURPLE),
     "ess": ("Effective samples, particles", GREEN),
     "evidence": ("Log evidence, nat a frame", SKY_BLUE),
 }
-"""By path: title with unit, and colour. Spreads are standard deviations."""
+"""By path: title with unit, and colour. Spreads are root mean square distances and angles from the mean."""
 
 
 def log_trajectory(recording: rr.RecordingStream, result: SlamResult) -> None:
@@ -47,10 +47,10 @@ def log_trajectory(recording: rr.RecordingStream, result: SlamResult) -> None:
 
 
 def log_filter(recording: rr.RecordingStream, result: SlamResult) -> None:
-    """Standard deviations, effective sample size and log evidence over the frames."""
+    """Spreads, effective sample size and log evidence over the frames."""
     series = {
-        "position": 1000 * np.sqrt(np.trace(result.covariance[:, :3, :3], axis1=1, axis2=2) / 3),
-        "rotation": np.degrees(np.sqrt(np.trace(result.covariance[:, 3:, 3:], axis1=1, axis2=2) / 3)),
+        "position": 1000 * np.sqrt(np.trace(result.covariance[:, :3, :3], axis1=1, axis2=2)),
+        "rotation": np.degrees(np.sqrt(np.trace(result.covariance[:, 3:, 3:], axis1=1, axis2=2))),
         "ess": result.ess,
         "evidence": result.log_evidence,
     }

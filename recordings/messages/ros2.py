@@ -20,6 +20,7 @@ from recordings.messages.types import (
     CameraMessage,
     CompressedImageMessage,
     DecodedMessage,
+    ExtrinsicsMessage,
     ImageMessage,
     OdometryMessage,
     PointCloudMessage,
@@ -32,6 +33,9 @@ from recordings.messages.types import (
 
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """sensor_msgs/msg/PointField's datatypes; fields of others are passed over."""
+
+_NO_ROTATION = 1e-3
+"""Drivers write single precision; older ones a header before the numbers, which read as none then."""
 
 
 def canonical_name(schema_name: str) -> str:
@@ -185,6 +189,19 @@ def _odometry(message: Any) -> OdometryMessage:
     )
 
 
+def _extrinsics(message: Any) -> ExtrinsicsMessage:
+    """RealSense's rs2_extrinsics: nine numbers column by column, which map the first camera's points."""
+    rotation = np.reshape(np.asarray(message.rotation, np.float64), (3, 3)).T
+    translation = np.asarray(message.translation, np.float64)
+    if not (
+        np.abs(rotation @ rotation.T - np.eye(3)).max() < _NO_ROTATION and np.isfinite(translation).all()
+    ):
+        raise UndecodableMessage(f"holds no rotation: {message.rotation}")
+    second_from_first = np.eye(4)
+    second_from_first[:3, :3], second_from_first[:3, 3] = rotation, translation
+    return ExtrinsicsMessage(second_from_first=second_from_first)
+
+
 _CONVERSIONS: dict[str, Callable[[Any], DecodedMessage]] = {
     "sensor_msgs/msg/Image": _image,
     "sensor_msgs/msg/CompressedImage": _compressed_image,
@@ -195,6 +212,7 @@ _CONVERSIONS: dict[str, Callable[[Any], DecodedMessage]] = {
     "geometry_msgs/msg/PoseStamped": _pose,
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose,
     "nav_msgs/msg/Odometry": _odometry,
+    "realsense2_camera_msgs/msg/Extrinsics": _extrinsics,
 }
 
 READABLE_TYPES = frozenset(_CONVERSIONS)

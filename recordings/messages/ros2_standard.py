@@ -1,4 +1,4 @@
-"""The standard ROS 2 messages: their definitions, and encoding those that we write (rosbags' type store)."""
+"""The ROS 2 messages that are read: their definitions, and encoding those that we write (rosbags' types)."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 _SECOND_NS = 1_000_000_000
 _LAST_SECOND = (1 << 31) - 1
+_DRIVERS_MESSAGES = {
+    "realsense2_camera_msgs/msg/Extrinsics": "float64[9] rotation\nfloat64[3] translation\n",
+}
+"""Definitions of drivers' own messages, for bags that do not bring them."""
 
 
 @cache
@@ -108,6 +112,13 @@ def _new(name: str, **fields: Any) -> Any:
 
 @cache
 def _typestore() -> Typestore:
-    from rosbags.typesys import Stores, get_typestore  # takes 0.15 s, and reading seldom needs it
+    from rosbags.typesys import (  # takes 0.15 s, and reading seldom needs it
+        Stores,
+        get_types_from_msg,
+        get_typestore,
+    )
 
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, definition in _DRIVERS_MESSAGES.items():
+        store.register(get_types_from_msg(definition, name))
+    return store

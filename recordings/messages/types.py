@@ -102,6 +102,13 @@ class TransformMessage:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ExtrinsicsMessage:
+    """A rigid transform (4, 4) between two cameras of one device, which the topic's name alone tells."""
+
+    second_from_first: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
 class OdometryMessage:
     """Where a body is in a fixed frame by its own reckoning; transforms on /tf usually say the same."""
 
@@ -124,6 +131,7 @@ DecodedMessage = (
     | PointCloudMessage
     | OdometryMessage
     | PoseMessage
+    | ExtrinsicsMessage
     | tuple[TransformMessage, ...]
 )
 

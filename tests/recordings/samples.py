@@ -19,6 +19,9 @@ ROS1_STORE = get_typestore(Stores.ROS1_NOETIC)
 ROS1_STORE.register(
     get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
 )
+STORE.register(
+    get_types_from_msg("float64[9] rotation\nfloat64[3] translation", "realsense2_camera_msgs/msg/Extrinsics")
+)
 
 CONTAINERS: dict[str, dict[str, Any]] = {
     "zstd": {},

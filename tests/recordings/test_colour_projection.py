@@ -8,7 +8,7 @@ import pytest
 from recordings.options import ReadOptions
 from recordings.overview import survey
 from recordings.reading import open_recording
-from tests.recordings.samples import SECOND_NS, Scribe, camera_info, image, transform
+from tests.recordings.samples import SECOND_NS, Scribe, camera_info, image, new, transform
 
 DEPTH_K, DEPTH_SIZE = (190.0, 191.0, 118.5, 88.25), (240, 180)
 COLOUR_K, COLOUR_SIZE = (310.0, 309.0, 161.0, 119.0), (320, 240)
@@ -63,7 +63,9 @@ def truth(depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return pixel, inside & ~hidden
 
 
-def write(path: Path, *, mounted: bool = True, aligned: bool = False) -> np.ndarray:
+def write(
+    path: Path, *, mounted: bool = True, aligned: bool = False, extrinsics: np.ndarray | None = None
+) -> np.ndarray:
     """A bag with topics as a RealSense driver names them; colours tell their own pixel. Gives the depth."""
     depth_m = depth_image()
     v, u = np.mgrid[: COLOUR_SIZE[1], : COLOUR_SIZE[0]]
@@ -73,6 +75,10 @@ def write(path: Path, *, mounted: bool = True, aligned: bool = False) -> np.ndar
         if mounted:
             moving = transform(SECOND_NS, "color_optical", "depth_optical", COLOUR_PLACE_M, XYZW)
             scribe.ros2("/tf_static", moving, SECOND_NS)
+        if extrinsics is not None:
+            name = "realsense2_camera_msgs/msg/Extrinsics"
+            offset = new(name, rotation=extrinsics.ravel(), translation=COLOUR_PLACE_M)
+            scribe.ros2("/camera/extrinsics/depth_to_color", offset, SECOND_NS)
         info = camera_info(SECOND_NS, DEPTH_SIZE, DEPTH_K, "depth_optical")
         scribe.ros2("/camera/depth/camera_info", info, SECOND_NS)
         info = camera_info(SECOND_NS, COLOUR_SIZE, COLOUR_K, "color_optical", d=COLOUR_LENS)
@@ -114,6 +120,20 @@ def test_without_a_mounting_there_is_no_colour(recording_path):
     depth = survey(recording_path, ReadOptions()).depth
     assert depth is not None
     assert depth.colour_topic is None
+
+
+def test_the_drivers_extrinsics_place_the_colour_camera_as_a_mounting_does(recording_path):
+    """RealSense writes the rotation column by column; what is no rotation is passed over."""
+    write(recording_path)
+    (mounted,) = open_recording(recording_path)
+    write(recording_path, mounted=False, extrinsics=rotation().T)
+    (told,) = open_recording(recording_path)
+    assert told.rgb is not None
+    assert mounted.rgb is not None
+    np.testing.assert_array_equal(told.rgb, mounted.rgb)
+    write(recording_path, mounted=False, extrinsics=2 * rotation().T)
+    (frame,) = open_recording(recording_path)
+    assert frame.rgb is None
 
 
 def test_the_sensors_own_depth_is_taken_before_what_was_resampled_to_a_colour_camera(recording_path):
