@@ -7,6 +7,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from itertools import pairwise
+from statistics import median
 from types import TracebackType
 from typing import TextIO
 
@@ -16,7 +18,11 @@ TERMINAL_INTERVAL_S = 0.2
 LINE_INTERVAL_S = 10.0
 """Where stderr is a file or a pipe, a line this often."""
 WINDOW_S = 8.0
-"""The rate is that of so many last seconds: the first ones compile, and work grows harder or easier."""
+"""The rate is that of so many last seconds: work grows harder or easier."""
+PAUSE = 10.0
+"""A step of so many times the median one is a pause, mostly to compile: it says nothing of the rest."""
+FEW_STEPS = 3
+"""Fewer tell no remaining time, unless they fill those seconds: the first ones compile."""
 
 _shown: list[Progress] = []
 """Displays that are open, the innermost last: it alone shows anything."""
@@ -123,17 +129,28 @@ class Progress:
 
     def _counted(self) -> str:
         """What is done, at what rate, and the time that is left at that rate."""
-        (then_s, before), (now_s, done) = self._samples[0], self._samples[-1]
-        rate = (done - before) / (now_s - then_s) if done > before else None
-        return self._text(done, self._total, rate)
-
-    def _text(self, done: int, total: int | None, rate: float | None) -> str:
+        done, total, rate = self._samples[-1][1], self._total, self._rate()
         count = f"{self._label}: {done}{'' if total is None else f'/{total}'} {self._unit}"
         if rate is None:
             return count
         if total is None:
             return f"{count}, {rate:.3g}/s"
         return f"{count}, {rate:.3g}/s, {_minutes(max(total - done, 0) / rate)} left"
+
+    def _rate(self) -> float | None:
+        """Units a second of the last steps, without pauses; None where they are too few."""
+        samples = list(self._samples)
+        steps = [
+            (now_s - then_s, done - before)
+            for (then_s, before), (now_s, done) in pairwise(samples)
+            if done > before
+        ]
+        if len(steps) < FEW_STEPS and sum(seconds for seconds, _ in steps) < WINDOW_S:
+            return None
+        usual_s = median(seconds / units for seconds, units in steps)
+        work = [step for step in steps if step[0] <= PAUSE * usual_s * step[1]]
+        seconds = sum(seconds for seconds, _ in work)
+        return sum(units for _, units in work) / seconds if seconds > 0 else None
 
 
 def _minutes(seconds: float) -> str:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 EYE_FOV_RAD = np.radians(55.0)
 """Rerun's vertical field of view."""
-ASPECT = 1.0
-"""Width over height of the 3D panel, at least, in a window of 1600 x 1000."""
+ASPECT = 0.93
+"""Width over height of the 3D panel in a picture of 1600 x 1000."""
 EDGE = 1.05
 """What lies nearer to the edge than a fortieth counts as outside."""
 CELLS = 30
@@ -32,11 +32,13 @@ LEAST_EXTENT = 0.12
 """Of a path, as a share of the diagonal: a camera that stood still is looked at from a little behind too."""
 TOWARD_PATH = (0.0, 0.3, 0.6)
 """How far the eye turns from what is looked at toward the middle of what is wanted."""
+STEPS = (0.2, 0.1, 0.05, 0.025)
+"""By which the best candidate is moved while that is better, in distances between eye and target."""
 STRAY = 0.2
 """Score that a candidate loses for a right angle away from the first camera's side."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Eye:
     """Position, target and up (3,), metres in the reference frame."""
 
@@ -52,7 +54,10 @@ def chosen_eye(
     up: NDArray[np.float64],
     focus_m: NDArray[np.floating] | None = None,
 ) -> Eye:
-    """The candidate whose view is filled best, with all that is wanted inside and in sight.
+    """The eye whose view is filled best, with all that is wanted inside and in sight.
+
+    The best of some candidates; where nothing is to stand in the middle, small moves from there on make it
+    better (pattern search).
 
     Args:
         cloud_m: (N, 3) what there is to see.
@@ -76,7 +81,11 @@ def chosen_eye(
         for position in positions
         for share in TOWARD_PATH
     ]
-    return max(eyes, key=lambda eye: _score(eye, cloud, wanted, sight))
+    best = max(eyes, key=lambda eye: _score(eye, cloud, wanted, sight))
+    for step in STEPS if focus_m is None else ():
+        while (moved := max(_moved(best, step), key=lambda eye: _score(eye, cloud, wanted, sight))) != best:
+            best = moved
+    return best
 
 
 def _round(
@@ -111,6 +120,18 @@ def _behind(
         first_camera[:3, 3] + extent * (-back * sight + over * up + beside * aside)
         for back, over, beside in itertools.product(BEHIND, OVER, BESIDE)
     ]
+
+
+def _moved(eye: Eye, step: float) -> list[Eye]:
+    """An eye, itself first, and those a step ahead, aside or above, or with the target moved across."""
+    ahead = eye.target - eye.position
+    aside = np.cross(ahead, eye.up)
+    aside *= np.linalg.norm(ahead) / max(float(np.linalg.norm(aside)), 1e-9)
+    above = np.cross(aside, ahead) / np.linalg.norm(ahead)
+    moves = [sign * step * one for one in (ahead, aside, above) for sign in (-1, 1)]
+    stood = [Eye(eye.position + one, eye.target, eye.up) for one in moves]
+    turned = [Eye(eye.position, eye.target + one, eye.up) for one in moves[2:]]
+    return [eye, *stood, *turned]
 
 
 def _score(

@@ -1,6 +1,7 @@
 """Progress shows rate and remaining time, and only for long work."""
 
 import io
+import re
 import time
 
 from pipeline.progress import Progress
@@ -43,9 +44,9 @@ def test_short_work_is_silent() -> None:
 
 def test_a_terminal_has_one_line_that_is_wiped_at_the_end() -> None:
     """Rate and remaining time."""
-    text = shown(Terminal(), [(2.0, 4), (2.05, 5), (4.0, 20)])
+    text = shown(Terminal(), [(2.0, 4), (2.05, 5), (3.0, 12), (4.0, 20)])
 
-    assert text.count("\r") == 4
+    assert text.count("\r") == 5
     assert "\rslam: 4/60 frames\r" in text
     assert "\rslam: 20/60 frames, 8/s, 0:05 left" in text
     assert text.endswith("\r")
@@ -66,6 +67,20 @@ def test_the_rate_does_not_count_what_comes_before_the_first_call() -> None:
     assert text == "slam: 1/60 frames\nslam: 11/60 frames, 0.909/s, 0:54 left\n"
 
 
+def test_pauses_to_compile_do_not_count() -> None:
+    """Frames of a tenth of a second, the second and the tenth after five: it is fifty frames from the end."""
+    seconds, calls = 0.0, []
+    for done in range(1, 11):
+        seconds += 5.0 if done in {2, 10} else 0.1
+        calls.append((seconds, done))
+
+    text = shown(Terminal(), calls)
+
+    assert text.count("left") > 2
+    assert set(re.findall(r"0:\d\d left", text)) <= {"0:06 left", "0:05 left"}
+    assert "10/60 frames, 10/s, 0:05 left" in text
+
+
 def test_quiet_shows_nothing() -> None:
     """However long."""
     assert shown(Terminal(), [(200.0, 3)], quiet=True) == ""
@@ -76,12 +91,12 @@ def test_an_unknown_total_shows_the_rate_alone() -> None:
     clock, stream = Clock(), io.StringIO()
     progress = Progress("read", "frames", stream=stream, clock=clock)
     progress(0)
-    clock.now_s += 4
-    progress(8)
+    clock.now_s += 9
+    progress(18)
     clock.now_s += 10
-    progress(14, 14 + 7200)
+    progress(24, 24 + 7200)
 
-    assert stream.getvalue() == "read: 8 frames, 2/s\nread: 14/7214 frames, 0.6/s, 3:20:00 left\n"
+    assert stream.getvalue() == "read: 18 frames, 2/s\nread: 24/7224 frames, 0.6/s, 3:20:00 left\n"
 
 
 def test_the_remaining_time_is_that_of_the_last_seconds() -> None:
