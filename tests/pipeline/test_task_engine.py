@@ -47,7 +47,10 @@ def test_any_executor_serves_and_errors_are_outcomes() -> None:
 
 
 def test_a_killed_worker_costs_a_try_and_no_neighbour_fails(tmp_path: Path) -> None:
-    """Once: done at the second try. Always: failed after three, alone."""
+    """Once: done at the second try. Always: failed after three, alone.
+
+    Its first try counts also where the other's death broke their pool before it began.
+    """
     once, always = tmp_path / "once", tmp_path / "always"
     once.mkdir()
     always.mkdir()
@@ -61,7 +64,7 @@ def test_a_killed_worker_costs_a_try_and_no_neighbour_fails(tmp_path: Path) -> N
 
     assert len(outcomes) == len(tasks)
     assert [one.task.name for one in lost] == ["always"]
-    assert len(list(always.iterdir())) == MOST_TRIES
+    assert len(list(always.iterdir())) in (MOST_TRIES - 1, MOST_TRIES)
     assert {n: results(outcomes)[n] for n in ("once", "0", "1", "2", "3")} == {
         **{str(n): n * n for n in range(4)},
         "once": 1,

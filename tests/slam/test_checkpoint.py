@@ -7,27 +7,18 @@ import jax
 import numpy as np
 import pytest
 
-from recordings.types import CameraIntrinsics, Frame
+from recordings.types import Frame
 from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
 from slam.result import SlamResult
 from slam.tracking import track
+from tests.slam import box_room
 
-CAMERA = CameraIntrinsics(width=96, height=72, fx=84.0, fy=84.0, cx=47.5, cy=35.5)
 
-
-def corner_of_a_room(count: int, rng: np.random.Generator) -> list[Frame]:
-    """Views of three walls by a camera that moves a centimetre a frame; the first shows nothing."""
-    rays = CAMERA.rays(np.arange(96)[None], np.arange(72)[:, None])
-    normals, offsets = np.array([[0.6, 0, 0.8], [-0.8, 0, 0.6], [0, 1.0, 0]]), np.array([2.0, 1.6, 1.1])
-    frames = []
-    for number in range(count):
-        with np.errstate(divide="ignore"):
-            distances = (offsets - normals @ [0.01 * number, 0, 0]) / (rays @ normals.T)
-        depth = np.where(distances > 0, distances, np.inf).min(axis=-1)
-        depth += rng.normal(0, 0.002, depth.shape)
-        depth_m = (depth if number else 0 * depth).astype(np.float32)
-        frames.append(Frame(time_ns=number * 33_000_000, depth_m=depth_m))
+def walk_after_a_blank(count: int, seed: int) -> list[Frame]:
+    """Views of a room by a camera that moves; the first shows nothing."""
+    frames = box_room.frames(box_room.walk(count), seed=seed)
+    frames[0] = Frame(time_ns=frames[0].time_ns, depth_m=np.zeros_like(frames[0].depth_m))
     return frames
 
 
@@ -39,14 +30,14 @@ def same(one: SlamResult, other: SlamResult) -> bool:
     )
 
 
-@pytest.mark.parametrize("killed_after", [pytest.param(2, marks=pytest.mark.slow), 7])
+@pytest.mark.parametrize("killed_after", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_killed_tracker_ends_with_the_same_bytes(
     key: jax.Array, seed: int, tmp_path: Path, killed_after: int
 ) -> None:
     """Through a file; frames before the checkpoint are not tracked again."""
-    frames = corner_of_a_room(10, np.random.default_rng(seed))
+    frames = walk_after_a_blank(7, seed)
     config = SlamConfig(particles=16)
-    whole = track(jax.random.clone(key), frames, CAMERA, config)
+    whole = track(jax.random.clone(key), frames, box_room.INTRINSICS, config)
 
     def kill(checkpoint: Checkpoint) -> None:
         if len(checkpoint.history.frames) == killed_after:
@@ -54,12 +45,12 @@ def test_a_killed_tracker_ends_with_the_same_bytes(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        track(jax.random.clone(key), frames, CAMERA, config, on_checkpoint=kill)
+        track(jax.random.clone(key), frames, box_room.INTRINSICS, config, on_checkpoint=kill)
     seen: list[int] = []
     resumed = track(
         jax.random.clone(key),
         frames,
-        CAMERA,
+        box_room.INTRINSICS,
         config,
         on_frame=lambda info: seen.append(info.keyframes),
         checkpoint=Checkpoint.load(tmp_path / "checkpoint"),

@@ -148,7 +148,9 @@ def counted(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGra
     return total
 
 
-@pytest.mark.parametrize(("compared", "whole"), [(images, dense), (clouds, counted)])
+@pytest.mark.parametrize(
+    ("compared", "whole"), [(images, dense), pytest.param(clouds, counted, marks=pytest.mark.slow)]
+)
 def test_every_way_to_a_scene_has_its_likelihood(
     key: jax.Array,
     seed: int,
@@ -218,7 +220,8 @@ def test_absent_objects_show_nothing(key: jax.Array, boxes: list[SceneObject], p
     assert float(start.log_likelihood) == pytest.approx(dense(likelihood, observed_m, scene), abs=1e-2)
 
 
-@pytest.mark.parametrize("draws", [pytest.param(1, marks=pytest.mark.slow), 4])
+@pytest.mark.slow  # tests/scene/mcmc/test_pseudo_marginal.py sees chains of such estimates
+@pytest.mark.parametrize("draws", [1, 4])
 def test_the_estimate_over_shapes_is_unbiased(
     key: jax.Array, seed: int, poses: jax.Array, draws: int
 ) -> None:

@@ -41,6 +41,7 @@ def density_of(observed_m: jax.Array) -> PixelDensity:
     return PixelDensity(NOISE, jnp.float32(SURFACE_M), observed_m, jnp.float32(0.3), LEARNED, unknown)
 
 
+@jax.jit
 def log_factors(observed_m: jax.Array, layer_m: jax.Array, rest_m: jax.Array) -> jax.Array:
     """Log density (2, 2) of the pixels of an image under a scene of one object."""
     density = density_of(observed_m)
@@ -102,8 +103,9 @@ def test_the_sampler_draws_from_it(seed: int) -> None:
     fine = (np.arange(4000) + 0.5) / 4000 * 2.0 - 0.4
     values = jnp.asarray(np.append(fine, NO_RETURN))
     with jax.enable_x64(True):
-        pixels = jax.vmap(lambda z: log_factors(jnp.array([[first, 0.0]]).at[0, 1].set(z), layer_m, rest_m))
-        density = np.exp(np.asarray(pixels(values))[:, 0, 1])
+        drawn_images = jnp.stack([jnp.full(len(values), first), values], axis=1)[:, None]
+        pixels = jax.jit(jax.vmap(log_factors, in_axes=(0, None, None)))(drawn_images, layer_m, rest_m)
+        density = np.exp(np.asarray(pixels)[:, 0, 1])
     expected = np.append(density[:-1].reshape(10, 400).sum(axis=1) * 2.0 / 4000, density[-1])
     counted = np.append(np.histogram(drawn[drawn != NO_RETURN], edges)[0], (drawn == NO_RETURN).sum())
     error = np.sqrt(expected * (1 - expected) / count)

@@ -40,7 +40,7 @@ def test_every_involution_returns(key: jax.Array) -> None:
     assert float(jnp.max(info.involution_error)) < 1e-9
 
 
-@pytest.mark.parametrize("strength", [0.0, 1.5])
+@pytest.mark.parametrize("strength", [pytest.param(0.0, marks=pytest.mark.slow), 1.5])
 def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array, strength: float) -> None:
     """p(G) not uniform, log L[G] constant or not: frequencies are p(G) exp(log L[G]) / sum."""
     model, probabilities = weighted(3)
@@ -54,7 +54,7 @@ def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array, strength:
     assert_mean(frequencies, posterior / posterior.sum(), detectable=0.06)
 
 
-@pytest.mark.parametrize("weight", [1.0, 0.3])
+@pytest.mark.parametrize("weight", [pytest.param(1.0, marks=pytest.mark.slow), 0.3])
 def test_no_data_returns_the_prior_beside_an_empty_slot(key: jax.Array, weight: float) -> None:
     """Likelihood constant, two objects, a table and a slot for one that is not there: 8 trees.
 
@@ -78,14 +78,8 @@ def test_no_data_returns_the_prior_beside_an_empty_slot(key: jax.Array, weight: 
     assert_mean(frequencies, weights / weights.sum(), detectable=0.06)
 
 
-@pytest.mark.parametrize(
-    ("factor", "right"),
-    [
-        (8.0, True),
-        pytest.param(1.0, False, marks=pytest.mark.slow),
-        pytest.param(64.0, False, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow  # the frequencies above are right with the factor alone
+@pytest.mark.parametrize(("factor", "right"), [(8.0, True), (1.0, False), (64.0, False)])
 def test_the_factor_eight_is_seen(
     key: jax.Array, factor: float, right: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
