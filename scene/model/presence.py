@@ -6,14 +6,12 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import betaln, logit
+from scipy.special import logit
+
+from scene.model.number_prior import UncertainBinomialNumber
 
 LOG_SHARE_OF_POSES = -20.0
 """Log prior probability of the poses that fit alike: within about 2 mm and 2 degrees, of all on a table."""
-
-SHAPES = 24.0
-"""Shapes asked for, there or not, that weigh as much as the prior presence does. Chosen with the lookalikes'
-constants, on the same frames."""
 
 
 def log_prior_odds(presence: float) -> float:
@@ -39,10 +37,9 @@ def log_odds_of_presence(
     with np.errstate(divide="ignore"):
         log_unseen = np.log(np.asarray(unseen, np.float64))
     log_ratios = np.logaddexp(np.asarray(log_odds_where_seen) - logit(presence), log_unseen)
-    mean, others = SHAPES * np.array([presence, 1 - presence]), np.arange(len(log_ratios))
-    log_with = betaln(mean[0] + others + 1, mean[1] + others[::-1])
-    log_without = betaln(mean[0] + others, mean[1] + others[::-1] + 1)
-    by_others = [_log_sums_of_products(np.delete(log_ratios, one)) for one in others]
+    log_sets = UncertainBinomialNumber(presence).log_set_probabilities(len(log_ratios))
+    log_without, log_with = log_sets[:-1], log_sets[1:]
+    by_others = [_log_sums_of_products(np.delete(log_ratios, one)) for one in range(len(log_ratios))]
     total = np.logaddexp.reduce
     return log_ratios + [total(sums + log_with) - total(sums + log_without) for sums in by_others]
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.special import betaln, expit, logit
 
-from scene.model.presence import SHAPES, log_odds_of_presence, log_prior_odds
+from scene.model.number_prior import SHAPES
+from scene.model.presence import log_odds_of_presence, log_prior_odds
 from scene.search.assignment import PoseLayers, log_density_of_choice
 from scene.search.scene_edits import best_scene, filled, rivals
 from scene.search.support_table import SupportTable

@@ -1,0 +1,123 @@
+"""Priors on how many objects are there, p(N) of supplement L, as probabilities of sets of slots.
+
+A slot is one copy of a shape that is asked for. Given N every set of N slots is as likely (supplement L,
+eq. 5), so that a prior is a table: the probability of one given set, by its size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betaln, gammaln, xlog1py, xlogy
+
+SHAPES = 24.0
+"""Shapes asked for, there or not, that weigh as much as the prior presence does. Chosen with the lookalikes'
+constants, on the same frames."""
+
+
+class NumberPrior(Protocol):
+    """p(N), spread evenly over the sets of N slots."""
+
+    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
+        """Log probability (slots + 1,) that exactly one given set of 0, 1, ... of the slots is there."""
+        ...
+
+
+@dataclass(frozen=True)
+class FixedNumber:
+    """So many objects are there.
+
+    Attributes:
+        number: N_0.
+
+    Raises:
+        ValueError: there are fewer slots.
+    """
+
+    number: int
+
+    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
+        """Every set of that size."""
+        if not 0 <= self.number <= slots:
+            raise ValueError(f"{self.number} objects do not fit in {slots} slots")
+        table = np.full(slots + 1, -np.inf)
+        table[self.number] = -_log_sets(slots)[self.number]
+        return table
+
+
+@dataclass(frozen=True)
+class BinomialNumber:
+    """Every slot holds its object independently (eq. 3 with one probability, eq. 4).
+
+    Attributes:
+        presence: probability of each.
+    """
+
+    presence: float
+
+    def __post_init__(self) -> None:
+        _check_presence(self.presence)
+
+    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
+        """p^n (1 - p)^(slots - n)."""
+        there = np.arange(slots + 1)
+        return xlogy(there, self.presence) + xlog1py(slots - there, -self.presence)
+
+
+@dataclass(frozen=True)
+class PoissonNumber:
+    """N is Poisson, cut where the slots end.
+
+    Attributes:
+        mean: lambda.
+    """
+
+    mean: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mean) and self.mean > 0):
+            raise ValueError(f"the mean number of objects must be positive, got {self.mean}")
+
+    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
+        """lambda^n / n! over the number of sets, normalised."""
+        there = np.arange(slots + 1)
+        log_number = xlogy(there, self.mean) - gammaln(there + 1)
+        return log_number - np.logaddexp.reduce(log_number) - _log_sets(slots)
+
+
+@dataclass(frozen=True)
+class UncertainBinomialNumber:
+    """Binomial with a presence that is itself uncertain: Beta(w p, w (1 - p)).
+
+    Where most of what is asked for is missing, each of the others is less probable.
+
+    Attributes:
+        presence: p, the mean.
+        weight: w, in slots.
+    """
+
+    presence: float
+    weight: float = SHAPES
+
+    def __post_init__(self) -> None:
+        _check_presence(self.presence)
+
+    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
+        """Beta function of the counts over that of none."""
+        there = np.arange(slots + 1)
+        first, second = self.weight * self.presence, self.weight * (1 - self.presence)
+        return betaln(first + there, second + slots - there) - betaln(first, second)
+
+
+def _check_presence(presence: float) -> None:
+    if not 0 < presence < 1:
+        raise ValueError(f"presence must lie between 0 and 1, got {presence}")
+
+
+def _log_sets(slots: int) -> NDArray[np.float64]:
+    """Log number (slots + 1,) of the sets of each size."""
+    there = np.arange(slots + 1)
+    return gammaln(slots + 1) - gammaln(there + 1) - gammaln(slots - there + 1)

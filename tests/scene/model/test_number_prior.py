@@ -1,0 +1,49 @@
+"""Priors on the number of objects against SciPy's distributions."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import comb
+
+from scene.model.number_prior import (
+    BinomialNumber,
+    FixedNumber,
+    NumberPrior,
+    PoissonNumber,
+    UncertainBinomialNumber,
+)
+
+SLOTS = 5
+COUNTS = np.arange(SLOTS + 1)
+POISSON = stats.poisson.pmf(COUNTS, 1.7)
+
+
+@pytest.mark.parametrize(
+    ("prior", "expected"),
+    [
+        (FixedNumber(2), np.eye(SLOTS + 1)[2]),
+        (BinomialNumber(0.3), stats.binom.pmf(COUNTS, SLOTS, 0.3)),
+        (PoissonNumber(1.7), POISSON / POISSON.sum()),
+        (UncertainBinomialNumber(0.9), stats.betabinom.pmf(COUNTS, SLOTS, 21.6, 2.4)),
+    ],
+)
+def test_the_number_of_objects_has_its_distribution(prior: NumberPrior, expected: np.ndarray) -> None:
+    """Every set of one size is as likely, so that the number's law is the table times the number of sets."""
+    table = np.exp(prior.log_set_probabilities(SLOTS))
+
+    np.testing.assert_allclose(table * comb(SLOTS, COUNTS), expected, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("presence", [0.0, 1.0, -0.1, float("nan")])
+def test_a_presence_lies_between_0_and_1(presence: float) -> None:
+    """Else the message tells what was given."""
+    with pytest.raises(ValueError, match=f"between 0 and 1, got {presence}"):
+        BinomialNumber(presence)
+
+
+def test_numbers_that_cannot_be_are_refused() -> None:
+    """More objects than slots, and a mean of nothing."""
+    with pytest.raises(ValueError, match="6 objects do not fit in 5 slots"):
+        FixedNumber(6).log_set_probabilities(SLOTS)
+    with pytest.raises(ValueError, match="positive, got 0"):
+        PoissonNumber(0)
