@@ -1,0 +1,150 @@
+"""What depth images say against an object that nobody has seen: log L(with it) - log L(without)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
+from scene.objects.scene_object import SceneObject
+from shapes.geometry.camera import Camera
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.ray_casting import PosedObjects
+
+PAIRS_TOGETHER = 128
+"""Pairs of objects that are rendered at once: each has an image of its own."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenImage:
+    """One depth image and what is known to stand before the camera.
+
+    Attributes:
+        camera: of the image.
+        camera_from_world: (4, 4).
+        observed_m: (H, W), `NO_RETURN` where nothing was measured.
+        rest_m: (R, H, W) depth of what is known, in each of R draws of it; 0 where anything may hide.
+        weight: effective over actual number of pixels.
+    """
+
+    camera: Camera
+    camera_from_world: NDArray[np.float64]
+    observed_m: NDArray[np.float32]
+    rest_m: NDArray[np.float32]
+    weight: float = 1.0
+
+    def middle_seen(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether world points (n, 3) project into the image."""
+        x, y, z = np.moveaxis(
+            points_m @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3], -1, 0
+        )
+        height, width = self.observed_m.shape
+        ahead = np.where(z > 0, z, np.inf)
+        column = x / ahead * float(self.camera.fx) + float(self.camera.cx)
+        row = y / ahead * float(self.camera.fy) + float(self.camera.cy)
+        return (
+            (z > 0)
+            & (np.abs(column - (width - 1) / 2) <= width / 2)
+            & (np.abs(row - (height - 1) / 2) <= height / 2)
+        )
+
+
+class DepthImages:
+    """All images together: pixels and images are independent given the scene."""
+
+    def __init__(self, images: Sequence[SeenImage], noise: DepthNoise) -> None:
+        """Evidence of images of one scene.
+
+        Args:
+            images: at least one, each with as many draws of what is known.
+            noise: of the sensor and the surfaces together.
+        """
+        self.images, self.noise = tuple(images), noise
+        self.draws = len(images[0].rest_m)
+        self._evidence = [
+            depth_evidence(
+                noise, _cameras(image, self.draws), jnp.asarray(image.observed_m)[None], image.rest_m
+            )
+            for image in images
+        ]
+
+    def seen(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether world points (n, 3) project into any image."""
+        return np.any([image.middle_seen(points_m) for image in self.images], axis=0)
+
+    def layers(self, one: SceneObject, world_from_box: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Depth (n, H, W) of an object alone at poses (n, 4, 4) in the first image; +inf where it is not."""
+        image = self.images[0]
+        posed = _posed(image, one, world_from_box, np.zeros(len(world_from_box), int))
+        return np.asarray(render_layers(one.library, posed, _cameras(image, 1), *image.observed_m.shape))
+
+    def log_ratios(self, one: SceneObject, world_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log ratio (n,) of each pose (n, 4, 4), against the draws of what is known in turn."""
+        draw = np.arange(len(world_from_box)) % self.draws
+        total = np.zeros(len(world_from_box))
+        for image, evidence in zip(self.images, self._evidence, strict=True):
+            posed = _posed(image, one, world_from_box, draw)
+            total += image.weight * log_likelihood_ratio(one.library, self.noise, evidence, posed)
+        return total
+
+    def log_ratios_behind(
+        self,
+        one: SceneObject,
+        world_from_box: NDArray[np.float64],
+        other: SceneObject,
+        world_from_other: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """The same where another object, at its pose (n, 4, 4) of the same number, is there for certain."""
+        parts = range(0, len(world_from_box), PAIRS_TOGETHER)
+        return np.concatenate(
+            [
+                self._behind(
+                    one, world_from_box[first:][:PAIRS_TOGETHER], other, world_from_other[first:], first
+                )
+                for first in parts
+            ]
+        )
+
+    def _behind(
+        self,
+        one: SceneObject,
+        world_from_box: NDArray[np.float64],
+        other: SceneObject,
+        world_from_other: NDArray[np.float64],
+        first: int,
+    ) -> NDArray[np.float64]:
+        count = len(world_from_box)
+        filled = np.minimum(np.arange(PAIRS_TOGETHER), count - 1)
+        draw, total = (first + filled) % self.draws, np.zeros(PAIRS_TOGETHER)
+        for image in self.images:
+            known = _posed(image, other, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int))
+            layers_m = render_layers(other.library, known, _cameras(image, 1), *image.observed_m.shape)
+            rest_m = jnp.minimum(layers_m, jnp.asarray(image.rest_m)[draw])
+            cameras = _cameras(image, PAIRS_TOGETHER)
+            evidence: DepthEvidence = depth_evidence(
+                self.noise, cameras, jnp.asarray(image.observed_m)[None], rest_m
+            )
+            posed = _posed(image, one, world_from_box[filled], np.arange(PAIRS_TOGETHER))
+            total += image.weight * log_likelihood_ratio(one.library, self.noise, evidence, posed)
+        return total[:count]
+
+
+def _cameras(image: SeenImage, count: int) -> Camera:
+    """The image's camera so often, leaves (count,)."""
+    return jax.tree.map(lambda leaf: np.full(count, leaf, np.float32), image.camera)
+
+
+def _posed(
+    image: SeenImage, one: SceneObject, world_from_box: NDArray[np.float64], index: NDArray[np.integer]
+) -> PosedObjects:
+    camera_from_object = image.camera_from_world @ world_from_box
+    camera_from_object[:, :3, 3] -= camera_from_object[:, :3, :3] @ one.centre_m
+    library_index = np.zeros(len(world_from_box), np.int32)
+    leaves = library_index, camera_from_object.astype(np.float32), index.astype(np.int32)
+    return PosedObjects(*map(jax.device_put, leaves))

@@ -1,0 +1,186 @@
+"""The exact posterior of hidden objects: is it there, and where, when no pixel shows it (supplement L).
+
+With m(S) the mean likelihood ratio of the objects S over their prior poses, p(S | images) is in proportion
+to p(S) m(S): for one object with prior presence p the odds are m p / (1 - p), the supplement's 9 m at
+p = 0.9. What stands in sight comes as draws of its posterior, over which the ratio is averaged too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.hidden.depth_evidence import DepthImages
+from scene.hidden.pose_priors import PosePrior
+from scene.model.number_prior import NumberPrior
+from scene.objects.scene_object import SceneObject
+
+MOST_HIDDEN = 2
+"""Objects whose joint answer is computed: draws of poses are needed for each set of them."""
+
+TOGETHER = 2048
+"""Poses that are weighed between two reports of progress."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeanRatio:
+    """An estimate of a mean likelihood ratio from independent draws.
+
+    Attributes:
+        mean: m.
+        standard_error: of it.
+        effective_draws: (sum w)^2 / sum w^2; few where the object would be seen, and m is then a lower guess.
+        poses: (n, K, 4, 4) world_from_box of the n objects in K independent draws of the posterior.
+    """
+
+    mean: float
+    standard_error: float
+    effective_draws: float
+    poses: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HiddenPosterior:
+    """What is known of n hidden objects.
+
+    Attributes:
+        presence: (n,) probability that each is there.
+        standard_error: (n,) of it, from the number of draws.
+        both: probability that both are, of two.
+        ratios: by set of objects.
+        outside: (n,) probability that it is there and lies outside of every image.
+        poses: (n, K, 4, 4) world_from_box in draws of the posterior given that it is there.
+    """
+
+    presence: NDArray[np.float64]
+    standard_error: NDArray[np.float64]
+    both: float
+    ratios: dict[tuple[int, ...], MeanRatio]
+    outside: NDArray[np.float64]
+    poses: NDArray[np.float64]
+
+
+def hidden_posterior(
+    rng: np.random.Generator,
+    objects: Sequence[SceneObject],
+    prior: PosePrior,
+    images: DepthImages,
+    number: NumberPrior,
+    *,
+    draws: int,
+    keep: int = 256,
+    progress: Callable[[int, int], None] | None = None,
+) -> HiddenPosterior:
+    """Presence and place of one hidden object or two.
+
+    Args:
+        rng: random numbers.
+        objects: one or two, of which no pixel shows any.
+        prior: of their poses, independent but for their keeping clear of each other.
+        images: what was seen.
+        number: prior on how many of them are there.
+        draws: of poses for each set of objects.
+        keep: K, draws of the posterior.
+        progress: called with draws done and in all.
+
+    Raises:
+        ValueError: there are more, or no room for one.
+    """
+    count = len(objects)
+    if not 1 <= count <= MOST_HIDDEN:
+        raise ValueError(
+            f"exact answers are for one hidden object or two, not {count}: {2**count - 1} sets of objects "
+            f"would need about {draws}^{count / 2:g} draws"
+        )
+    sets = [(one,) for one in range(count)] + ([(0, 1)] if count == 2 else [])
+    ratios = {}
+    for place, members in enumerate(sets):
+        report = None
+        if progress:
+            report = _shifted(progress, place * draws, len(sets) * draws)
+        chosen = [objects[one] for one in members]
+        ratios[members] = mean_ratio(rng, chosen, prior, images, draws=draws, keep=keep, progress=report)
+    return _joined(rng, ratios, number.log_set_probabilities(count), images, keep)
+
+
+def mean_ratio(
+    rng: np.random.Generator,
+    objects: Sequence[SceneObject],
+    prior: PosePrior,
+    images: DepthImages,
+    *,
+    draws: int,
+    keep: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> MeanRatio:
+    """The mean over draws of these objects' prior poses; memory does not grow with their number.
+
+    Each of `keep` places holds a draw of the posterior: where a batch has share s of all weight so far, each
+    is replaced with probability s by a draw from the batch.
+    """
+    log_total, log_squares = -np.inf, -np.inf
+    poses = np.tile(np.eye(4), (len(objects), keep, 1, 1))
+    done = 0
+    while done < draws:
+        drawn = prior.draw(rng, objects, min(TOGETHER, draws - done))
+        log_weights = images.log_ratios(objects[0], drawn[0])
+        if len(objects) == 2:
+            log_weights += images.log_ratios_behind(objects[1], drawn[1], objects[0], drawn[0])
+        log_batch = np.logaddexp.reduce(log_weights)
+        log_total = np.logaddexp(log_total, log_batch)
+        log_squares = np.logaddexp(log_squares, np.logaddexp.reduce(2 * log_weights))
+        replaced = rng.uniform(size=keep) < np.exp(log_batch - log_total)
+        chances = np.exp(log_weights - log_batch)
+        picked = rng.choice(len(chances), int(replaced.sum()), p=chances / chances.sum())
+        poses[:, replaced] = drawn[:, picked]
+        done += len(log_weights)
+        if progress:
+            progress(done, draws)
+    mean = float(np.exp(log_total - np.log(draws)))
+    variance = np.exp(log_squares - np.log(draws)) - mean**2
+    return MeanRatio(
+        mean=mean,
+        standard_error=float(np.sqrt(max(variance, 0.0) / max(draws - 1, 1))),
+        effective_draws=float(np.exp(2 * log_total - log_squares)),
+        poses=poses,
+    )
+
+
+def _joined(
+    rng: np.random.Generator,
+    ratios: dict[tuple[int, ...], MeanRatio],
+    log_sets: NDArray[np.float64],
+    images: DepthImages,
+    keep: int,
+) -> HiddenPosterior:
+    """The posterior over sets, its errors by the delta method, and poses of each object over all sets."""
+    count = len(log_sets) - 1
+    weights = {members: np.exp(log_sets[len(members)]) * ratio.mean for members, ratio in ratios.items()}
+    total = np.exp(log_sets[0]) + sum(weights.values())
+    presence, errors, outside = np.zeros((3, count))
+    poses = np.zeros((count, keep, 4, 4))
+    for one in range(count):
+        holding = [members for members in ratios if one in members]
+        presence[one] = sum(weights[members] for members in holding) / total
+        slopes = {
+            members: np.exp(log_sets[len(members)]) * ((one in members) - presence[one]) / total
+            for members in ratios
+        }
+        errors[one] = np.sqrt(sum((slopes[each] * ratios[each].standard_error) ** 2 for each in ratios))
+        shares = np.array([weights[members] for members in holding])
+        chosen = rng.choice(len(holding), keep, p=shares / shares.sum())
+        for which, members in enumerate(holding):
+            mine = chosen == which
+            poses[one, mine] = ratios[members].poses[members.index(one), mine]
+        outside[one] = presence[one] * (~images.seen(poses[one, :, :3, 3])).mean()
+    both = float(weights[(0, 1)] / total) if (0, 1) in weights else 0.0
+    return HiddenPosterior(
+        presence=presence, standard_error=errors, both=both, ratios=ratios, outside=outside, poses=poses
+    )
+
+
+def _shifted(progress: Callable[[int, int], None], before: int, in_all: int) -> Callable[[int, int], None]:
+    return lambda done, _: progress(before + done, in_all)

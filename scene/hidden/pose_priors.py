@@ -1,0 +1,175 @@
+"""Where a hidden object may be before the images are looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scene.objects.orientations import resting_rotations
+from scene.objects.scene_object import SceneObject
+
+POINTS = 128
+"""Of an object's surface, that are tested for lying in another's box."""
+
+TOUCHING_M = 0.003
+"""Depth to which boxes may enter each other: bounding boxes of rounded things overlap by millimetres."""
+
+MOST_REJECTED = 200
+"""Rounds of draws without one that is clear of the others before there counts as no room."""
+
+
+class PosePrior(Protocol):
+    """A density of poses of one object, or of two together: of their box frames in the world."""
+
+    def draw(
+        self, rng: np.random.Generator, objects: Sequence[SceneObject], count: int
+    ) -> NDArray[np.float64]:
+        """Poses (n, count, 4, 4) world_from_box of n objects.
+
+        Raises:
+            ValueError: there is no room for the object.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EulerUniformPoses:
+    """Supplement L: the box's middle uniform in a cuboid, its Euler angles uniform.
+
+    R = R_z(alpha) R_y(beta) R_x(gamma) with alpha and gamma in [-pi, pi), beta in [-pi/2, pi/2]: the density
+    is 1 / (4 pi^3) in angles, 2 / (pi^3 cos beta) in the Haar measure of mass pi^2, not uniform on rotations.
+
+    Attributes:
+        low_m, high_m: (3,) corners of the cuboid in the world.
+
+    Raises:
+        ValueError: the cuboid has no volume.
+    """
+
+    low_m: NDArray[np.float64]
+    high_m: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if not (np.asarray(self.low_m) < np.asarray(self.high_m)).all():
+            raise ValueError(f"the volume from {_told(self.low_m)} to {_told(self.high_m)} m holds nothing")
+
+    def draw(
+        self, rng: np.random.Generator, objects: Sequence[SceneObject], count: int
+    ) -> NDArray[np.float64]:
+        """Independent: objects may enter each other, as in the supplement (eq. 6)."""
+        shape = len(objects), count
+        poses = np.tile(np.eye(4), (*shape, 1, 1))
+        angles = np.pi * np.array([1.0, 0.5, 1.0]) * rng.uniform(-1, 1, (*shape, 3))
+        turns = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix()
+        poses[..., :3, :3] = turns.reshape(*shape, 3, 3)
+        poses[..., :3, 3] = rng.uniform(self.low_m, self.high_m, (*shape, 3))
+        return poses
+
+    def log_density(self, world_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log density (...) of poses (..., 4, 4), Lebesgue in metres times the Haar measure of mass pi^2."""
+        places = world_from_box[..., :3, 3]
+        inside = ((places >= self.low_m) & (places <= self.high_m)).all(axis=-1)
+        cosine = np.hypot(world_from_box[..., 0, 0], world_from_box[..., 1, 0])
+        log_volume = np.log(np.asarray(self.high_m) - self.low_m).sum()
+        log_rotation = np.log(2 / np.pi**3) - np.log(np.maximum(cosine, 1e-300))
+        return np.where(inside, log_rotation - log_volume, -np.inf)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedObject:
+    """An object whose place is known.
+
+    Attributes:
+        shape: the object.
+        world_from_box: (4, 4).
+    """
+
+    shape: SceneObject
+    world_from_box: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Support:
+    """A rectangle on which objects stand.
+
+    Attributes:
+        world_from_support: (4, 4); the origin is the middle, z points up.
+        half_size_m: (2,).
+    """
+
+    world_from_support: NDArray[np.float64]
+    half_size_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RestingPoses:
+    """At rest on a support in one of the object's stable rests, clear of what stands there.
+
+    Each rest is as likely, yaws and places are uniform over the supports' areas.
+
+    Attributes:
+        supports: at least one.
+        others: objects whose boxes it does not enter.
+    """
+
+    supports: tuple[Support, ...]
+    others: tuple[PlacedObject, ...] = field(default=())
+
+    def draw(
+        self, rng: np.random.Generator, objects: Sequence[SceneObject], count: int
+    ) -> NDArray[np.float64]:
+        """Draws in which one meets another, or what stands there, are made again as a whole."""
+        kept = np.zeros((len(objects), 0, 4, 4))
+        for _ in range(MOST_REJECTED):
+            poses = np.stack([self._anywhere(rng, one, count) for one in objects])
+            kept = np.concatenate([kept, poses[:, self._clear(objects, poses)]], axis=1)
+            if kept.shape[1] >= count:
+                return kept[:, :count]
+        names = " and ".join(one.name for one in objects)
+        raise ValueError(f"there is no room for {names} on what was found to carry objects")
+
+    def _clear(self, objects: Sequence[SceneObject], poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(count,) draws in which none of the objects, at poses (n, count, 4, 4), meets any."""
+        clear = np.ones(poses.shape[1], bool)
+        for place, one in enumerate(objects):
+            standing = [(other.shape, other.world_from_box[None]) for other in self.others]
+            for other, where in [*standing, *zip(objects[:place], poses[:place], strict=True)]:
+                clear &= ~meet(one, poses[place], other, where)
+        return clear
+
+    def _anywhere(self, rng: np.random.Generator, one: SceneObject, count: int) -> NDArray[np.float64]:
+        areas = np.array([np.prod(support.half_size_m) for support in self.supports])
+        which = rng.choice(len(self.supports), count, p=areas / areas.sum())
+        upright = resting_rotations(one.rests, 1)[rng.integers(len(one.rests), size=count)]
+        yaws = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi, (count, 1))).as_matrix()
+        poses = np.tile(np.eye(4), (count, 1, 1))
+        poses[:, :3, :3] = yaws @ upright
+        half_m = np.stack([support.half_size_m for support in self.supports])[which]
+        poses[:, :2, 3] = half_m * rng.uniform(-1, 1, (count, 2))
+        poses[:, 2, 3] = -np.einsum("dj,pj->dp", poses[:, 2, :3], one.points_m).min(axis=1)
+        return np.stack([support.world_from_support for support in self.supports])[which] @ poses
+
+
+def meet(
+    one: SceneObject, poses: NDArray[np.float64], other: SceneObject, others: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(n,) whether two objects at poses (n, 4, 4), or (1, 4, 4), meet: points of one in the other's box."""
+    return _reaches(one, poses, other, others) | _reaches(other, others, one, poses)
+
+
+def _reaches(
+    one: SceneObject, poses: NDArray[np.float64], other: SceneObject, others: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(n,) whether a surface point of the first lies in the second's box."""
+    points = one.points_m[:POINTS] @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+    inside = np.abs((points - others[:, None, :3, 3]) @ others[:, :3, :3])
+    return np.asarray((inside < other.half_extents_m - TOUCHING_M).all(axis=-1).any(axis=-1))
+
+
+def _told(point_m: NDArray[np.float64]) -> str:
+    return ",".join(f"{value:g}" for value in np.asarray(point_m))
