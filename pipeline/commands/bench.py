@@ -7,6 +7,6 @@ from pipeline.cli import LazyGroup
 command = LazyGroup(
     name="bench",
     package="pipeline.commands.benches",
-    members=("shapes", "slam", "poses", "sampler", "speed", "air"),
+    members=("shapes", "slam", "poses", "sampler", "speed", "air", "occlusion"),
     help="Measure speed and accuracy beside peers.",
 )

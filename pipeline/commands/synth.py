@@ -7,7 +7,7 @@ from pipeline.cli import LazyGroup
 command = LazyGroup(
     name="synth",
     package="pipeline.commands.syntheses",
-    members=("objects", "scenes", "challenging", "worlds", "air"),
+    members=("objects", "scenes", "challenging", "worlds", "air", "occlusion"),
     help="""Synthesise recordings, seeded, with the truth in the file.
 
     Every parameter of the room, the camera's path and the sensor is a setting, such as
