@@ -27,6 +27,8 @@ class ParseConfig:
             (the ablation 3DP3*).
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
         presence: prior probability that an object is there.
+        proposals: where the search's poses come from before they are refined: templates matched to observed
+            `points`, convolution `masks`, or `both`, half and half.
         rounds: of renewed search on what is left unexplained.
         pool: poses an object and round that are compared jointly.
         shape_samples: draws of each uncertain shape that the likelihood is averaged over; 0 takes every
@@ -56,6 +58,7 @@ class ParseConfig:
     graph: Literal["infer", "fixed"] = "infer"
     likelihood: Literal["depth", "cloud"] = "depth"
     presence: float = 0.9
+    proposals: Literal["points", "masks", "both"] = "points"
     rounds: int = 2
     pool: int = 48
     shape_samples: int = 0

@@ -8,6 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+RESTING, FREE = 416, 576
+"""Orientations that are tried of an object that may stand on something, and of one that hangs in the air."""
+
+YAWS = 24
+
+
+def tried_rotations(
+    rests: NDArray[np.floating] | None, frame_from_table: NDArray[np.floating] | None = None
+) -> NDArray[np.float32]:
+    """Rotations (n, 3, 3) into a frame: resting, the cube's 24, and an even spread.
+
+    Args:
+        rests: (R, 3) directions that may point down; None where nothing stands: an even spread alone.
+        frame_from_table: (3, 3); None where the frame has the table's axes, z up.
+    """
+    if rests is None:
+        return spread_rotations(FREE).astype(np.float32)
+    fixed = np.concatenate([resting_rotations(rests, YAWS), cube_rotations()])
+    fixed = fixed if frame_from_table is None else frame_from_table @ fixed
+    return np.concatenate([fixed, spread_rotations(RESTING - len(fixed))]).astype(np.float32)
+
 
 def cube_rotations() -> NDArray[np.float64]:
     """The 24 rotations (24, 3, 3) of a cube onto itself."""

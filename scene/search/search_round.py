@@ -16,18 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
-from scene.objects.orientations import cube_rotations, resting_rotations, spread_rotations
+from scene.masks.proposal import Atoms, MaskSearch
+from scene.objects.orientations import tried_rotations
 from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import unproject
 from scene.observation.detection import SupportPlane, clusters
 from scene.search.assignment import PoseLayers, choose, log_conditional
 from scene.search.competing_scenes import best_of
 from scene.search.hypotheses import PosePools
-from scene.search.template_matching import match_templates
+from scene.search.template_matching import CANDIDATES, distinct, match_templates
+from shapes.geometry.poses import matrices_of
 
-ORIENTATIONS, FREE_ORIENTATIONS = 416, 576
-
-YAWS = 24
+FROM_MASKS = {"points": 0, "masks": CANDIDATES, "both": CANDIDATES // 2}
+"""Of the poses that are refined."""
 
 ANCHORS, CENTRES = 192, 8
 
@@ -50,18 +51,20 @@ class SearchRound:
 
     Attributes:
         rotations: of each object, camera_from_box (O, 3, 3) to be tried.
+        by_masks: a second source of poses; None where the configuration asks for none.
         rng: random numbers of points and places.
     """
 
     rotations: Sequence[NDArray[np.float32]]
+    by_masks: MaskSearch | None
     rng: np.random.Generator
 
     @classmethod
-    def of(
-        cls, objects: Sequence[SceneObject], table: SupportPlane | None, rng: np.random.Generator
-    ) -> SearchRound:
-        """The round for these objects, in resting orientations first where there is a table."""
-        return cls([_orientations(one, table) for one in objects], rng)
+    def of(cls, pools: PosePools, rng: np.random.Generator) -> SearchRound:
+        """The round for the pools' objects, in resting orientations first where there is a table."""
+        rotations = [_orientations(one, pools.data.table) for one in pools.objects]
+        second = FROM_MASKS[pools.config.proposals] > 0
+        return cls(rotations, MaskSearch.of(pools.data, pools.objects) if second else None, rng)
 
     def __call__(
         self,
@@ -82,18 +85,44 @@ class SearchRound:
         """
         size = pools.config.pool
         poses = pools.poses[:, index * size : (index + 1) * size].copy()
-        poses[list(masks)] = _hypotheses(pools, self.rotations, masks, self.rng)
+        poses[list(masks)] = self._hypotheses(pools, masks)
         pools = pools.with_poses(poses, index * size)
         return pools, best_of(pools, _annealed(key, pools.layers), scene)
+
+    def _hypotheses(self, pools: PosePools, masks: Mapping[int, NDArray[np.bool_]]) -> NDArray[np.float32]:
+        """Poses (M, pool, 7) of objects on the pixels of M masks, searched side by side on all cores."""
+        data, size = pools.data, pools.config.pool
+        points = unproject(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
+        enough = {
+            one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()
+        }
+        drawn = {one: _drawn(points[mask], self.rng) for one, mask in enough.items()}
+
+        def find(index: int) -> NDArray[np.float32]:
+            one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
+            beside = self._from_masks(index, enough[index], FROM_MASKS[pools.config.proposals])
+            places = _places(*drawn[index])
+            found, _ = match_templates(
+                view, one.points_m, one.normals, self.rotations[index], *places, beside, size
+            )
+            return np.asarray(found)
+
+        return np.stack(map_parallel(find, masks))
+
+    def _from_masks(self, index: int, mask: NDArray[np.bool_], count: int) -> NDArray[np.float32]:
+        """An object's poses (count, 7) of high score that differ, none where masks tell of none."""
+        atoms = self.by_masks.atoms(index, mask) if self.by_masks else Atoms.none()
+        if not len(atoms.poses):
+            return atoms.poses
+        rotations = matrices_of(atoms.poses)[:, :3, :3].astype(np.float32)
+        return atoms.poses[np.asarray(distinct(rotations, atoms.poses[:, 4:], atoms.scores, count))]
 
 
 def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
     """Camera_from_box rotations (O, 3, 3): resting, the cube's 24, and an even spread."""
     if table is None:
-        return spread_rotations(FREE_ORIENTATIONS).astype(np.float32)
-    fixed = np.concatenate([resting_rotations(one.rests, YAWS), cube_rotations()])
-    fixed = table.camera_from_table[:3, :3] @ fixed
-    return np.concatenate([fixed, spread_rotations(ORIENTATIONS - len(fixed))]).astype(np.float32)
+        return tried_rotations(None)
+    return tried_rotations(one.rests, table.camera_from_table[:3, :3])
 
 
 def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
@@ -105,28 +134,6 @@ def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
     groups = map_parallel(anneal, jax.random.split(key, GROUPS))
     choices, log_densities = (np.concatenate(leaves) for leaves in zip(*groups, strict=True))
     return choices[np.argmax(log_densities)]
-
-
-def _hypotheses(
-    pools: PosePools,
-    rotations: Sequence[NDArray[np.float32]],
-    masks: Mapping[int, NDArray[np.bool_]],
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
-    """Poses (M, pool, 7) of objects on the pixels of M masks, searched side by side on all cores."""
-    data, size = pools.data, pools.config.pool
-    points = unproject(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
-    enough = {one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()}
-    drawn = {one: _drawn(points[mask], rng) for one, mask in enough.items()}
-
-    def find(index: int) -> NDArray[np.float32]:
-        one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
-        places = _places(*drawn[index])
-        return np.asarray(
-            match_templates(view, one.points_m, one.normals, rotations[index], *places, size)[0]
-        )
-
-    return np.stack(map_parallel(find, masks))
 
 
 def _drawn(

@@ -74,6 +74,7 @@ def match_templates(
     rotations: jax.Array,
     anchors_m: jax.Array,
     centres_m: jax.Array,
+    beside: jax.Array,
     count: int,
 ) -> tuple[jax.Array, jax.Array]:
     """The best `count` poses (n, 7) camera_from_box that differ, and their scores (n,), best first.
@@ -85,17 +86,15 @@ def match_templates(
         rotations: (O, 3, 3) camera_from_box.
         anchors_m: (A, 3) observed points.
         centres_m: (C, 3) where the box's centre may be.
+        beside: (B, 7) poses from elsewhere, which are refined in place of as many of the CANDIDATES.
         count: of poses.
     """
     table = ViewTable.of(view)
     coarse_m = jnp.maximum(TOLERANCE_M, COARSE * jnp.linalg.norm(jnp.max(jnp.abs(points_m), axis=0)))
-    at_first_sight = partial(_first_sight, table, points_m, normals, coarse_m, anchors_m, centres_m)
-    offsets, coarse = jax.lax.map(at_first_sight, rotations, batch_size=TURNED_TOGETHER)
-    places = _best_everywhere(coarse, len(anchors_m))
-    turned, placed = rotations[places // offsets.shape[1]], offsets.reshape(-1, 3)[places]
-    scores = jax.vmap(partial(_score, table, points_m, normals, coarse_m))(turned, placed)
-    chosen = _distinct(turned, placed, scores, CANDIDATES)
-    poses = jax.vmap(_pose)(turned[chosen], placed[chosen])
+    poses, own = beside, CANDIDATES - len(beside)
+    if own:
+        matched = _matched(table, points_m, normals, coarse_m, rotations, anchors_m, centres_m, own)
+        poses = jnp.concatenate([matched, beside])
     everything = jnp.ones((CANDIDATES, COARSE_POINTS), bool)
     few = points_m[:COARSE_POINTS], normals[:COARSE_POINTS]
     poses = align(table, *few, everything, poses, coarse_m, ICP_MIDDLE_M, COARSE_ITERATIONS)
@@ -107,12 +106,32 @@ def match_templates(
     poses = jax.lax.fori_loop(0, SLIDING_ROUNDS, settled, poses)
     turned, placed = jaxlie.SO3(poses[:, :4]).as_matrix(), poses[:, 4:]
     scores = jax.vmap(partial(_score, table, points_m, normals, TOLERANCE_M))(turned, placed)
-    chosen = _distinct(turned, placed, scores, count)
+    chosen = distinct(turned, placed, scores, count)
     everything = jnp.ones((count, len(points_m)), bool)
     refined = align(
         table, points_m, normals, everything, poses[chosen], ICP_MIDDLE_M, ICP_LAST_M, FINE_ITERATIONS
     )
     return refined, scores[chosen]
+
+
+def _matched(
+    view: ViewTable,
+    points_m: jax.Array,
+    normals: jax.Array,
+    tolerance_m: jax.Array,
+    rotations: jax.Array,
+    anchors_m: jax.Array,
+    centres_m: jax.Array,
+    count: int,
+) -> jax.Array:
+    """The best `count` poses (n, 7) that differ among all rotations in all places."""
+    at_first_sight = partial(_first_sight, view, points_m, normals, tolerance_m, anchors_m, centres_m)
+    offsets, coarse = jax.lax.map(at_first_sight, rotations, batch_size=TURNED_TOGETHER)
+    places = _best_everywhere(coarse, len(anchors_m))
+    turned, placed = rotations[places // offsets.shape[1]], offsets.reshape(-1, 3)[places]
+    scores = jax.vmap(partial(_score, view, points_m, normals, tolerance_m))(turned, placed)
+    chosen = distinct(turned, placed, scores, count)
+    return jax.vmap(_pose)(turned[chosen], placed[chosen])
 
 
 def _first_sight(
@@ -222,7 +241,8 @@ def _best_everywhere(coarse: jax.Array, anchors: int) -> jax.Array:
     return jnp.concatenate([places.ravel() for places in chosen])
 
 
-def _distinct(rotations: jax.Array, offsets_m: jax.Array, scores: jax.Array, count: int) -> jax.Array:
+@partial(jax.jit, static_argnames="count")
+def distinct(rotations: jax.Array, offsets_m: jax.Array, scores: jax.Array, count: int) -> jax.Array:
     """Places (count,) of the best scores, none next to a better one; repeats the best when few differ."""
 
     def take(index: int, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
