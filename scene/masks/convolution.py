@@ -1,8 +1,8 @@
 """Scores of masks: sums of a grid's evidence over their cells, in every place or in chosen ones.
 
-The grid is laid out flat, with room behind each row for masks to reach over, so that a mask's cell is one number
-to add to a place. Sums are exact integers. Where the whole grid is scored, a kernel sums shifted pieces of it that
-stay in the fastest memory; in chosen places it gathers.
+The grid is laid out flat, with room behind each row for masks to reach over, so that a mask's cell is one
+number to add to a place. Sums are exact integers. Where the whole grid is scored, a kernel sums shifted
+pieces of it that stay in the fastest memory; in chosen places it gathers.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ def best_places(
         count: of pairs.
 
     Returns:
-        Orientations (n,), cells (n, 3) and scores (n,), at most 1, the highest first; fewer than `count` where
-        the grid is small.
+        Orientations (n,), cells (n, 3) and scores (n,), at most 1, the highest first; fewer than `count`
+        where the grid is small.
     """
     evidence = jax.device_put(flat.evidence)
     shifts = jax.device_put((masks.offsets @ flat.strides).astype(np.int32))

@@ -1,9 +1,9 @@
 """Poses at which masks of a shape score most, and their Boltzmann weights.
 
-An atom is an orientation and a cell. Its probability is in proportion to exp(beta score), with beta from a given
-effective number of atoms, for it to mean the same for all shapes. Spread over its cell and over the turns between
-neighbouring orientations, an atom becomes a component of a density of poses (`scene.mcmc.mixture_init`), so that
-every pose near it has a density to come back with.
+An atom is an orientation and a cell. Its probability is in proportion to exp(beta score), with beta from a
+given effective number of atoms, for it to mean the same for all shapes. Spread over its cell and over the
+turns between neighbouring orientations, an atom becomes a component of a density of poses
+(`scene.mcmc.mixture_init`), so that every pose near it has a density to come back with.
 """
 
 from __future__ import annotations

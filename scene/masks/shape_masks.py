@@ -1,7 +1,7 @@
 """Masks of a shape: for every orientation the cells in which it has surface, near a few places on it.
 
-Globally sparse, locally dense: HEADS places on the surface, and round each all surface cells within one cell.
-Just outside each head are cells that are expected free, which count with the opposite sign.
+Globally sparse, locally dense: HEADS places on the surface, and round each all surface cells within one
+cell. Just outside each head are cells that are expected free, which count with the opposite sign.
 """
 
 from __future__ import annotations
