@@ -122,11 +122,12 @@ class Parse:
         ]
 
     def _sought(self, shapes: MeshSource, name: str) -> Sought:
-        return _sought(shapes, name, self.learned_views, self.seed)
+        return sought_shape(shapes, name, self.learned_views, self.seed)
 
 
 @lru_cache(maxsize=256)
-def _sought(shapes: MeshSource, name: str, views: int, seed: int) -> Sought:
+def sought_shape(shapes: MeshSource, name: str, views: int, seed: int) -> Sought:
+    """A mesh, or what is learned of it from so many views; 0 for the mesh itself."""
     mesh = shapes.meshes[name]
     return learned_object(name, mesh, views, seed) if views else true_object(name, mesh)
 

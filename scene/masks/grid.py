@@ -176,4 +176,4 @@ def _nearest_through(
     """The least depth (H, W) of the rays that meet a cell round a pixel; 0 where one measured nothing."""
     distance_m = float(np.median(depth_m[foreground]))
     across = 2 * int(np.ceil(pitch_px_m / distance_m / 2)) + 1
-    return minimum_filter(np.where(depth_m == NO_RETURN, np.float32(0), depth_m), across)
+    return np.asarray(minimum_filter(np.where(depth_m == NO_RETURN, 0, depth_m), across), np.float32)

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import log_softmax
+from scipy.special import log_softmax, softmax
 
 from scene.masks.convolution import FlatGrid, best_places, scores_in
 from scene.masks.detector import Detector, detector, is_thin
@@ -31,6 +30,9 @@ EFFECTIVE_ATOMS = 64.0
 
 COLDEST = 1e4
 """Largest beta: scores that differ by a thousandth then differ by a factor of 20,000."""
+
+BISECTIONS = 40
+"""Beta to a hundred-millionth."""
 
 _CHILDREN = np.stack(np.meshgrid(*3 * [np.arange(-1, 3)], indexing="ij"), axis=-1).reshape(-1, 3)
 """Fine cells of a coarse one, and those round them."""
@@ -112,12 +114,9 @@ def log_boltzmann(scores: NDArray[np.floating], effective: float = EFFECTIVE_ATO
     Beta lies between 0, where there are fewer atoms, and COLDEST, where more of them score alike.
     """
     scores = np.asarray(scores, np.float64)
-
-    def excess(beta: float) -> float:
-        return -np.log(np.exp(2 * log_softmax(beta * scores)).sum()) - np.log(effective)
-
-    if excess(0.0) <= 0:
-        return log_softmax(0 * scores)
-    if excess(COLDEST) >= 0:
-        return log_softmax(COLDEST * scores)
-    return log_softmax(float(brentq(excess, 0.0, COLDEST)) * scores)
+    low, high = 0.0, COLDEST
+    for _ in range(BISECTIONS):
+        beta = (low + high) / 2
+        atoms = 1 / np.square(softmax(beta * scores)).sum()
+        low, high = (beta, high) if atoms > effective else (low, beta)
+    return log_softmax(low * scores)

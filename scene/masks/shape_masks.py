@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from scene.objects.orientations import tried_rotations
 from scene.objects.scene_object import SceneObject
-from shapes.rendering.object_library import unpack
+from shapes.rendering.object_library import WORDS, unpack
 
 HEADS = 16
 
@@ -95,7 +95,7 @@ def _surface(one: SceneObject, rng: np.random.Generator) -> NDArray[np.float64]:
     """Points (P, 3) on the surface in the box frame: feet of the nearest voxels of its distance field."""
     library = one.library
     size = np.asarray(library.size[0])
-    words = np.asarray(library.table)[: 2 * size.prod() : 2]
+    words = library.table[: WORDS * size.prod() : WORDS]
     distance, *normal = (np.asarray(part) for part in unpack(words))
     near = np.flatnonzero(np.abs(distance) < 0.5)
     near = rng.permutation(near)[:SURFACE_POINTS]

@@ -85,12 +85,18 @@ class SearchRound:
         """
         size = pools.config.pool
         poses = pools.poses[:, index * size : (index + 1) * size].copy()
-        poses[list(masks)] = self._hypotheses(pools, masks)
+        poses[list(masks)] = self.hypotheses(pools, masks)[0]
         pools = pools.with_poses(poses, index * size)
         return pools, best_of(pools, _annealed(key, pools.layers), scene)
 
-    def _hypotheses(self, pools: PosePools, masks: Mapping[int, NDArray[np.bool_]]) -> NDArray[np.float32]:
-        """Poses (M, pool, 7) of objects on the pixels of M masks, searched side by side on all cores."""
+    def hypotheses(
+        self, pools: PosePools, masks: Mapping[int, NDArray[np.bool_]]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Poses of objects on the pixels of M masks, searched side by side on all cores.
+
+        Refined ones (M, pool, 7), the best first, and those (M, CANDIDATES, 7) that were refined: from points
+        and then from masks, the best of each first.
+        """
         data, size = pools.data, pools.config.pool
         points = unproject(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
         enough = {
@@ -98,16 +104,16 @@ class SearchRound:
         }
         drawn = {one: _drawn(points[mask], self.rng) for one, mask in enough.items()}
 
-        def find(index: int) -> NDArray[np.float32]:
+        def find(index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
             beside = self._from_masks(index, enough[index], FROM_MASKS[pools.config.proposals])
             places = _places(*drawn[index])
-            found, _ = match_templates(
-                view, one.points_m, one.normals, self.rotations[index], *places, beside, size
+            return jax.device_get(
+                match_templates(view, one.points_m, one.normals, self.rotations[index], *places, beside, size)
             )
-            return np.asarray(found)
 
-        return np.stack(map_parallel(find, masks))
+        refined, candidates = zip(*map_parallel(find, masks), strict=True)
+        return np.stack(refined), np.stack(candidates)
 
     def _from_masks(self, index: int, mask: NDArray[np.bool_], count: int) -> NDArray[np.float32]:
         """An object's poses (count, 7) of high score that differ, none where masks tell of none."""

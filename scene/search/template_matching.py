@@ -77,7 +77,9 @@ def match_templates(
     beside: jax.Array,
     count: int,
 ) -> tuple[jax.Array, jax.Array]:
-    """The best `count` poses (n, 7) camera_from_box that differ, and their scores (n,), best first.
+    """The best `count` poses (n, 7) camera_from_box that differ, best first, and what they were before.
+
+    The second value are all candidates (CANDIDATES, 7), unrefined: templates', best first, and then `beside`.
 
     Args:
         view: the observation.
@@ -97,6 +99,7 @@ def match_templates(
         poses = jnp.concatenate([matched, beside])
     everything = jnp.ones((CANDIDATES, COARSE_POINTS), bool)
     few = points_m[:COARSE_POINTS], normals[:COARSE_POINTS]
+    candidates = poses
     poses = align(table, *few, everything, poses, coarse_m, ICP_MIDDLE_M, COARSE_ITERATIONS)
 
     def settled(_: int, poses: jax.Array) -> jax.Array:
@@ -111,7 +114,7 @@ def match_templates(
     refined = align(
         table, points_m, normals, everything, poses[chosen], ICP_MIDDLE_M, ICP_LAST_M, FINE_ITERATIONS
     )
-    return refined, scores[chosen]
+    return refined, candidates
 
 
 def _matched(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -12,13 +12,14 @@ from pipeline.executors import Workers, executors_for
 from pipeline.options import Common, common_options, words
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from pipeline.benchmarks.pose_methods import Method
     from pipeline.benchmarks.pose_sources import PoseSource
 
 PEERS = ("fpfh", "icp24", "ppf")
 KINDS = ("single", "stacked", "partial", "occluded")
+SOURCES = ("points", "masks", "both")
 MOST_OBJECTS = 10
 ESTIMATE_AFTER = 8
 """Images after which the remaining time is told."""
@@ -99,6 +100,12 @@ class NamedFile(click.ParamType):
     help="Instead: ask for so many shapes that are not there in place of so many that are.",
 )
 @click.option(
+    "--proposals",
+    metavar="SOURCE,...",
+    help=f"Instead: where the search's poses come from ({', '.join(SOURCES)}): the best hypothesis of each"
+    " object, and what is found; the first source less each other.",
+)
+@click.option(
     "--keep",
     type=click.Path(path_type=Path),
     metavar="DIR",
@@ -138,6 +145,7 @@ def command(
     results: tuple[tuple[str, Path], ...],
     growth: bool,
     absent: int | None,
+    proposals: str | None,
     keep: Path | None,
     csv_path: Path | None,
     curves: Path | None,
@@ -155,7 +163,9 @@ def command(
     from pipeline.jax_setup import keep_compiled_kernels
 
     keep_compiled_kernels()
+    from pipeline.benchmarks.pose_figures import pose_figures
     from pipeline.benchmarks.pose_methods import OURS
+    from pipeline.benchmarks.pose_report import report_lines
     from pipeline.mesh_source import MeshSource
 
     if sum(one is not None for one in (tables, challenging, worlds, data)) > 1:
@@ -186,9 +196,13 @@ def command(
             )
         else:
             source = _source(common, shapes, objects, numbers, challenging, kinds, data, split)
+        files = keep, csv_path, curves, sheets
+        if proposals:
+            _proposals(common, source, words("--proposals", proposals, SOURCES), workers, files, watch=watch)
+            return
         ours = [one.of(common.seed, learned or 0) for one in OURS]
         methods = [*ours, *_others(shapes, source, words("--against", against, PEERS), results)]
-        _judge(common, source, methods, workers, (keep, csv_path, curves, sheets), watch=watch)
+        _judge(common, source, methods, workers, files, (pose_figures, report_lines), watch=watch)
 
 
 def _source(
@@ -243,15 +257,17 @@ def _judge(
     methods: Sequence[Method],
     workers: int | str,
     files: tuple[Path | None, Path | None, Path | None, Path | None],
+    report: tuple[Callable[..., dict[str, Any]], Callable[[dict[str, Any]], list[str]]],
     *,
     watch: bool,
 ) -> None:
-    from pipeline.benchmarks.pose_figures import pose_figures
-    from pipeline.benchmarks.pose_report import image_line, report_lines
+    """Images judged, and what `report` makes of the rows and seconds: figures, and lines of these."""
+    from pipeline.benchmarks.pose_report import image_line
     from pipeline.benchmarks.pose_rows import write_csv
     from pipeline.benchmarks.poses import RemainingTime, collected, judged_images, kept_images
 
     keep, csv_path, curves, sheets = files
+    figures, lines = report
     executors, at_once = executors_for(workers)
     done = list(kept_images(source, methods, keep)) if watch else []
     try:
@@ -263,8 +279,8 @@ def _judge(
                     _say(common, image_line(found))
     finally:
         judged, seconds = collected(done)
-        document = pose_figures(judged, seconds)
-        common.report(document, report_lines(document))
+        document = figures(judged, seconds)
+        common.report(document, lines(document))
         if csv_path and judged:
             write_csv(csv_path, judged)
     if curves:
@@ -276,6 +292,29 @@ def _judge(
 
         for path in draw_sheets(judged, source, sheets):
             _say(common, str(path))
+
+
+def _proposals(
+    common: Common,
+    source: PoseSource,
+    sources: Sequence[str],
+    workers: int | str,
+    files: tuple[Path | None, Path | None, Path | None, Path | None],
+    *,
+    watch: bool,
+) -> None:
+    from functools import partial
+
+    from pipeline.benchmarks.pose_proposals import (
+        Source,
+        proposal_figures,
+        proposal_lines,
+        proposal_methods,
+    )
+
+    methods = proposal_methods(cast("Sequence[Source]", sources), common.seed)
+    report = partial(proposal_figures, sources=sources), proposal_lines
+    _judge(common, source, methods, workers, files, report, watch=watch)
 
 
 def _growth(common: Common, shapes: Any) -> None:
