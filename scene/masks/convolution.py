@@ -78,26 +78,6 @@ class FlatGrid:
         steps[..., 1:] %= self.strides[:2] // self.strides[1:]
         return steps, np.asarray((steps < self.size).all(axis=-1))
 
-    def pieces(self, reach: int) -> NDArray[np.int64]:
-        """Where pieces start, counted from the first place, in which masks can meet a surface at all."""
-        inner = self.evidence[self.first : self.first + self.length].reshape(
-            self.size[0], -1, self.strides[1]
-        )
-        met = maximum_filter(inner > 0, 2 * reach + 1, mode="constant").reshape(-1)
-        met = np.append(met, np.zeros(-len(met) % PIECE, bool))
-        return PIECE * np.flatnonzero(met.reshape(-1, PIECE).any(axis=1))
-
-    @property
-    def length(self) -> int:
-        """Places from the first cell to the end of the last row."""
-        return int(self.size[0] * self.strides[0])
-
-    def cells(self, places: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Cells (..., 3) of places counted from the first, and whether they lie in the grid."""
-        cells = np.stack([places // self.strides[0], places // self.strides[1], places], axis=-1)
-        cells[..., 1:] %= self.strides[:2] // self.strides[1:]
-        return cells, (cells < self.size).all(axis=-1)
-
 
 def best_places(
     flat: FlatGrid, masks: ShapeMasks, count: int
