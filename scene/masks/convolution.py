@@ -35,12 +35,14 @@ class FlatGrid:
 
     Attributes:
         evidence: (L,) int8, zero round the grid and in the room between its rows.
+        inside: (L,) bool, the grid's own places.
         first: place of cell (0, 0, 0).
         strides: (3,) places from a cell to the next one along each axis.
         size: (3,) cells along each axis.
     """
 
     evidence: NDArray[np.int8]
+    inside: NDArray[np.bool_]
     first: int
     strides: NDArray[np.int64]
     size: NDArray[np.int64]
@@ -54,9 +56,11 @@ class FlatGrid:
         first = int(reach * strides.sum())
         needed = 2 * first + int(padded.prod()) + PIECE
         evidence = np.zeros(max(FEWEST_PLACES, 1 << (needed - 1).bit_length()), np.int8)
-        inner = evidence[first : first + padded.prod()].reshape(padded)
-        inner[:, : size[1], : size[2]] = grid.evidence
-        return cls(evidence=evidence, first=first, strides=strides, size=size)
+        inside = np.zeros(len(evidence), bool)
+        for places, values in ((evidence, grid.evidence), (inside, True)):
+            rows = places[first : first + padded.prod()].reshape(padded)
+            rows[:, : size[1], : size[2]] = values
+        return cls(evidence=evidence, inside=inside, first=first, strides=strides, size=size)
 
     def pieces(self, reach: int) -> NDArray[np.int64]:
         """Where pieces start, counted from the first place, in which masks can meet a surface at all."""
@@ -72,11 +76,11 @@ class FlatGrid:
         """Places from the first cell to the end of the last row."""
         return int(self.size[0] * self.strides[0])
 
-    def cells(self, places: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Cells (..., 3) of places counted from the first, and whether they lie in the grid."""
+    def cells(self, places: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Cells (..., 3) of places counted from the first."""
         steps = np.stack([places // stride for stride in self.strides], axis=-1).astype(np.int64)
         steps[..., 1:] %= self.strides[:2] // self.strides[1:]
-        return steps, np.asarray((steps < self.size).all(axis=-1))
+        return steps
 
 
 def best_places(
@@ -93,38 +97,44 @@ def best_places(
         Orientations (n,), cells (n, 3) and scores (n,), at most 1, the highest first; fewer than `count`
         where the grid is small.
     """
-    evidence = jax.device_put(flat.evidence)
-    shifts = jax.device_put((masks.offsets @ flat.strides).astype(np.int32))
-    weights = jax.device_put(masks.weights.astype(np.int16))
-    scale = jax.device_put(1 / (STEPS * masks.most))
-    passes = jax.device_put(-(-masks.counts // UNROLLED))
+    shared = jax.device_put(
+        (
+            flat.evidence,
+            flat.inside,
+            (masks.offsets @ flat.strides).astype(np.int32),
+            masks.weights.astype(np.int16),
+            1 / (STEPS * masks.most),
+            -(-masks.counts // UNROLLED),
+        )
+    )
 
     def score(start: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        return jax.device_get(_best_of_runs(evidence, flat.first + start, shifts, weights, scale, passes))
+        return jax.device_get(_best_of_runs(flat.first + start, *shared))
 
     starts = flat.pieces(masks.reach)
     if not len(starts):
         return np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros(0, np.float32)
     scores, winners = (np.stack(part, axis=1) for part in zip(*map_parallel(score, starts), strict=True))
-    some = min(2 * count, scores.size)  # room for those between the rows
-    best = np.argpartition(-scores, some - 1, axis=None)[:some]
+    best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
+    best = best[np.argsort(-scores.ravel()[best], kind="stable")]
+    best = best[np.isfinite(scores.ravel()[best])]
     turns, piece, run = np.unravel_index(best, scores.shape)
-    cells, inside = flat.cells(starts[piece] + run * RUN + winners.ravel()[best])
-    kept = np.flatnonzero(inside)
-    kept = kept[np.argsort(-scores.ravel()[best[kept]], kind="stable")][:count]
-    return turns[kept], cells[kept], scores.ravel()[best[kept]]
+    cells = flat.cells(starts[piece] + run * RUN + winners.ravel()[best])
+    return turns, cells, scores.ravel()[best]
 
 
 @jax.jit
 def _best_of_runs(
+    start: int,
     evidence: jax.Array,
-    start: jax.Array,
+    inside: jax.Array,
     shifts: jax.Array,
     weights: jax.Array,
     scale: jax.Array,
     passes: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Best scores (k, PIECE / RUN) of a piece's runs, and which of a run's places has it."""
+    """Best scores (k, PIECE / RUN) of a piece's runs, -inf outside, and which of a run's places has it."""
+    within = jax.lax.dynamic_slice(inside, (start,), (PIECE,))
 
     def one(mask: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         shift, weight, scale, passes = mask
@@ -136,8 +146,9 @@ def _best_of_runs(
                 total = total + weight[place] * moved.astype(jnp.int16)
             return total
 
-        total = jax.lax.fori_loop(0, passes, add, jnp.zeros(PIECE, jnp.int16)).reshape(-1, RUN)
-        return jnp.max(total, axis=1).astype(jnp.float32) * scale, jnp.argmax(total, axis=1)
+        total = jax.lax.fori_loop(0, passes, add, jnp.zeros(PIECE, jnp.int16))
+        score = jnp.where(within, total.astype(jnp.float32) * scale, -jnp.inf).reshape(-1, RUN)
+        return jnp.max(score, axis=1), jnp.argmax(score, axis=1)
 
     return jax.lax.map(one, (shifts, weights, scale, passes))
 

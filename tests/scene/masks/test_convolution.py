@@ -1,0 +1,103 @@
+"""Scores of masks against a triple loop, at borders and half outside the grid."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from scene.masks.convolution import RUN, FlatGrid, best_places, scores_in
+from scene.masks.grid import FREE, STEPS, EvidenceGrid
+from scene.masks.shape_masks import MOST_CELLS, OUTSIDE, SURFACE, ShapeMasks
+
+TURNS, REACH = 5, 5
+SIZE = (8, 10, 8)
+
+
+def random_masks(rng: np.random.Generator) -> ShapeMasks:
+    """Cells up to REACH from the centre, more than half of the grid, of unequal number."""
+    offsets = np.zeros((TURNS, MOST_CELLS, 3), np.int8)
+    weights = np.zeros((TURNS, MOST_CELLS), np.int8)
+    for turn in range(TURNS):
+        count = int(rng.integers(20, MOST_CELLS + 1))
+        offsets[turn, :count] = rng.integers(-REACH, REACH + 1, (count, 3))
+        weights[turn, :count] = rng.choice([SURFACE, OUTSIDE], count)
+    rotations = np.tile(np.eye(3, dtype=np.float32), (TURNS, 1, 1))
+    return ShapeMasks(rotations=rotations, offsets=offsets, weights=weights)
+
+
+def looped(grid: EvidenceGrid, masks: ShapeMasks) -> np.ndarray:
+    """Scores (TURNS, X, Y, Z), cell by cell; nothing is known outside the grid."""
+    scores = np.zeros((TURNS, *SIZE))
+    for turn, *cell in itertools.product(range(TURNS), *map(range, SIZE)):
+        for offset, weight in zip(masks.offsets[turn].tolist(), masks.weights[turn].tolist(), strict=True):
+            met = [place + step for place, step in zip(cell, offset, strict=True)]
+            if weight and all(0 <= place < size for place, size in zip(met, SIZE, strict=True)):
+                scores[turn, *cell] += weight * int(grid.evidence[*met])
+    surface = np.maximum(masks.weights.astype(int), 0).sum(axis=1)
+    return scores / (STEPS * surface)[:, None, None, None]
+
+
+@pytest.fixture
+def problem(seed: int) -> tuple[EvidenceGrid, ShapeMasks]:
+    """A grid of random evidence, and masks of which much lies outside it in most places."""
+    rng = np.random.default_rng(seed)
+    evidence = rng.choice(np.array([STEPS, -FREE, 0], np.int8), SIZE)
+    return EvidenceGrid(evidence=evidence, pitch_m=0.01, camera_from_grid=np.eye(4)), random_masks(rng)
+
+
+def test_gathers_agree_with_a_triple_loop(problem: tuple[EvidenceGrid, ShapeMasks]) -> None:
+    """In every cell, borders included; cells beside the grid score nothing."""
+    grid, masks = problem
+    cells = np.stack(np.meshgrid(*map(np.arange, SIZE), indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = np.concatenate([cells, [[-1, 0, 0], [0, SIZE[1], 0], [0, 0, SIZE[2]]]])
+    flat = FlatGrid.of(grid, masks.reach)
+
+    scores = scores_in(flat, masks, np.arange(TURNS), np.tile(cells, (TURNS, 1, 1)))
+
+    np.testing.assert_allclose(scores[:, :-3], looped(grid, masks).reshape(TURNS, -1), rtol=0, atol=1e-6)
+    assert np.isneginf(scores[:, -3:]).all()
+
+
+def test_shifts_agree_with_a_triple_loop(problem: tuple[EvidenceGrid, ShapeMasks]) -> None:
+    """What is kept has its score; of RUN neighbours the best is kept, and no place of another row."""
+    grid, masks = problem
+    expected = looped(grid, masks)
+
+    turns, cells, scores = best_places(FlatGrid.of(grid, masks.reach), masks, 10**6)
+
+    np.testing.assert_allclose(scores, expected[turns, *cells.T], rtol=0, atol=1e-6)
+    assert (np.diff(scores) <= 0).all()
+    assert len(scores) >= TURNS * np.prod(SIZE) / RUN
+    for turn in range(TURNS):
+        assert scores[turns == turn].max() == pytest.approx(expected[turn].max(), abs=1e-6)
+        for row in np.unique(cells[turns == turn][:, :2], axis=0):
+            in_row = (turns == turn) & (cells[:, :2] == row).all(axis=1)
+            assert scores[in_row].max() <= expected[turn, *row].max() + 1e-6
+
+
+def test_the_best_few_are_those_of_all(problem: tuple[EvidenceGrid, ShapeMasks]) -> None:
+    """A smaller number asked for cuts the list."""
+    grid, masks = problem
+    flat = FlatGrid.of(grid, masks.reach)
+    *_, everything = best_places(flat, masks, 10**6)
+
+    *_, few = best_places(flat, masks, 40)
+
+    np.testing.assert_array_equal(few, everything[:40])
+
+
+def test_whole_cells_move_the_answer_by_as_many(problem: tuple[EvidenceGrid, ShapeMasks]) -> None:
+    """Evidence that moves within an empty grid moves the best place, and its score stays."""
+    _, masks = problem
+    found = []
+    for step in (np.array([0, 0, 0]), np.array([3, 2, 1])):
+        evidence = np.zeros((40, 40, 40), np.int8)
+        low = 16 + step
+        evidence[tuple(slice(one, one + 6) for one in low)] = np.random.default_rng(0).choice(
+            np.array([STEPS, -FREE, 0], np.int8), (6, 6, 6)
+        )
+        grid = EvidenceGrid(evidence=evidence, pitch_m=0.01, camera_from_grid=np.eye(4))
+        turns, cells, scores = best_places(FlatGrid.of(grid, masks.reach), masks, 1)
+        found.append((int(turns[0]), (cells[0] - step).tolist(), float(scores[0])))
+
+    assert found[0] == found[1]
