@@ -23,6 +23,7 @@ class ReadOptions:
         max_depth_m: farther depths count as no return.
         mask: an image of the size of the depth images, black where they see what moves with the camera;
             these pixels count as no return.
+        colour_alone: frames of the first colour topic will do where there is no depth.
         start_s: seconds after the first frame from which frames are read.
         end_s: seconds after the first frame up to which, inclusive, frames are read.
         every: of those frames, the first and every so many-th after it.
@@ -37,6 +38,7 @@ class ReadOptions:
     min_depth_m: float = 0.0
     max_depth_m: float = math.inf
     mask: Path | None = None
+    colour_alone: bool = False
     start_s: float = 0.0
     end_s: float = math.inf
     every: int = 1

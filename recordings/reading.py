@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.cameras.recorded import recorded_cameras
+from recordings.colour_frames import ColourFrames, first_colour_topic
 from recordings.colour_projection import ColourCamera, projected_colour
 from recordings.colour_topics import ColourTopic, registered_colour
 from recordings.depth_clouds import DepthClouds
@@ -17,7 +18,7 @@ from recordings.depth_images import DepthImages
 from recordings.depth_statistics import DepthStatistics
 from recordings.depth_topics import DepthMessage, DepthTopic, choose_depth_topic
 from recordings.errors import RecordingError
-from recordings.images.colour import ColourMessage
+from recordings.images.colour import ColourMessage, is_colour
 from recordings.images.mask import read_mask
 from recordings.images.pairing import NearestInTime
 from recordings.mcap_files.bag import Bag
@@ -47,11 +48,15 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
     """The depth frames of a recording: an MCAP file, a `.mcap.zstd` file or a rosbag2 folder.
 
     Raises:
-        RecordingError: it cannot be read, has no depth, has several depth topics, or its camera is
-            unknown and `options` do not give it.
+        RecordingError: it cannot be read, has no depth (nor colour, where that is enough), has several depth
+            topics, or its camera is unknown and `options` do not give it.
     """
     decoded = DecodedBag(Bag(Path(path)))
     topic = choose_depth_topic(decoded, options.depth_topic)
+    if topic is None and options.colour_alone:
+        topic = first_colour_topic(decoded)
+        if topic is None:
+            raise RecordingError(f"{path} has neither depth nor colour; {_what_else(decoded)}")
     if topic is None:
         raise RecordingError(f"{path} has no depth; {_what_else(decoded)}")
     recording = McapRecording(decoded, topic, options)
@@ -81,6 +86,9 @@ class McapRecording:
         try:
             if isinstance(topic.first, PointCloudMessage):
                 self._depth = DepthClouds(topic, cameras, options)
+            elif options.colour_alone and is_colour(topic.first):
+                self._depth = ColourFrames(topic, cameras, options)
+                self._colour = self._depth.colour
             else:
                 self._depth = DepthImages(topic, cameras, options)
                 self._colour = self._colour_beside(self._depth, cameras)

@@ -26,6 +26,14 @@ class ParseConfig:
         graph: `infer` samples scene graphs, `fixed` keeps every object floating, which costs nothing then
             (the ablation 3DP3*).
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
+        colour: `off` reads depth alone, `only` colour alone (`scene.colour_parsing`).
+        table: of `only`: height of the camera over the table in metres, its pitch downwards and its roll in
+            degrees; none takes the recorded pose over the plane z = 0 or the depth.
+        most: of `only`: things at most on the table; copies of one kind count.
+        light: of `only`: direction of the lamp from the table, x, y, z, and share of ambient light; none
+            means the most probable of a fixed set.
+        gamma: of `only`: exponent by which stored colours become light; 2.2 of photographs, 1 where they
+            are stored linearly.
         presence: prior probability that an object is there.
         proposals: where the search's poses come from before they are refined: templates matched to observed
             `points`, convolution `masks`, or `both`, half and half.
@@ -57,6 +65,11 @@ class ParseConfig:
     region: tuple[float, ...] = ()
     graph: Literal["infer", "fixed"] = "infer"
     likelihood: Literal["depth", "cloud"] = "depth"
+    colour: Literal["off", "only"] = "off"
+    table: tuple[float, ...] = ()
+    most: int = 3
+    light: tuple[float, ...] = ()
+    gamma: float = 2.2
     presence: float = 0.9
     proposals: Literal["points", "masks", "both"] = "points"
     rounds: int = 2
@@ -87,6 +100,12 @@ class ParseConfig:
             raise ValueError(f"support must be a point and a normal, x,y,z,nx,ny,nz, got {self.support}")
         if self.region and (len(self.region) != 6 or any(np.greater_equal(self.region[:3], self.region[3:]))):
             raise ValueError(f"region must be xmin,ymin,zmin,xmax,ymax,zmax, got {self.region}")
+        if len(self.table) not in (0, 2, 3):
+            raise ValueError(f"table must be HEIGHT,PITCH or HEIGHT,PITCH,ROLL, got {self.table}")
+        if self.light and (len(self.light) != 4 or not any(self.light[:3]) or not 0 <= self.light[3] <= 1):
+            raise ValueError(f"light must be a direction and a share of ambient light, got {self.light}")
+        if not 1 <= self.most <= 8 or not 0.2 <= self.gamma <= 5:
+            raise ValueError("most must lie between 1 and 8, gamma between 0.2 and 5")
         if not 0 < self.presence < 1:
             raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")
         if not 0 < self.pixel_weight <= 1:

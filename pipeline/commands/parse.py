@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,17 @@ class FrameNumbers(click.ParamType):
     metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
     help="Where objects are looked for, metres in the first camera; everywhere by default.",
 )
+@click.option(
+    "--colour",
+    type=click.Choice(["off", "only"]),
+    help="`only` finds what stands upright on a table in one colour image, without depth.",
+)
+@click.option(
+    "--table",
+    metavar="HEIGHT,PITCH[,ROLL]",
+    help="For --colour only: the camera over the table, metres and degrees downwards; by default as the "
+    "depth shows it, or as recorded over the plane z = 0.",
+)
 @click.option("--presence", type=float, metavar="P", help="Prior probability that an object is there.")
 @recording_options
 @common_options("recording", "parse", "slam")
@@ -105,6 +117,8 @@ def command(
     shape_samples: int | None,
     support: str | None,
     region: str | None,
+    colour: str | None,
+    table: str | None,
     presence: float | None,
 ) -> None:
     """Find the objects in REC, their poses and what rests on what.
@@ -125,8 +139,12 @@ def command(
         "shape_samples": shape_samples,
         "support": None if support is None else numbers("--support", support),
         "region": None if region is None else numbers("--region", region),
+        "colour": colour,
+        "table": None if table is None else numbers("--table", table),
         "presence": presence,
     }
+    if colour == "only":
+        source = replace(source, said={**source.said, "colour_alone": True})
     known_ids = read_ids(ids)
     with open_session(common, source, run_path, force=force) as session:
         parse_stage(session, shapes, units, options, known_ids)

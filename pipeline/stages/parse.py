@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from recordings.reading import McapRecording
     from scene.result import SceneResult
 
-SOURCES = ("pipeline.stages.parse", "scene.parsing")
+SOURCES = ("pipeline.stages.parse", "pipeline.stages.parse_colour", "scene.parsing", "scene.colour_parsing")
 SURFACE_SOURCES = ("pipeline.shape_folder", "pipeline.meshes", "pipeline.surfaces", "pipeline.bop_numbers")
 
 SHAPE_DRAWS = 16
@@ -54,10 +54,16 @@ def parse_stage(
         PipelineError: a shape or frame is missing, or the first frame shows nothing.
     """
     config = session.common.settings.section("parse", ParseConfig, options)
-    surfaces = _surfaces(session, shapes, units, config.objects, ids or {})
-    trajectory = slam_stage(session) if len(config.frames) > 1 else None
+    alone = config.colour == "only"
+    surfaces = _surfaces(session, shapes, units, config.objects, ids or {}, config.most if alone else 1)
+    trajectory = slam_stage(session) if len(config.frames) > 1 and not alone else None
 
     def compute() -> SceneResult:
+        if alone:
+            from pipeline.stages.parse_colour import parse_colour_frame
+
+            once = dict(list(surfaces.value.by_name.items())[:: config.most])
+            return parse_colour_frame(session, once, config)
         poses = np.eye(4)[None]
         if trajectory is not None:
             poses = relative_poses(trajectory.value.mean, config.frames)
@@ -115,6 +121,7 @@ def _surfaces(
     units: Units | None,
     names: tuple[str, ...],
     ids: Mapping[str, int],
+    copies: int,
 ) -> Committed[Surfaces]:
     """What is looked for, kept in the run as the stage `objects`.
 
@@ -124,16 +131,22 @@ def _surfaces(
 
     inputs = {f"shapes/{name}": digest for name, digest in surface_hashes(shapes).items()}
     inputs |= {"names": ",".join(names), "units": units or "", "ids": repr(sorted(ids.items()))}
+    if copies > 1:
+        inputs["copies"] = str(copies)
 
     def compute() -> Surfaces:
         from pipeline.bop_numbers import ids_of_models, ids_of_names, numbered
         from pipeline.shape_folder import chosen, load_surfaces
         from recordings.dataset_numbers import recorded_dataset_numbers
+        from scene.objects.copies import slot_names
 
         surfaces = load_surfaces(shapes, units)
         recorded = recorded_dataset_numbers(session.source.path)
         known = (ids, ids_of_models(shapes), ids_of_names(surfaces), recorded.object_ids)
-        return Surfaces(chosen(surfaces, names), replace(recorded, object_ids=numbered(surfaces, *known)))
+        asked = chosen(surfaces, names)
+        slots = slot_names(list(asked), copies)
+        each = dict(zip(slots, (one for one in asked.values() for _ in range(copies)), strict=True))
+        return Surfaces(each, replace(recorded, object_ids=numbered({**surfaces, **each}, *known)))
 
     return session.stage("objects", Surfaces.load, compute, {}, inputs, sources=SURFACE_SOURCES)
 

@@ -118,7 +118,7 @@ def candidates(
     world: TableWorld, image: ColourImage, rest: Surroundings, lattice: Lattice, of_each_kind: int
 ) -> NDArray[np.int64]:
     """States by gain, so many of each kind, apart from each other; only those that may stand there."""
-    need = 3 * np.log(1 / (world.noise.sigma * np.sqrt(2 * np.pi)))
+    need = image.colour.shape[1] * np.log(1 / (world.noise.sigma * np.sqrt(2 * np.pi)))
     unexplained = Surroundings(rest.scene, rest.depth_m, rest.explained - need)
     layers = lattice.layers.kept(lattice.layers.depth_m < rest.depth_m[lattice.layers.pixel])
     promise = -_sums_of(unexplained.explained, layers)

@@ -7,7 +7,7 @@ Laplace's evidence at their best poses, which gives p(N | image). A search: what
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -54,11 +54,17 @@ class FoundScene:
 
     Attributes:
         best: the scene of the greatest evidence.
-        count: (most + 1,) probabilities of each number of things, over the scenes that the search weighed.
+        kinds: probabilities of the kinds of things there, ascending, over the scenes that the search weighed.
+        count: (most + 1,) of each number of things, likewise.
     """
 
     best: Weighed
+    kinds: Mapping[tuple[int, ...], float]
     count: NDArray[np.float64]
+
+    def at_least(self, kind: int, number: int) -> float:
+        """Probability that so many things of a kind are there, or more."""
+        return sum(share for kinds, share in self.kinds.items() if kinds.count(kind) >= number)
 
 
 @dataclass(eq=False)
@@ -186,12 +192,13 @@ class Searcher:
             if (moved := max([best, *table.moves(best)], key=_evidence)) is best:
                 break
             best = table.settled(moved)
-        return FoundScene(best, _count(table))
+        return _summed(table, best)
 
 
-def _count(table: _Table) -> NDArray[np.float64]:
-    log_mass = np.full(table.world.most + 1, -np.inf)
-    for kinds, weighed in table.found.items():
-        log_mass[len(kinds)] = np.logaddexp(log_mass[len(kinds)], weighed.log_evidence)
+def _summed(table: _Table, best: Weighed) -> FoundScene:
+    log_mass = np.array([weighed.log_evidence for weighed in table.found.values()])
     mass = np.exp(log_mass - log_mass.max())
-    return mass / mass.sum()
+    kinds = dict(zip(table.found, (mass / mass.sum()).tolist(), strict=True))
+    numbers = [len(one) for one in kinds]
+    count = np.bincount(numbers, weights=np.array(list(kinds.values())), minlength=table.world.most + 1)
+    return FoundScene(best, kinds, np.asarray(count, np.float64))

@@ -66,12 +66,14 @@ class Kind:
         vertices_m: (V, 3).
         faces: (F, 3), counter-clockwise from outside.
         turns: by how many turns about z it looks the same; 0 for a round thing, whose yaw says nothing.
+        base_m: (3,) where the origin is in the frame of the mesh.
     """
 
     name: str
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int64]
     turns: int
+    base_m: NDArray[np.float64]
 
     @classmethod
     def standing(cls, name: str, mesh: trimesh.Trimesh) -> Kind:
@@ -79,7 +81,8 @@ class Kind:
         base = np.array([*_axis(mesh), mesh.bounds[0, 2]])
         moved = trimesh.Trimesh(mesh.vertices - base, mesh.faces, process=False)
         faces = np.asarray(mesh.faces, np.int64)
-        return cls(name=name, vertices_m=np.asarray(moved.vertices), faces=faces, turns=_turns(moved))
+        vertices = np.asarray(moved.vertices)
+        return cls(name=name, vertices_m=vertices, faces=faces, turns=_turns(moved), base_m=base)
 
     @cached_property
     def half_m(self) -> NDArray[np.float64]:

@@ -37,6 +37,7 @@ def command(common: Common, run: Path, truth: Path) -> None:
     from pipeline.evaluation.truth import RecordedTruth
     from pipeline.publishing.values import RunValues
     from pipeline.run_folder import RunFolder
+    from scene.objects.copies import shape_of
 
     values = RunValues.load(RunFolder(run, force=False))
     scene = values.scene
@@ -51,15 +52,17 @@ def command(common: Common, run: Path, truth: Path) -> None:
     first = int(scene.frames[0])
     if first >= len(times):
         raise PipelineError(f"{truth} has no true camera for frame {first}: is it the recording of {run}?")
+    shapes = {one.shape for one in objects}
+    found = [(shape_of(name, shapes), pose) for name, pose in scene.found_poses]
     errors = object_errors(
         objects,
         {one.shape: _mesh(one, values.surfaces) for one in objects},
         known.camera_from_world(int(times[first])),
-        scene.found_poses,
+        found,
     )
     document = summary_of_errors(errors, parents_right(scene, objects)) | {
         "not_looked_for": left_out,
-        "not_there": [name for name, _ in scene.found_poses if name not in {one.shape for one in objects}],
+        "not_there": [name for name, _ in found if name not in shapes],
     }
     common.report(document, _lines(document))
 

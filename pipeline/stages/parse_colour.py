@@ -1,0 +1,122 @@
+"""`parse --colour only`: the scene that one colour image shows, no depth needed."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pipeline.errors import PipelineError
+from recordings.types import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pipeline.session import Session
+    from pipeline.surfaces import SceneSurface
+    from scene.config import ParseConfig
+    from scene.result import SceneResult
+
+MOST_TRIANGLES = 400
+"""Of a shape that is searched for in a small image: triangles of a centimetre, under its pixels."""
+CLIPPED = 0.05
+"""Share of pixels without light or with too much of it from which the user is told."""
+
+
+def parse_colour_frame(
+    session: Session, shapes: Mapping[str, SceneSurface], config: ParseConfig
+) -> SceneResult:
+    """The scene of one colour frame.
+
+    Args:
+        session: the recording and the run folder.
+        shapes: by name, each once.
+        config: settings.
+
+    Raises:
+        PipelineError: there is no such frame, it has no colour, or nobody says where the table is.
+    """
+    import jax
+
+    from scene.colour.camera_view import clipped_share
+    from scene.colour_parsing import parse_colour
+
+    if len(config.frames) > 1:
+        raise PipelineError("--colour only reads one frame; name one with --frames N")
+    number, frame = _colour_frame(session, config.frames)
+    assert frame.rgb is not None
+    clipped = clipped_share(frame.rgb)
+    if clipped > CLIPPED:
+        session.warn(f"{clipped:.0%} of the pixels of frame {number} are under- or overexposed")
+    seed = int(jax.random.randint(session.key("parse"), (), 0, 2**31 - 1))
+    with session.common.progress("parse", "") as progress:
+        progress.phase("searching the colour image")
+        try:
+            camera_from_world = _camera_over_table(session, frame, config)
+            meshes = {name: _simplified(surface) for name, surface in shapes.items()}
+            return parse_colour(
+                seed, frame.rgb, session.recording.intrinsics, camera_from_world, meshes, number, config
+            )
+        except ValueError as error:
+            raise PipelineError(f"{session.source.path}: {error}") from error
+
+
+def _colour_frame(session: Session, numbers: tuple[int, ...]) -> tuple[int, Frame]:
+    """The frame of this number, or the first that has colour."""
+    path = session.source.path
+    if numbers:
+        frames = itertools.islice(enumerate(session.recording), numbers[0], numbers[0] + 1)
+        found = next(frames, None)
+        if found is None:
+            raise PipelineError(f"{path} has no frame {numbers[0]}")
+    else:
+        found = next((one for one in enumerate(session.recording) if one[1].rgb is not None), None)
+    if found is None or found[1].rgb is None:
+        where = f"frame {numbers[0]} of {path}" if numbers else str(path)
+        raise PipelineError(f"{where} has no colour that is registered to its frames; --colour only needs it")
+    return found
+
+
+def _camera_over_table(session: Session, frame: Frame, config: ParseConfig) -> NDArray[np.float64]:
+    """camera_from_world (4, 4): as the user says, else as the depth shows, else as recorded.
+
+    Raises:
+        PipelineError: none of them says it.
+        ValueError: the camera does not look down on the table.
+    """
+    from recordings.poses.recorded import recorded_trajectory
+    from scene.colour.camera_view import camera_over_plane, camera_over_table
+    from scene.observation.segmentation import scene_data, shows_enough
+
+    if config.table:
+        height_m, *angles = config.table
+        return camera_over_table(height_m, *np.radians(angles))
+    if shows_enough(frame.depth_m):
+        seen = scene_data(frame.depth_m, session.recording.intrinsics, session.common.seed, config.support)
+        if seen.table is not None:
+            return camera_over_plane(seen.table.camera_from_table)
+    recorded = recorded_trajectory(session.source.path, session.recording.options)
+    found = [] if recorded is None else np.flatnonzero(recorded.times_ns == frame.time_ns)
+    if recorded is None or not len(found):
+        raise PipelineError(
+            f"{session.source.path} shows no table and records no pose of the camera; say how the camera "
+            "stands over the table with --table HEIGHT,PITCH (metres, degrees downwards)"
+        )
+    return camera_over_plane(np.asarray(np.linalg.inv(recorded.reference_from_camera[found[0]]), np.float64))
+
+
+def _simplified(surface: SceneSurface) -> trimesh.Trimesh:
+    """The mesh with as many triangles as its pixels need."""
+    import open3d as o3d
+
+    mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
+    if len(mesh.faces) <= MOST_TRIANGLES:
+        return mesh
+    full = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
+    )
+    fewer = full.simplify_quadric_decimation(MOST_TRIANGLES)
+    return trimesh.Trimesh(np.asarray(fewer.vertices), np.asarray(fewer.triangles), process=False)

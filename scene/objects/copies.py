@@ -1,0 +1,19 @@
+"""Names of several objects of one shape."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container, Sequence
+
+COPY = re.compile(r"(.+)_[0-9]+$")
+
+
+def slot_names(names: Sequence[str], copies: int) -> list[str]:
+    """Of every copy of every kind: mug, mug_2, mug_3."""
+    return [name if copy == 0 else f"{name}_{copy + 1}" for name in names for copy in range(copies)]
+
+
+def shape_of(name: str, shapes: Container[str]) -> str:
+    """The one of these shapes that an object is a copy of by its name; the name itself where it is none."""
+    copy = COPY.match(name)
+    return copy[1] if name not in shapes and copy and copy[1] in shapes else name
