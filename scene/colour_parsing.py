@@ -31,6 +31,8 @@ STEPS = (0.2, 0.6, 2.0)
 """Of proposals, in standard deviations by curvature: pixels make the posterior rough within one."""
 LEAST = 0.1
 """Share of the curvature's standard deviations that a taught proposal keeps in directions not yet visited."""
+STRANGE_NATS = 8.0
+"""Below the density of the table's own colour: four standard deviations in one channel."""
 BOTTOM, TOP = 4, 5
 """Faces -z and +z of `scene.result.FACES`: a thing's own bottom rests on the top of the table."""
 
@@ -60,8 +62,8 @@ def parse_colour(
     shapes: Mapping[str, trimesh.Trimesh],
     frame: int,
     config: ParseConfig,
-) -> SceneResult:
-    """The scene that one colour image shows.
+) -> tuple[SceneResult, float]:
+    """The scene that one colour image shows, and the share of the image that is neither table nor thing.
 
     Args:
         seed: of the samples.
@@ -92,8 +94,9 @@ def parse_colour(
         if light != world.light:
             world = replace(world, light=light)
             found = Searcher.of(world).find(image)
-    samples = _sample(np.random.default_rng(seed), world, colour_image(world, image), found.best, config)
-    return _summary(world, found, samples, frame)
+    seen = colour_image(world, image)
+    samples = _sample(np.random.default_rng(seed), world, seen, found.best, config)
+    return _summary(world, found, samples, frame), _strange_share(world, seen, found.best.scene)
 
 
 def _light(config: ParseConfig) -> Light:
@@ -187,6 +190,14 @@ def _summary(world: TableWorld, found: FoundScene, samples: _Samples, frame: int
         acceptance=np.asarray(samples.accepted),
         log_estimate_variance=np.asarray(0.0),
     )
+
+
+def _strange_share(world: TableWorld, image: ColourImage, scene: Scene) -> float:
+    """Share of the pixels that show another colour than the table's where no thing is."""
+    usual = image.colour.shape[1] * np.log(1 / (world.noise.sigma * np.sqrt(2 * np.pi)))
+    strange = image.table < usual - STRANGE_NATS
+    strange[render(world, scene.kinds, scene.poses).pixel] = False
+    return float(strange.mean())
 
 
 def _slots_of(kinds: NDArray[np.int64], copies: int) -> list[int]:

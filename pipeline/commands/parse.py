@@ -97,6 +97,12 @@ class FrameNumbers(click.ParamType):
     help="For --colour only: the camera over the table, metres and degrees downwards; by default as the "
     "depth shows it, or as recorded over the plane z = 0.",
 )
+@click.option(
+    "--light",
+    metavar="X,Y,Z,AMBIENT",
+    help="For --colour only: where the lamp is from the table, and the share of ambient light; estimated by "
+    "default.",
+)
 @click.option("--presence", type=float, metavar="P", help="Prior probability that an object is there.")
 @recording_options
 @common_options("recording", "parse", "slam")
@@ -119,6 +125,7 @@ def command(
     region: str | None,
     colour: str | None,
     table: str | None,
+    light: str | None,
     presence: float | None,
 ) -> None:
     """Find the objects in REC, their poses and what rests on what.
@@ -141,6 +148,7 @@ def command(
         "region": None if region is None else numbers("--region", region),
         "colour": colour,
         "table": None if table is None else numbers("--table", table),
+        "light": None if light is None else numbers("--light", light),
         "presence": presence,
     }
     if colour == "only":

@@ -25,6 +25,9 @@ MOST_TRIANGLES = 400
 CLIPPED = 0.05
 """Share of pixels without light or with too much of it from which the user is told."""
 
+STRANGE = 0.1
+"""Share of the image that fits nothing from which the user is told; silhouettes make up some hundredths."""
+
 
 def parse_colour_frame(
     session: Session, shapes: Mapping[str, SceneSurface], config: ParseConfig
@@ -57,11 +60,17 @@ def parse_colour_frame(
         try:
             camera_from_world = _camera_over_table(session, frame, config)
             meshes = {name: _simplified(surface) for name, surface in shapes.items()}
-            return parse_colour(
+            scene, strange = parse_colour(
                 seed, frame.rgb, session.recording.intrinsics, camera_from_world, meshes, number, config
             )
         except ValueError as error:
             raise PipelineError(f"{session.source.path}: {error}") from error
+    if strange > STRANGE:
+        session.warn(
+            f"{strange:.0%} of frame {number} is neither of the table's one colour nor a thing of one "
+            "colour: what is told of it is not to be trusted"
+        )
+    return scene
 
 
 def _colour_frame(session: Session, numbers: tuple[int, ...]) -> tuple[int, Frame]:

@@ -1,0 +1,104 @@
+"""`voxscene parse --colour only`: things on a table from one colour image, without depth."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from pipeline.cli import voxscene
+from pipeline.synthesis.air import air_meshes, air_scene, air_world, write_air_scene
+
+SEED = 7
+"""Of a scene with a cube and a cylinder."""
+
+
+@pytest.fixture(scope="module")
+def photograph(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of one colour image, whose depth shows nothing."""
+    path = tmp_path_factory.mktemp("air") / "air.mcap"
+    world = air_world(48, 48)
+    write_air_scene(world, air_scene(world, SEED), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of what stands there, and of a ball."""
+    folder = tmp_path_factory.mktemp("meshes")
+    for name in ("ball", "cube", "cylinder"):
+        air_meshes()[name].export(folder / f"{name}.ply")
+    return folder
+
+
+def parse(recording: Path, shapes: Path, run: Path, *more: str) -> Result:
+    """The command, with few sweeps of its chains."""
+    options = ["--colour", "only", "-s", "parse.sweeps=6", "-s", "parse.gamma=1", "--quiet", *more]
+    return CliRunner().invoke(
+        voxscene, ["parse", str(recording), "--shapes", str(shapes), "-o", str(run), *options]
+    )
+
+
+def without_depth(source: Path, target: Path) -> Path:
+    """A copy with the colour images and their camera alone."""
+    with source.open("rb") as reading, target.open("wb") as writing:
+        writer = Writer(writing)
+        writer.start()
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(reading).iter_messages(log_time_order=False):
+            if "color" not in channel.topic or schema is None:
+                continue
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number
+                )
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    return target
+
+
+def test_things_are_found_without_depth(photograph: Path, meshes: Path, tmp_path: Path) -> None:
+    """Both kinds within 5 mm, nothing else; the table is where the camera's recorded pose puts it."""
+    result = parse(photograph, meshes, tmp_path / "run", "--light", "-0.4,-0.5,0.77,0.4")
+    assert result.exit_code == 0, result.output
+    evaluated = CliRunner().invoke(
+        voxscene, ["eval", "poses", str(tmp_path / "run"), "--truth", str(photograph), "--json"]
+    )
+    document = json.loads(evaluated.stdout)
+    assert document["not_there"] == []
+    assert [one["found"] for one in document["objects"]] == [True, True]
+    assert document["largest_m"] < 0.005
+    parsed = json.loads((tmp_path / "run" / "summary.json").read_text())["parse"]
+    assert {one["name"] for one in parsed["objects"]} == {"cube", "cylinder"}
+
+
+@pytest.mark.slow
+def test_a_recording_without_any_depth_will_do(photograph: Path, meshes: Path, tmp_path: Path) -> None:
+    """The user says how the camera stands, and the lamp is found."""
+    bare = without_depth(photograph, tmp_path / "bare.mcap")
+    result = parse(bare, meshes, tmp_path / "run", "--table", "0.482,40")
+    assert result.exit_code == 0, result.output
+    parsed = json.loads((tmp_path / "run" / "summary.json").read_text())["parse"]
+    assert {one["name"] for one in parsed["objects"]} == {"cube", "cylinder"}
+
+
+def test_mistakes_are_told_in_one_line(photograph: Path, meshes: Path, tmp_path: Path) -> None:
+    """No table, a camera that looks up, half a table, no such frame, several frames, depth wanted."""
+    bare = without_depth(photograph, tmp_path / "bare.mcap")
+    for number, (more, code, told) in enumerate(
+        [
+            ((), 1, "stands over the table with --table"),
+            (("--table", "0.5,-10"), 1, "pitch between 0 and 90 degrees"),
+            (("--table", "0.5"), 2, "HEIGHT,PITCH"),
+            (("--table", "0.5,40", "--frames", "9"), 1, "no frame 9"),
+            (("--table", "0.5,40", "--frames", "0:2"), 1, "reads one frame"),
+            (("--colour", "off"), 1, "has no depth"),
+        ]
+    ):
+        result = parse(bare, meshes, tmp_path / f"run{number}", *more)
+        assert result.exit_code == code, told
+        assert told in result.output
+        assert "Traceback" not in result.output
