@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -14,7 +12,7 @@ import numpy as np
 import trimesh
 from scipy.special import expit, logit
 
-from pipeline.atomic import write_text
+from pipeline.atomic import write_table
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.occlusion import (
     FAR_M,
@@ -153,8 +151,4 @@ def figures(rows: Sequence[OcclusionRow]) -> dict[str, Any]:
 
 def write_rows(path: Path, rows: Sequence[OcclusionRow]) -> None:
     """A CSV file, whole or not at all."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(OcclusionRow)], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    write_text(path, text.getvalue())
+    write_table(path, [field.name for field in fields(OcclusionRow)], map(asdict, rows))

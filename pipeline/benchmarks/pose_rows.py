@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -12,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.atomic import write_json, write_text
+from pipeline.atomic import write_json, write_table
 from pipeline.benchmarks.pose_images import ImageKey
 from pipeline.fingerprints import canonical_hash
 
@@ -121,13 +119,12 @@ def write_csv(path: Path, judged: Sequence[Judged]) -> None:
     Raises:
         PipelineError: the file cannot be written.
     """
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(Judged)], lineterminator="\n")
-    writer.writeheader()
-    for one in judged:
+
+    def row(one: Judged) -> dict[str, object]:
         estimate = "" if one.estimate is None else " ".join(f"{value:.9g}" for value in one.estimate)
-        writer.writerow({**asdict(one), "estimate": estimate})
-    write_text(path, text.getvalue())
+        return {**asdict(one), "estimate": estimate}
+
+    write_table(path, [field.name for field in fields(Judged)], map(row, judged))
 
 
 def _judged(row: dict[str, Any]) -> Judged:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from pipeline.atomic import write_text
+from pipeline.atomic import write_table
 from pipeline.benchmarks.shapes import shape_rows
 from pipeline.report.page import Page
 from pipeline.reproduction.request import Request
@@ -40,9 +38,8 @@ def shape_chapter(request: Request, page: Page) -> None:
     told = [row["supplement"] for row in figures[0] if row["supplement"] is not None]
     rows.append(("mean", *map(_number, means), _number(np.mean(told) if told else None)))
     page.table(header, rows)
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    write_text(request.out / "tables" / "shapes.csv", text.getvalue())
+    named = (dict(zip(header, row, strict=True)) for row in rows)
+    write_table(request.out / "tables" / "shapes.csv", header, named)
 
 
 def _rows(request: Request, *, noise_free: bool) -> list[Mapping[str, Any]]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.atomic import atomic_path, write_json, write_text
+from pipeline.atomic import atomic_path, write_json, write_table, write_text
 from pipeline.errors import PipelineError
 
 
@@ -47,3 +47,9 @@ def test_json_is_readable_and_finite(tmp_path: Path) -> None:
 
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "a.json", {"b": float("nan")})
+
+
+def test_tables_hold_their_columns_alone(tmp_path: Path) -> None:
+    """A heading, then what the columns name; None is empty, and commas are quoted."""
+    write_table(tmp_path / "t.csv", ("a", "b"), [{"a": 1, "b": None, "c": 2}, {"a": "x, y", "b": 0.5}])
+    assert (tmp_path / "t.csv").read_text() == 'a,b\n1,\n"x, y",0.5\n'

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 from collections.abc import Iterable
 from pathlib import Path
@@ -231,9 +230,6 @@ def _line(cells: Iterable[Any]) -> str:
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    from pipeline.atomic import atomic_path
+    from pipeline.atomic import write_table
 
-    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(map(_with_peers, rows))
+    write_table(path, COLUMNS, map(_with_peers, rows))

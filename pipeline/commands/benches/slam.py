@@ -133,9 +133,7 @@ def _median(figure: dict[str, float] | None, form: str) -> str:
 
 
 def _write_csv(path: Path, document: dict[str, Any]) -> None:
-    import csv
+    from pipeline.atomic import write_table
 
-    from pipeline.atomic import atomic_path
-
-    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([HEADINGS, *(cells for row in document["rows"] for cells in _cells(row))])
+    cells = (dict(zip(HEADINGS, one, strict=True)) for row in document["rows"] for one in _cells(row))
+    write_table(path, HEADINGS, cells)
