@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.checkpoints import CheckpointKeeper
 from pipeline.errors import PipelineError
 from pipeline.run_folder import Committed
 from pipeline.session import Session
@@ -109,8 +110,11 @@ def _load(path: Path) -> ShapePrior:
 
 
 def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig) -> ShapePrior:
+    from shapes.learning.checkpoint import LearnCheckpoint
     from shapes.learning.distillation import learn_shape
 
+    assert session.run.checkpoint_path is not None  # while the stage is computed
+    keeper = CheckpointKeeper(session.run.checkpoint_path)
     stamps = set(posed.times_ns.tolist())
     with session.common.progress(f"learn {name}", "trajectories") as progress:
         progress.phase("reading")
@@ -125,6 +129,8 @@ def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig)
                 posed.log_weights,
                 config,
                 progress,
+                checkpoint=keeper.found(LearnCheckpoint.load),
+                on_checkpoint=keeper.keep,
             )
         except ValueError as error:
             raise PipelineError(f"{session.source.path}: {error}") from error

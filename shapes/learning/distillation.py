@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from recordings.types import CameraIntrinsics, Frame
+from shapes.learning.checkpoint import LearnCheckpoint
 from shapes.learning.colouring import voxel_colours
 from shapes.learning.config import LearnConfig
 from shapes.learning.occupancy import Occupancy, occupancy, windows
@@ -47,6 +48,9 @@ def learn_shape(
     log_weights: NDArray[np.float64],
     config: LearnConfig,
     on_trajectory: Callable[[int, int], None] | None = None,
+    *,
+    checkpoint: LearnCheckpoint | None = None,
+    on_checkpoint: Callable[[LearnCheckpoint], None] | None = None,
 ) -> ShapePrior:
     """Learn the shape of one object.
 
@@ -58,6 +62,8 @@ def learn_shape(
         log_weights: (K,) normalised.
         config: settings.
         on_trajectory: called with the number of distilled trajectories done and in all.
+        checkpoint: of the same call, from which to go on.
+        on_checkpoint: called with what is known after each trajectory.
 
     Raises:
         ValueError: there is no object to learn; the message says why.
@@ -74,11 +80,13 @@ def learn_shape(
     grid = object_grid(depths, intrinsics, best, config)
     views = windows(depths, intrinsics, grid, best, config)
     particles, weights = _drawn(key, poses, log_weights, config.trajectories)
-    found = []
-    for number, particle in enumerate(particles):
+    found = [] if checkpoint is None else checkpoint.found
+    for number, particle in enumerate(particles[len(found) :], len(found) + 1):
         found.append(occupancy(views, intrinsics, grid, particle, config))
         if on_trajectory is not None:
-            on_trajectory(number + 1, len(particles))
+            on_trajectory(number, len(particles))
+        if on_checkpoint is not None:
+            on_checkpoint(LearnCheckpoint.of(found))
     return _prior(found, weights, grid, kept, intrinsics, best)
 
 
