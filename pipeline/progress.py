@@ -68,6 +68,8 @@ class Progress:
         self._ended = threading.Event()
 
     def __enter__(self) -> Progress:
+        if _shown:
+            _shown[-1].give_way()
         _shown.append(self)
         if self._ticks:
             threading.Thread(target=self._tick, daemon=True).start()
@@ -79,6 +81,11 @@ class Progress:
         self._ended.set()
         with self._lock:
             _shown.remove(self)
+            self._wipe()
+
+    def give_way(self) -> None:
+        """Leave the terminal's line to a display that opens now."""
+        with self._lock:
             self._wipe()
 
     def phase(self, name: str) -> None:

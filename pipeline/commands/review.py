@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import image_size
+from pipeline.options import Common, common_options, image_size
+from pipeline.progress import Progress
 
 
 @click.command(name="review")
@@ -31,7 +32,9 @@ from pipeline.options import image_size
     help="RUN is a run.mcap on its own; its values are in it, and run.rrd is made beside it.",
 )
 @click.option("--rebuild", is_flag=True, help="Make run.rrd again from the run's values.")
+@common_options()
 def command(
+    common: Common,
     run: Path,
     screenshot: Path | None,
     size: str,
@@ -54,8 +57,11 @@ def command(
         raise PipelineError(f"{run} holds no run; make one with voxscene slam, learn, parse or demo")
     if screenshot:
         take_screenshot(rrds, screenshot, (width, height), frame)
-        click.echo(f"{screenshot}: {width}x{height}")
-    elif web:
-        serve_viewer(rrds, port, click.echo)
-    else:
-        open_viewer(rrds)
+        document = {"screenshot": str(screenshot), "width": width, "height": height}
+        common.report(document, [f"{screenshot}: {width}x{height}"])
+        return
+    with Progress("review", "", quiet=True):  # from now on the viewer shows that it lives
+        if web:
+            serve_viewer(rrds, port, lambda address: common.report({"address": address}, [address]))
+        else:
+            open_viewer(rrds)

@@ -38,7 +38,8 @@ def write_rrd(path: Path, name: str, values: RunValues, identity: str = "") -> N
     recording = rr.RecordingStream(own, recording_id=own, send_properties=True)
     # To memory: on a full disk Rerun's own file writer hangs, or ends as if all was well.
     memory = recording.memory_recording()
-    recording.send_blueprint(run_blueprint(values), make_active=False, make_default=True)
+    # Active too: a browser leaves a blueprint that is but the default aside.
+    recording.send_blueprint(run_blueprint(values), make_active=True, make_default=True)
     recording.set_log_time_enabled(False)
     recording.send_recording_name(name)
     _log(recording, values)

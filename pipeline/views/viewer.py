@@ -83,7 +83,8 @@ def serve_viewer(rrds: Sequence[Path], port: int, say: Callable[[str], None]) ->
         "--port",
         str(port + 1),
     ]
-    server = subprocess.Popen([_program(), *arguments, *rrds], env=dict(os.environ, CI="1"))
+    environment = dict(os.environ, CI="1", RUST_LOG="warn")
+    server = subprocess.Popen([_program(), *arguments, *rrds], env=environment)
     say(f"http://127.0.0.1:{port}/?url=rerun%2Bhttp://127.0.0.1:{port + 1}/proxy")
     try:
         if server.wait() != 0:

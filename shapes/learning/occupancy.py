@@ -15,7 +15,8 @@ from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
 from shapes.learning.local_planes import LocalPlanes, local_planes
 from shapes.learning.readings import BEFORE, BEHIND, NEAR, initial_readings, voxel_readings
-from shapes.learning.voxel_rays import ViewReadings, bucket, evidence
+from shapes.learning.view_readings import ViewReadings
+from shapes.learning.voxel_rays import bucket, evidence
 from shapes.voxel_grid import VoxelGrid
 
 WINDOW_MARGIN = 8
@@ -202,7 +203,8 @@ def _read(
         config.registration_sigma_m,
     )
     arrays = {name: np.asarray(value)[: len(voxel)] for name, value in vars(readings).items()}
-    near = (np.abs(arrays["behind_m"]) <= grid.pitch_m).any(axis=1)
+    near = (arrays["association"] > 0) & (np.abs(arrays["behind_m"]) <= grid.pitch_m)
+    near = near.any(axis=1)
     normal = np.zeros((len(voxel), 3), np.float32)
     in_camera = _normals(view, camera, arrays["column"][near], arrays["row"][near])
     normal[near] = in_camera @ camera_from_grid[:3, :3]
@@ -212,13 +214,12 @@ def _read(
         height = centres[:, 2]
         above = eye[2] > height
         plane[above] = arrays["depth_m"][above] * (eye[2] / (eye[2] - height[above]))
-    return ViewReadings(
-        before=np.packbits(look == BEFORE),
-        hidden=np.packbits(look == BEHIND),
-        voxel=voxel,
-        **arrays,
-        normal=normal,
-        plane_depth_m=plane,
+    return ViewReadings.of(
+        look == BEFORE,
+        look == BEHIND,
+        voxel,
+        arrays | {"normal": normal, "plane_depth_m": plane},
+        grid,
         eye_m=eye,
         footprint=grid.pitch_m * float(camera.fx) / distance_m,
     )

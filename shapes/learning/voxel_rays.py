@@ -18,14 +18,9 @@ from scipy.special import ndtr
 
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import SensorRays
+from shapes.learning.view_readings import LEAST_ASSOCIATION, ViewReadings, band_m
 from shapes.voxel_grid import VoxelGrid
 
-BAND_PITCHES = 1.0
-"""Rays are kept this far on both sides of their surface."""
-BAND_SIGMAS = 4.0
-"""A ray is truncated to voxels within both distances of its surface."""
-LEAST_ASSOCIATION = 0.02
-"""Readings of less probability are left out."""
 ON_PLANE_SIGMAS = 2.5
 """1 in 80 pixels of a Normal is lost."""
 SURFACES_APART_PITCHES = 2.0
@@ -40,42 +35,6 @@ PEAK_DENSITY = 200.0
 """Of a reading where its surface is, per metre: what an unexplained reading competes with."""
 RAY_BUCKET = 4096
 """Ray counts are rounded up to it, for fewer kernels."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ViewReadings:
-    """Readings of one view as host arrays; see `shapes.learning.readings.Readings`.
-
-    Attributes:
-        before: (ceil(V / 8),) packed bits, voxels of the grid well before all surfaces there: a ray crosses
-            them. Of every view all voxels are held: as bytes they would be most of the memory of learning.
-        hidden: (ceil(V / 8),) packed bits, voxels well behind.
-        voxel: (N,) the voxels near a surface, of which the rest is said.
-        behind_m: (N, 2).
-        sigma_m: (N, 2).
-        association: (N, 2).
-        normal: (N, 3) unit, of the surface seen near each centre, in the grid frame; zero where none is near.
-        column: (N,).
-        row: (N,).
-        depth_m: (N,) of the voxels' centres.
-        plane_depth_m: (N,) depth of the support plane on the ray through each centre; +inf without one.
-        eye_m: (3,) the camera in the grid frame.
-        footprint: edge of a voxel in pixels.
-    """
-
-    before: NDArray[np.uint8]
-    hidden: NDArray[np.uint8]
-    voxel: NDArray[np.intp]
-    behind_m: NDArray[np.float32]
-    sigma_m: NDArray[np.float32]
-    association: NDArray[np.float32]
-    normal: NDArray[np.float32]
-    column: NDArray[np.float32]
-    row: NDArray[np.float32]
-    depth_m: NDArray[np.float32]
-    plane_depth_m: NDArray[np.float32]
-    eye_m: NDArray[np.float64]
-    footprint: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,21 +79,17 @@ def evidence(
     slip = unexplained_density(config) / PEAK_DENSITY
     places = []
     for number, view in enumerate(views):
-        band = _band(view, grid)
+        band = band_m(view.sigma_m, grid)
         side = _sides(view, walls, grid)
         measured = view.association > LEAST_ASSOCIATION
-        through = np.where(measured & (view.behind_m < -band), view.association, 0.0).max(axis=1)
-        crossed[view.voxel] = np.maximum(crossed[view.voxel], through)
-        gone = np.flatnonzero(through)
-        log_crossings[view.voxel[gone]] += np.log1p(
-            -through[gone, None] * opacity[side[view.voxel[gone]]] * (1 - slip)
+        crossed[view.crossed] = np.maximum(crossed[view.crossed], view.through)
+        log_crossings[view.crossed] += np.log1p(
+            -view.through[:, None] * opacity[side[view.crossed]] * (1 - slip)
         )
         before = np.unpackbits(view.before, count=count).view(np.bool_)
         for one in range(2):
             crossings[one] += before & (side == one)
-        covered = np.where(measured & (view.behind_m > 0), view.association, 0.0).sum(axis=1) > 0.5
         hidden |= np.unpackbits(view.hidden, count=count).view(np.bool_)
-        hidden[view.voxel] |= covered
         for layer in range(view.behind_m.shape[1]):
             near = np.flatnonzero(measured[:, layer] & (np.abs(view.behind_m[:, layer]) <= band[:, layer]))
             places.append(_places(view, number, layer, near, side))
@@ -154,11 +109,6 @@ def _sides(view: ViewReadings, walls: NDArray[np.float64], grid: VoxelGrid) -> N
     direction = (index + 0.5) * grid.pitch_m - view.eye_m
     side[facing] = (direction * walls[facing]).sum(axis=1) > 0
     return side
-
-
-def _band(view: ViewReadings, grid: VoxelGrid) -> NDArray[np.float32]:
-    """Distances (N, 2) from a surface within which a ray through a voxel is kept."""
-    return np.maximum(BAND_PITCHES * grid.pitch_m, BAND_SIGMAS * view.sigma_m)
 
 
 def _wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.float64]:

@@ -5,7 +5,8 @@ import numpy as np
 
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
-from shapes.learning.voxel_rays import ViewReadings, evidence
+from shapes.learning.view_readings import ViewReadings
+from shapes.learning.voxel_rays import evidence
 from shapes.voxel_grid import VoxelGrid
 
 OPACITY = np.asarray([[1.0, 0.0], [1.0, 0.0]])
@@ -17,19 +18,23 @@ def occupied_after_one_view(behind_m: list[float]) -> np.ndarray:
     count = len(behind_m)
     grid = VoxelGrid(shape=(count, 1, 1), pitch_m=0.005, reference_from_grid=np.eye(4), on_plane=False)
     behind = np.asarray(behind_m, np.float32)
-    nowhere = np.packbits(np.zeros(count, np.bool_))
-    view = ViewReadings(
-        before=nowhere,
-        hidden=nowhere,
-        voxel=np.arange(count),
-        behind_m=np.stack([behind, np.full(count, -np.inf)], axis=1),
-        sigma_m=np.full((count, 2), SIGMA_M),
-        association=np.tile([1.0, 0.0], (count, 1)),
-        normal=np.tile([0.0, 0.0, -1.0], (count, 1)),
-        column=np.zeros(count, np.float32),
-        row=np.zeros(count, np.float32),
-        depth_m=0.8 + behind,
-        plane_depth_m=np.full(count, np.inf),
+    nowhere = np.zeros(count, np.bool_)
+    readings = {
+        "behind_m": np.stack([behind, np.full(count, -np.inf)], axis=1),
+        "sigma_m": np.full((count, 2), SIGMA_M),
+        "association": np.tile([1.0, 0.0], (count, 1)),
+        "normal": np.tile([0.0, 0.0, -1.0], (count, 1)),
+        "column": np.zeros(count, np.float32),
+        "row": np.zeros(count, np.float32),
+        "depth_m": 0.8 + behind,
+        "plane_depth_m": np.full(count, np.inf),
+    }
+    view = ViewReadings.of(
+        nowhere,
+        nowhere,
+        np.arange(count),
+        readings,
+        grid,
         eye_m=np.asarray([0.0, 0.0, -0.8]),
         footprint=4.0,
     )
