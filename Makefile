@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
-.PHONY: venv demo test lint docs bench pictures clean
+.PHONY: venv demo test lint docs bench pictures clean docs/camera.png docs/truth.png docs/clutter.png docs/run-mcap.png
 
 demo: venv
 	$(BIN)/voxscene demo --out demo
@@ -35,18 +35,25 @@ pictures: venv
 	$(BIN)/voxscene review demo/run/recordings/table --rebuild --screenshot docs/parsed.png
 	$(BIN)/voxscene review demo/run/recordings/can --rebuild --screenshot docs/learned.png
 	mkdir -p $(RUNS)
-	test ! -d $(DATA) || $(MAKE) docs/camera.png docs/clutter.png
+	test ! -d $(DATA) || $(MAKE) docs/camera.png docs/truth.png docs/clutter.png docs/run-mcap.png
 
 docs/camera.png: venv
 	$(BIN)/voxscene import 7scenes $(DATA)/sevenscenes_redkitchen $(RUNS)/kitchen.mcap --frames 0:60
 	$(BIN)/voxscene slam $(RUNS)/kitchen.mcap -o $(RUNS)/kitchen.run
 	$(BIN)/voxscene review $(RUNS)/kitchen.run --screenshot $@
 
+docs/truth.png: docs/camera.png
+	$(BIN)/voxscene review $(RUNS)/kitchen.run --truth $(RUNS)/kitchen.mcap --screenshot $@
+
 docs/clutter.png: venv
 	$(BIN)/voxscene import bop $(DATA)/ycbv/scenes/0001 $(RUNS)/clutter.mcap
 	$(BIN)/voxscene parse $(RUNS)/clutter.mcap --shapes $(DATA)/ycbv/models -o $(RUNS)/clutter.run \
-	    --objects 002_master_chef_can,003_cracker_box,004_sugar_box,006_mustard_bottle --frames 0,4,8,12,16
+	    --objects 002_master_chef_can,003_cracker_box,004_sugar_box,006_mustard_bottle
 	$(BIN)/voxscene review $(RUNS)/clutter.run --screenshot $@
+
+docs/run-mcap.png: docs/clutter.png
+	$(BIN)/python -c "from pathlib import Path; from pipeline.views.screenshot import take_screenshot as take; \
+	    take([Path('$(RUNS)/clutter.run/run.mcap')], Path('$@'), (1600, 1000), None)"
 
 venv: $(INSTALLED)
 

@@ -31,6 +31,12 @@ from pipeline.progress import Progress
     is_flag=True,
     help="RUN is a run.mcap on its own; its values are in it, and run.rrd is made beside it.",
 )
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    metavar="TUM|REC",
+    help="Show the truth of a recording, or of a TUM file, beside RUN, and how well the spreads told hold.",
+)
 @click.option("--rebuild", is_flag=True, help="Make run.rrd again from the run's values.")
 @common_options()
 def command(
@@ -42,6 +48,7 @@ def command(
     web: bool,
     port: int,
     from_mcap: bool,
+    truth: Path | None,
     rebuild: bool,
 ) -> None:
     """Open RUN in Rerun with its views arranged.
@@ -49,10 +56,13 @@ def command(
     Of a project's run folder, every recording's run is opened.
     """
     from pipeline.views.screenshot import take_screenshot
-    from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of, serve_viewer
+    from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrd_with_truth, rrds_of, serve_viewer
 
     width, height = image_size(size)
-    rrds = [rrd_of_mcap(run)] if from_mcap else rrds_of(run, rebuild=rebuild)
+    if from_mcap:
+        rrds = [rrd_of_mcap(run)]
+    else:
+        rrds = [rrd_with_truth(run, truth)] if truth else rrds_of(run, rebuild=rebuild)
     if not rrds:
         raise PipelineError(f"{run} holds no run; make one with voxscene slam, learn, parse or demo")
     if screenshot:

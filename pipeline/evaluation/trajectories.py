@@ -14,6 +14,7 @@ from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectory_errors import (
     TrajectoryErrors,
     coverage,
+    level_of,
     matched,
     rigid_alignment,
     squared_distances,
@@ -69,9 +70,7 @@ def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:
     """
     frames, poses = compared(result.times_ns, reference)
     errors = trajectory_errors(result.mean[frames], poses)
-    from_first = np.linalg.inv(result.mean[frames[0]]) @ result.mean[frames]
-    truth = np.linalg.inv(poses[0]) @ poses
-    squared = squared_distances(from_first, result.covariance[frames], truth)[1:]
+    squared = _squared_from_first(result, frames, poses)
     return {
         **asdict(errors),
         "lost_frames": int(result.lost.sum()),
@@ -80,6 +79,25 @@ def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:
             for level, share in coverage(squared, float(result.degrees_of_freedom)).items()
         },
     }
+
+
+def levels_of_truth(result: SlamResult, reference: Trajectory) -> NDArray[np.float64]:
+    """Level (n,) of the region told of each frame's pose at whose edge the reference lies, from the first on.
+
+    Raises:
+        PipelineError: fewer than two frames have a reference pose.
+    """
+    squared = _squared_from_first(result, *compared(result.times_ns, reference))
+    return np.array([level_of(float(one), float(result.degrees_of_freedom)) for one in squared])
+
+
+def _squared_from_first(
+    result: SlamResult, frames: NDArray[np.int_], poses: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mahalanobis distances squared (n - 1,) of reference poses (n, 4, 4), the first taken as found."""
+    from_first = np.linalg.inv(result.mean[frames[0]]) @ result.mean[frames]
+    truth = np.linalg.inv(poses[0]) @ poses
+    return squared_distances(from_first, result.covariance[frames], truth)[1:]
 
 
 def compared(

@@ -11,6 +11,7 @@ from pipeline.views.framing import Eye, chosen_eye
 from pipeline.views.scene_view import found_places_m
 from pipeline.views.timelines import ELAPSED
 from pipeline.views.trajectory_view import PLOTS
+from pipeline.views.truth_view import ERROR_PLOT
 from shapes.prior import ShapePrior
 
 BACKGROUND = (18, 20, 26)
@@ -18,8 +19,13 @@ BACKGROUND = (18, 20, 26)
 ROOM_VIEW = "Room"
 
 
-def run_blueprint(values: RunValues) -> rrb.Blueprint:
-    """The room large on the left; what the camera saw, shapes, graph, plots and the report on the right."""
+def run_blueprint(values: RunValues, *, truth: bool = False) -> rrb.Blueprint:
+    """The room large on the left; what the camera saw, shapes, graph, plots and the report on the right.
+
+    Args:
+        values: of the run.
+        truth: is shown beside them.
+    """
     rows: list[tuple[float, rrb.ContainerLike]] = []
     if values.room is not None:
         rows += [(3.0, _images(values)), (1.2, _picture("legend", "Colours"))]
@@ -29,7 +35,9 @@ def run_blueprint(values: RunValues) -> rrb.Blueprint:
         graph = rrb.GraphView(origin="graph", name="What rests on what")
         rows.append((2.8, rrb.Horizontal(graph, _picture("presence", "Presence"))))
     if values.slam is not None:
-        rows.append((2.3, _plots()))
+        rows.append((3.4 if truth else 2.3, _plots(truth=truth)))
+    if truth:
+        rows.append((2.6, _picture("calibration", "How much of the truth lies in the regions told")))
     rows.append((3.2, rrb.TextDocumentView(origin="report", name="Report")))
     side = rrb.Vertical(*(row for _, row in rows), row_shares=[share for share, _ in rows])
     return rrb.Blueprint(
@@ -55,11 +63,14 @@ def _picture(path: str, name: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=path, name=name, background=BACKGROUND)
 
 
-def _plots() -> rrb.Grid:
-    """How sure the filter was, over the seconds."""
+def _plots(*, truth: bool) -> rrb.Grid:
+    """How sure the filter was, over the seconds, and how wrong."""
+    named = {f"plots/{path}": title for path, (title, _) in PLOTS.items()}
+    if truth:
+        named = dict([ERROR_PLOT]) | named
     plots = [
-        rrb.TimeSeriesView(origin=f"plots/{path}", name=title, plot_legend=rrb.PlotLegend(visible=False))
-        for path, (title, _) in PLOTS.items()
+        rrb.TimeSeriesView(origin=path, name=title, plot_legend=rrb.PlotLegend(visible=False))
+        for path, title in named.items()
     ]
     return rrb.Grid(*plots, grid_columns=2)
 

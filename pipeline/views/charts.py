@@ -30,7 +30,7 @@ def legend(
         depth_range_m: at which the colours of depth images begin and end; None without images.
         path: a trajectory is drawn.
         shape: a learned shape is drawn.
-        truth: so is the true path.
+        truth: so are the true path and objects.
     """
     rows: list[tuple[str, Sequence[tuple[str, Colour]] | NDArray[np.uint8], tuple[str, str]]] = []
     if depth_range_m is not None:
@@ -40,8 +40,9 @@ def legend(
         ends = f"-{DIFFERENCE_MM:.0f} mm (nearer)", f"+{DIFFERENCE_MM:.0f} mm (farther)"
         rows.append(("residual", signed, ends))
     if path:
-        marks = [("mean path, particles", PATH), ("frames that were lost", LOST)]
-        rows.append(("camera", [*marks, ("true path", TRUTH)] if truth else marks, ("", "")))
+        rows.append(("camera", [("mean path, particles", PATH), ("frames that were lost", LOST)], ("", "")))
+    if truth:
+        rows.append(("truth", [("true path, boxes of true objects", TRUTH)], ("", "")))
     if shape:
         rows.append(("surface", [("seen", SEEN), ("inferred", INFERRED), ("never seen", UNSEEN)], ("", "")))
     image, draw = _canvas(len(rows))

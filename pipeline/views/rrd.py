@@ -17,11 +17,14 @@ from pipeline.views.report import report_markdown
 from pipeline.views.scene_view import log_scene
 from pipeline.views.shape_view import log_shape
 from pipeline.views.trajectory_view import log_filter, log_trajectory
+from pipeline.views.truth_view import RunTruth, log_truth
 
 APPLICATION = "voxscene"
 
 
-def write_rrd(path: Path, name: str, values: RunValues, identity: str = "") -> None:
+def write_rrd(
+    path: Path, name: str, values: RunValues, identity: str = "", truth: RunTruth | None = None
+) -> None:
     """Write the views of a run as one Rerun recording with its blueprint, whole or not at all.
 
     Args:
@@ -30,6 +33,7 @@ def write_rrd(path: Path, name: str, values: RunValues, identity: str = "") -> N
         values: what the run knows.
         identity: of the run. Rerun keeps one blueprint for each application, and merges recordings of one id:
             runs with identities of their own keep their views to themselves.
+        truth: to show beside them.
 
     Raises:
         PipelineError: the file cannot be written.
@@ -39,14 +43,16 @@ def write_rrd(path: Path, name: str, values: RunValues, identity: str = "") -> N
     # To memory: on a full disk Rerun's own file writer hangs, or ends as if all was well.
     memory = recording.memory_recording()
     # Active too: a browser leaves a blueprint that is but the default aside.
-    recording.send_blueprint(run_blueprint(values), make_active=True, make_default=True)
+    recording.send_blueprint(
+        run_blueprint(values, truth=truth is not None), make_active=True, make_default=True
+    )
     recording.set_log_time_enabled(False)
     recording.send_recording_name(name)
-    _log(recording, values)
+    _log(recording, values, truth)
     write_bytes(path, memory.drain_as_bytes())
 
 
-def _log(recording: rr.RecordingStream, values: RunValues) -> None:
+def _log(recording: rr.RecordingStream, values: RunValues, truth: RunTruth | None) -> None:
     summary = summary_of(values)
     report = rr.TextDocument(report_markdown(values, summary), media_type="text/markdown")
     recording.log("report", report, static=True)
@@ -57,8 +63,15 @@ def _log(recording: rr.RecordingStream, values: RunValues) -> None:
         log_room(recording, values, values.room)
         log_camera_views(recording, values, values.room)
         log_frusta(recording, values, values.room)
-        colours = legend(depth_range_m(values.room), path=values.slam is not None, shape=bool(values.shapes))
+        colours = legend(
+            depth_range_m(values.room),
+            path=values.slam is not None,
+            shape=bool(values.shapes),
+            truth=truth is not None,
+        )
         recording.log("legend", rr.Image(colours), static=True)
+    if truth is not None:
+        log_truth(recording, values, truth)
     for shape_name, shape in values.shapes.items():
         log_shape(recording, shape_name, shape)
     if values.scene is not None and values.surfaces is not None:

@@ -41,7 +41,7 @@ def take_screenshot(rrds: Sequence[Path], picture: Path, size: tuple[int, int], 
     """Write a PNG of Rerun recordings as their blueprint shows them.
 
     Args:
-        rrds: files to open; the last is shown.
+        rrds: files to open, of any kind that Rerun reads; the last is shown.
         picture: the PNG.
         size: width and height in pixels.
         frame: position on the timeline `frame`; None is its end.
@@ -62,7 +62,7 @@ def shown(rrds: Sequence[Path], size: tuple[int, int], frame: int | None) -> Ite
     Raises:
         PipelineError: as `take_screenshot`.
     """
-    numbers = frames_in(rrds[-1])
+    numbers = [] if frame is None else frames_in(rrds[-1])
     if frame is not None and not (numbers and numbers[0] <= frame <= numbers[-1]):
         there = f"it shows {numbers[0]} to {numbers[-1]}" if numbers else "it shows no frames"
         raise PipelineError(f"{rrds[-1]} has no frame {frame}: {there}")

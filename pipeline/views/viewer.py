@@ -15,6 +15,7 @@ from pipeline.fingerprints import file_hash
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.views.rrd import write_rrd
+from pipeline.views.truth_view import truth_of
 from recordings.attached import save_attachments
 
 
@@ -30,6 +31,21 @@ def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
             write_rrd(rrd, folder.resolve().name, RunValues.load(run).drawable, run.identity)
         found.append(rrd)
     return found
+
+
+def rrd_with_truth(path: Path, truth: Path) -> Path:
+    """The views of a run beside the truth that a recording or a TUM file holds, as run.truth.rrd in it.
+
+    Raises:
+        RecordingError: the truth cannot be read.
+        PipelineError: there is no run, or no truth of it.
+    """
+    run = RunFolder(path)
+    if not run.records():
+        raise PipelineError(f"{path} holds no run of one recording; --truth shows one beside its truth")
+    rrd, values = path / "run.truth.rrd", RunValues.load(run).drawable
+    write_rrd(rrd, f"{path.resolve().name}, truth", values, f"{run.identity}-truth", truth_of(values, truth))
+    return rrd
 
 
 def rrd_of_mcap(mcap: Path) -> Path:

@@ -204,3 +204,23 @@ def test_values_are_attached_whole(values: RunValues, tmp_path: Path) -> None:
         attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
 
     assert attached == {"slam.npz": b"of slam"}
+
+
+def test_the_layout_for_foxglove_shows_what_is_there(
+    values: RunValues, parsed_run: RunValues, tmp_path: Path
+) -> None:
+    """Every topic that docs/foxglove-layout.json names is written, and every field that it plots."""
+    write_messages(tmp_path / "slam.mcap", values, {})
+    write_messages(tmp_path / "parse.mcap", parsed_run, {})
+    topics = read(tmp_path / "slam.mcap") | read(tmp_path / "parse.mcap")
+    layout = json.loads((Path(__file__).parents[3] / "docs" / "foxglove-layout.json").read_text())
+    panels = layout["configById"]
+
+    named = set(panels["3D!room"]["topics"]) | {panels["RawMessages!summary"]["topicPath"]}
+    named |= {topic for one in ("depth", "color") for topic in panels[f"Image!{one}"]["imageMode"].values()}
+    plotted = [line["value"].split(".") for line in panels["Plot!spread"]["paths"]]
+    assert named | {topic for topic, _ in plotted} <= set(topics)
+    assert all(field in topics[topic][0][1] for topic, field in plotted)
+    frames = {message.child_frame_id for _, message in topics["/transforms/map"]}
+    frames |= {message.parent_frame_id for _, message in topics["/transforms/map"]}
+    assert panels["3D!room"]["followTf"] in frames

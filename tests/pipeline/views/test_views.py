@@ -14,6 +14,7 @@ from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.summary import summary_of
+from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.publishing.values import RunValues
 from pipeline.room import view_room
 from pipeline.synthesis.recording import SyntheticRecording
@@ -21,6 +22,7 @@ from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
 from pipeline.views.scene_view import _node_places
 from pipeline.views.screenshot import SOFTWARE_DRIVER, frames_in, take_screenshot
+from pipeline.views.truth_view import _object_levels, truth_of
 from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
@@ -205,3 +207,42 @@ def test_a_picture_is_taken_without_a_screen(values: RunValues, tmp_path: Path) 
     picture = Image.open(tmp_path / "run.png")
     assert picture.size == (800, 500)
     assert len(picture.convert("RGB").getcolors(maxcolors=1 << 20) or []) > 1000
+
+
+def test_the_truth_is_shown_beside_a_run(
+    values: RunValues, filmed_mug: SyntheticRecording, tmp_path: Path
+) -> None:
+    """Of a run that is right no error, and the truth in regions of all levels; of a shifted one in none."""
+    assert values.slam is not None
+    poses = values.slam.mean[0] @ filmed_mug.trajectory.reference_from_camera
+    (tmp_path / "true.tum").write_text(tum_lines(values.slam.times_ns, poses))
+    mean = values.slam.mean.copy()
+    mean[1:, :3, 3] += 0.1
+    shifted = replace(values, slam=replace(values.slam, mean=mean))
+
+    right, wrong = (truth_of(one, tmp_path / "true.tum") for one in (values, shifted))
+
+    np.testing.assert_allclose(right.errors_m, 0, atol=1e-6)
+    np.testing.assert_allclose(wrong.errors_m[1:], 0.1 * np.sqrt(3), atol=1e-6)
+    assert right.levels["camera"].max() < 1e-3
+    assert wrong.levels["camera"].min() > 0.99
+    write_rrd(tmp_path / "run.rrd", "run", values, truth=right)
+    rows = rows_of(tmp_path / "run.rrd")
+    assert rows["/plots/error"] >= 6
+    assert {"/world/truth/path", "/calibration"} <= set(rows)
+    later = replace(values.slam, times_ns=values.slam.times_ns + 10**12)
+    with pytest.raises(PipelineError, match="fewer than two frames"):
+        truth_of(replace(values, slam=later), tmp_path / "true.tum")
+
+
+def test_objects_where_they_were_told_lie_in_every_region(parsed_run: RunValues) -> None:
+    """And half a metre away in none, to a part in a hundred."""
+    scene, surfaces = parsed_run.scene, parsed_run.surfaces
+    assert scene is not None
+    assert surfaces is not None
+    away = np.eye(4)
+    away[0, 3] = 0.5
+    where = dict(scene.found_poses)
+
+    assert _object_levels(scene, surfaces, where).max() < 1e-6
+    assert _object_levels(scene, surfaces, {name: away @ pose for name, pose in where.items()}).min() > 0.99
