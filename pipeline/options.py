@@ -156,7 +156,7 @@ class RecordingSource:
 
 
 READING = (
-    *("depth_topic", "intrinsics", "depth_scale_m", "min_depth_m", "max_depth_m", "mask"),
+    *("depth_topic", "intrinsics", "depth_scale_m", "min_depth_m", "max_depth_m", "mask", "sensor"),
     *("start_s", "end_s", "every"),
 )
 """Options of reading, by their names in `ReadOptions`."""
@@ -188,6 +188,12 @@ def recording_options(command: Command) -> Command:
             type=click.Path(path_type=Path),
             metavar="FILE.png",
             help="Image that is black where the depth shows what moves with the camera.",
+        ),
+        click.option(
+            "--sensor",
+            type=click.Path(path_type=Path),
+            metavar="FILE.toml",
+            help="Sensor profile (a run's sensor.toml) by which depths are corrected.",
         ),
         seconds("--start", "start_s", "From here on, after the first frame."),
         seconds("--end", "end_s", "Up to here, after the first frame."),

@@ -79,9 +79,9 @@ class Session:
         """
         general = {"recording": self.recording.options, "run": {"seed": self.common.seed}}
         made_from = {"recording": self._recording_hash, "sources": source_hash(READING_MODULE, *sources)}
-        mask = self.recording.options.mask
-        if mask is not None:
-            made_from["mask"] = file_hash(mask)
+        options = self.recording.options
+        beside = {"mask": options.mask, "sensor": options.sensor}
+        made_from |= {name: file_hash(path) for name, path in beside.items() if path is not None}
         committed = self.run.stage(
             name,
             load,

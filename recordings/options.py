@@ -24,6 +24,7 @@ class ReadOptions:
         mask: an image of the size of the depth images, black where they see what moves with the camera;
             these pixels count as no return.
         colour_alone: frames of the first colour topic will do where there is no depth.
+        sensor: a sensor profile, by whose distortion field depths are corrected.
         start_s: seconds after the first frame from which frames are read.
         end_s: seconds after the first frame up to which, inclusive, frames are read.
         every: of those frames, the first and every so many-th after it.
@@ -39,6 +40,7 @@ class ReadOptions:
     max_depth_m: float = math.inf
     mask: Path | None = None
     colour_alone: bool = False
+    sensor: Path | None = None
     start_s: float = 0.0
     end_s: float = math.inf
     every: int = 1

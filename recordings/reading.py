@@ -32,6 +32,7 @@ from recordings.messages.types import (
     UndecodableMessage,
 )
 from recordings.options import ReadOptions
+from recordings.sensor_profile import SensorProfile, read_sensor_profile
 from recordings.stamps import in_order_of_stamps, selected
 from recordings.types import NO_RETURN, CameraIntrinsics, Damage, Frame
 
@@ -99,6 +100,9 @@ class McapRecording:
         self._losses: Counter[str] = Counter()
         self._length: int | None = None
         self._left_out = None if options.mask is None else read_mask(options.mask, self.size)
+        self.sensor: SensorProfile | None = None
+        if options.sensor is not None:
+            self.sensor = read_sensor_profile(options.sensor, self.intrinsics)
 
     def _colour_beside(
         self, depth: DepthImages, cameras: dict[str, CameraMessage]
@@ -197,7 +201,7 @@ class McapRecording:
         messages = in_order_of_stamps(self._depth_messages(lose), leave_out=lambda _: lose(_OUT_OF_ORDER))
         for stamp_ns, message in selected(messages, self.options):
             try:
-                depth_m = self._masked(self._depth.depth(message, stamp_ns))
+                depth_m = self._corrected(self._depth.depth(message, stamp_ns))
             except UndecodableMessage as error:
                 lose(error)
                 continue
@@ -233,9 +237,9 @@ class McapRecording:
         try:
             if isinstance(self._depth, DepthImages):
                 stored = self._depth.stored(message)
-                found.add_frame(self._masked(self._depth.metres(stored, stamp_ns)), stored)
+                found.add_frame(self._corrected(self._depth.metres(stored, stamp_ns)), stored)
             else:
-                found.add_frame(self._masked(self._depth.depth(message, stamp_ns)), None)
+                found.add_frame(self._corrected(self._depth.depth(message, stamp_ns)), None)
         except UndecodableMessage:
             found.undecodable += 1
 
@@ -249,9 +253,10 @@ class McapRecording:
         """Whether colour is registered to the frame: it is to the first camera."""
         return not isinstance(self._depth, DepthImages) or self._depth.is_first_camera(stamp_ns)
 
-    def _masked(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The same without what the user's mask leaves out."""
-        return depth_m if self._left_out is None else np.where(self._left_out, NO_RETURN, depth_m)
+    def _corrected(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The same without what the user's mask leaves out, and without the sensor's known distortion."""
+        kept = depth_m if self._left_out is None else np.where(self._left_out, NO_RETURN, depth_m)
+        return kept if self.sensor is None else self.sensor.corrected(kept)
 
     def _rgb(
         self,

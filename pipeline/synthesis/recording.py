@@ -25,6 +25,7 @@ class SyntheticRecording:
         trajectory: true poses; the reference is the world frame of `truth`, z up.
         truth: the objects of interest.
         sensor: how depth is measured.
+        disparity_per_m: the drawn camera's distortion field at its nodes, None without one.
         damage: never any.
     """
 
@@ -47,7 +48,9 @@ class SyntheticRecording:
         self._palette = np.array([part.colour for part in parts] + [(0, 0, 0)], np.float32)
         self.sensor = sensor
         self._key = jax.random.key(seed)
-        self._depth_scale = sensor.drawn_scale(jax.random.fold_in(self._key, CAMERA))
+        camera_key = jax.random.fold_in(self._key, CAMERA)
+        self._depth_scale = sensor.drawn_scale(camera_key)
+        self.disparity_per_m = sensor.drawn_distortion(jax.random.fold_in(camera_key, 1))
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -63,7 +66,11 @@ class SyntheticRecording:
         return Frame(
             time_ns=int(self.trajectory.times_ns[index]),
             depth_m=self.sensor.measure(
-                jax.random.fold_in(self._key, index), view, self._brightness(view), self._depth_scale
+                jax.random.fold_in(self._key, index),
+                view,
+                self._brightness(view),
+                self._depth_scale,
+                self.disparity_per_m,
             ),
             rgb=self._shaded(view),
         )

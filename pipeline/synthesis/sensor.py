@@ -12,6 +12,7 @@ from scipy.ndimage import minimum_filter
 
 from pipeline.synthesis.sensor_errors import clustered, correlated_normals
 from pipeline.synthesis.world import View
+from recordings.sensor_profile import LARGEST_PER_M, NODE_COLUMNS, NODE_ROWS, pixel_weights
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.depth_noise import sample
 
@@ -35,6 +36,8 @@ class DepthSensor:
         quantisation_growth_per_m: growth of the quantisation's step with squared distance, in 1/m, where it
             has one.
         scale_error: standard deviation of the factor by which a camera's depths are too long.
+        distortion_per_m: standard deviation, at the nodes, of the field d by which a camera's inverse depths
+            err alike in all its images (`recordings.sensor_profile`).
         dark_level: a surface darker than this share of white returns badly.
         dark_none_probability: share of such a surface that does not return, in blots.
         shine_deg: a surface met within this angle of its normal may shine.
@@ -51,6 +54,7 @@ class DepthSensor:
     correlation: tuple[float, ...] = ()
     quantisation_growth_per_m: float = 0.0
     scale_error: float = 0.0
+    distortion_per_m: float = 0.0
     dark_level: float = 0.25
     dark_none_probability: float = 0.0
     shine_deg: float = 8.0
@@ -68,6 +72,10 @@ class DepthSensor:
                 raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
         if min(self.quantisation_growth_per_m, self.scale_error) < 0:
             raise ValueError("quantisation_growth_per_m and scale_error must not be negative")
+        if not 0 <= self.distortion_per_m <= LARGEST_PER_M / 10:
+            raise ValueError(
+                f"distortion_per_m must lie in [0, {LARGEST_PER_M / 10:g}], got {self.distortion_per_m}"
+            )
 
     @property
     def in_millimetres(self) -> bool:
@@ -80,12 +88,20 @@ class DepthSensor:
         """The factor by which a camera of this kind measures too long, the same in all its images."""
         return 1 + self.scale_error * float(jax.random.normal(key)) if self.scale_error > 0 else 1.0
 
+    def drawn_distortion(self, key: jax.Array) -> NDArray[np.float64] | None:
+        """The field at its nodes for a camera of this kind, 1/m and of mean zero; None without one."""
+        if self.distortion_per_m == 0:
+            return None
+        field = np.asarray(jax.random.normal(key, (NODE_ROWS, NODE_COLUMNS)), np.float64)
+        return self.distortion_per_m * (field - field.mean())
+
     def measure(
         self,
         key: jax.Array,
         view: View,
         brightness: NDArray[np.floating] | None = None,
         depth_scale: float = 1.0,
+        disparity_per_m: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """One depth image (H, W) of an ideal view, in metres, `NO_RETURN` where nothing was measured.
 
@@ -94,10 +110,11 @@ class DepthSensor:
             view: what an ideal camera sees.
             brightness: (H, W) of the surfaces as shares of white; None is white.
             depth_scale: factor by which the camera's depths are too long, `drawn_scale`.
+            disparity_per_m: its distortion field at the nodes, `drawn_distortion`.
         """
         if self.noise_free:
             depth = np.where(np.isfinite(view.depth_m), view.depth_m, NO_RETURN)
-            return self._within_range(depth).astype(np.float32)
+            return self._within_range(_distorted(depth, disparity_per_m)).astype(np.float32)
         noise_key, edge_key = jax.random.split(key)
         normals = holes = None
         if self.dark_none_probability > 0 or self.shine_none_probability > 0:
@@ -107,7 +124,8 @@ class DepthSensor:
             noise_key, field_key = jax.random.split(noise_key)
             normals = jnp.asarray(correlated_normals(field_key, view.depth_m.shape, self.correlation))
         depth = np.array(sample(noise_key, self.noise, jnp.asarray(view.depth_m), normals))
-        depth = self._quantised(depth * np.float32(depth_scale))
+        depth = _distorted(depth * np.float32(depth_scale), disparity_per_m)
+        depth = self._quantised(depth)
         hit = np.isfinite(view.depth_m)
         depth[hit & (view.cos_incidence < np.cos(np.radians(self.grazing_limit_deg)))] = NO_RETURN
         drop = jax.random.bernoulli(edge_key, self.edge_none_probability, depth.shape)
@@ -154,3 +172,13 @@ class DepthSensor:
     def _within_range(self, depth_m: NDArray[np.floating]) -> NDArray[np.floating]:
         inside = (depth_m >= self.min_range_m) & (depth_m <= self.noise.max_range_m)
         return np.where(inside, depth_m, NO_RETURN)
+
+
+def _distorted(
+    depth_m: NDArray[np.floating], disparity_per_m: NDArray[np.float64] | None
+) -> NDArray[np.floating]:
+    """Depths (H, W) as a camera measures them whose inverse depths err by a field: 1 / (1 / z + d)."""
+    if disparity_per_m is None:
+        return depth_m
+    rows, columns = pixel_weights(depth_m.shape[1], depth_m.shape[0])
+    return (depth_m / (1.0 + (rows @ disparity_per_m @ columns.T) * depth_m)).astype(depth_m.dtype)

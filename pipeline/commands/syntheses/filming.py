@@ -45,6 +45,12 @@ def scene_options(scene: Callable[..., Any]) -> Any:
         click.option("--size", metavar="WIDTHxHEIGHT", help="Image size."),
         click.option("--intrinsics", type=Intrinsics(), help="Lens in pixels."),
         click.option("--noise-free", is_flag=True, default=None, help="Measure exactly."),
+        click.option(
+            "--distortion",
+            type=float,
+            metavar="SD",
+            help="Of the field, in 1/m, by which inverse depths err alike in all frames; real ones 0.002.",
+        ),
     ]
     scene = common_options("synth")(scene)
     for option in reversed(options):
@@ -64,6 +70,7 @@ def scene_settings(
     size: str | None,
     intrinsics: tuple[float, float, float, float] | None,
     noise_free: bool | None,
+    distortion: float | None,
 ) -> Mapping[str, Any]:
     """The options that both kinds of scene share, by the setting that each sets."""
     width, height = image_size(size) if size else (None, None)
@@ -83,6 +90,7 @@ def scene_settings(
         "path.radius_m": radius,
         "path.elevations_deg": numbers("--elevations", elevations) if elevations else None,
         "sensor.noise_free": noise_free,
+        "sensor.distortion_per_m": distortion,
     }
 
 

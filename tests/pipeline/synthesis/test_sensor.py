@@ -90,3 +90,17 @@ def test_noise_free_measures_exactly(key: jax.Array) -> None:
     assert (sensor.measure(key, wall(np.inf)) == NO_RETURN).all()
     assert (sensor.measure(key, wall(0.1)) == NO_RETURN).all()
     assert (sensor.measure(key, wall(12.0)) == NO_RETURN).all()
+
+
+def test_a_drawn_distortion_is_of_mean_zero_and_bends_depths(key: jax.Array) -> None:
+    """The field's nodes have the stated deviation, and 1 / z_measured = 1 / z + d at the corners' nodes."""
+    sensor = DepthSensor(noise_free=True, distortion_per_m=2e-3)
+    fields = [sensor.drawn_distortion(one) for one in jax.random.split(key, 200)]
+    drawn = np.stack([field for field in fields if field is not None])
+
+    measured = sensor.measure(key, wall(2.0), disparity_per_m=drawn[0])
+
+    np.testing.assert_allclose(drawn.mean(axis=(1, 2)), 0.0, atol=1e-15)
+    assert_mean((drawn**2).mean(axis=(1, 2)), 2e-3**2 * 62 / 63, detectable=0.1 * 2e-3**2)
+    np.testing.assert_allclose(1 / measured[0, 0] - 0.5, drawn[0, 0, 0], atol=2e-4)
+    assert DepthSensor().drawn_distortion(key) is None
