@@ -94,7 +94,13 @@ def track(recording: McapRecording, *, seed: int = 0, **settings: Any) -> SlamRe
     from slam.tracking import track as tracked
 
     _prepare()
-    return tracked(stage_key(seed, "slam"), recording, recording.intrinsics, SlamConfig(**settings))
+    return tracked(
+        stage_key(seed, "slam"),
+        recording,
+        recording.intrinsics,
+        SlamConfig(**settings),
+        sensor=recording.sensor,
+    )
 
 
 def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **settings: Any) -> ShapePrior:

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS, SensorProfile
+from recordings.types import CameraIntrinsics
 from shapes.archive import load_fields, save_fields
 from shapes.geometry.pose_sets import cluster
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Of the file."""
 
 
@@ -33,6 +35,10 @@ class SlamResult:
         resampled: (T,) bool.
         lost: (T,) bool, no pose agreed with the map.
         explained: (T,) share of the returns that lay on the map's surface.
+        disparity_per_m: (rows, columns) the sensor's distortion field at the nodes of
+            `recordings.sensor_profile`, 1/m: mean, where several maps are left in the likeliest.
+        disparity_sd_per_m: alike, standard deviations.
+        camera: (6,) width, height, fx, fy, cx, cy of the images that the field is of, pixels.
     """
 
     times_ns: NDArray[np.int64]
@@ -46,6 +52,9 @@ class SlamResult:
     resampled: NDArray[np.bool_]
     lost: NDArray[np.bool_]
     explained: NDArray[np.float64]
+    disparity_per_m: NDArray[np.float64]
+    disparity_sd_per_m: NDArray[np.float64]
+    camera: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         particles, frames = self.trajectories.shape[:2]
@@ -56,6 +65,8 @@ class SlamResult:
             "mean": (frames, 4, 4),
             "covariance": (frames, 6, 6),
             "degrees_of_freedom": (),
+            "camera": (6,),
+            **dict.fromkeys(("disparity_per_m", "disparity_sd_per_m"), (NODE_ROWS, NODE_COLUMNS)),
             **dict.fromkeys(("ess", "log_evidence", "resampled", "lost", "explained"), (frames,)),
         }
         for name, shape in expected.items():
@@ -65,6 +76,19 @@ class SlamResult:
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.times_ns)
+
+    @property
+    def sensor(self) -> SensorProfile:
+        """What was learnt of the sensor.
+
+        Raises:
+            ValueError: the numbers are those of no sensor.
+        """
+        width, height, fx, fy, cx, cy = self.camera.tolist()
+        camera = CameraIntrinsics(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy)
+        return SensorProfile(
+            intrinsics=camera, disparity_per_m=self.disparity_per_m, sd_per_m=self.disparity_sd_per_m
+        )
 
     @property
     def path_probabilities(self) -> NDArray[np.float64]:

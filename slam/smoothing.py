@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS
+from recordings.types import CameraIntrinsics
+from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY, cluster, mean_and_covariance
 from shapes.geometry.poses import matrices_of
 from slam.filter.state import CameraParticles, FilterState, FrameInfo
@@ -37,17 +40,21 @@ class History:
         self.times_ns.append(time_ns)
         self.frames.append(info)
 
-    def result(self, state: FilterState, placed: RefinedKeyframes | None) -> SlamResult:
+    def result(
+        self, state: FilterState, placed: RefinedKeyframes, intrinsics: CameraIntrinsics
+    ) -> SlamResult:
         """Every frame carried by the keyframe it is anchored to, or became, where the last particles have it.
 
         A particle's trajectory follows its own ancestors. The marginal of a frame mixes the particles'
         conditional Gaussians, those of its keyframe and of itself, so that it keeps its spread where few
         ancestors survive, and is widened to a Student-t by what was learnt to be `UNDERSTATED`; the particles
-        themselves are not spread.
+        themselves are not spread. Frames follow the sensor's distortion field, as it was estimated and as
+        uncertain as it is.
 
         Args:
             state: after the last frame.
-            placed: where the keyframes were refined to, if they were.
+            placed: where the keyframes were refined to, and the distortion field.
+            intrinsics: of the camera.
         """
         particles: CameraParticles = state.population.particles
         count = len(state.population.log_weights)
@@ -64,18 +71,23 @@ class History:
                 conditional[:, index] = info.component_covariances[info.component[lineage]]
             lineage = info.ancestors[lineage]
         anchors = particles.keyframe_poses[:, np.asarray(anchor_of)]
-        known, spread = anchors, jnp.asarray(conditional)
-        if placed is not None:
-            known, spread = _with_placed(
-                anchors, jnp.asarray(means), spread, placed, jnp.asarray(anchor_of, jnp.int32)
-            )
-        central = _of_the_heaviest_mode(particles.keyframe_poses[:, : len(state.keyframe_map)], log_weights)
-        mean, covariance = _marginals(
-            known, jnp.asarray(means), state.population.log_weights, spread, central
+        following = np.stack([info.field_sensitivity for info in self.frames]) @ np.asarray(placed.factor)
+        draws = _followed(jnp.asarray(draws), jnp.asarray(following), placed.field_draws)
+        means = _followed(jnp.asarray(means), jnp.asarray(following), placed.field[placed.mode])
+        known, spread = _with_placed(
+            anchors,
+            means,
+            jnp.asarray(conditional),
+            placed,
+            jnp.asarray(anchor_of, jnp.int32),
+            jnp.asarray(following),
         )
+        central = _of_the_heaviest_mode(particles.keyframe_poses[:, : len(state.keyframe_map)], log_weights)
+        mean, covariance = _marginals(known, means, state.population.log_weights, spread, central)
+        disparity, sd = _distortion(placed, np.exp(log_weights))
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
-            trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
+            trajectories=matrices_of(_composed(anchors, draws)),
             log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
             covariance=UNDERSTATED * np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM),
@@ -85,7 +97,22 @@ class History:
             resampled=np.asarray([info.resampled for info in self.frames], bool),
             lost=np.asarray([info.lost for info in self.frames], bool),
             explained=np.asarray([info.explained for info in self.frames]),
+            disparity_per_m=disparity,
+            disparity_sd_per_m=sd,
+            camera=np.asarray([float(value) for value in vars(intrinsics).values()]),
         )
+
+
+def _distortion(
+    placed: RefinedKeyframes, weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The field at its nodes (rows, columns) in the heaviest mode, and its standard deviation."""
+    mode = int(np.argmax(np.bincount(np.asarray(placed.mode), weights)))
+    factor = np.asarray(placed.factor, np.float64)
+    covariance = np.asarray(placed.field_covariance[mode], np.float64)
+    variance = np.einsum("nf,fg,ng->n", factor, covariance, factor)
+    field = factor @ np.asarray(placed.field[mode], np.float64)
+    return field.reshape(NODE_ROWS, NODE_COLUMNS), np.sqrt(variance).reshape(NODE_ROWS, NODE_COLUMNS)
 
 
 def _of_the_heaviest_mode(keyframe_poses: jax.Array, log_weights: NDArray[np.float64]) -> jax.Array | None:
@@ -106,33 +133,50 @@ def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
 
 
 @jax.jit
+def _followed(poses: jax.Array, following: jax.Array, fields: jax.Array) -> jax.Array:
+    """Poses (K, T, 7) where sensitivities (T, 6, F) carry them at the particles' coordinates (K, F)."""
+
+    def one(pose: jax.Array, following: jax.Array, field: jax.Array) -> jax.Array:
+        return pose_gaussian.displace(pose, following @ field)
+
+    return jax.vmap(jax.vmap(one, (0, 0, None)), (0, None, 0))(poses, following, fields)
+
+
+@jax.jit
 def _with_placed(
     anchors: jax.Array,
     relative: jax.Array,
     conditional: jax.Array,
     placed: RefinedKeyframes,
     anchor_of: jax.Array,
+    following: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Anchors (K, T, 7) before particles drew them, and their spread added to the conditional (K, T, 6, 6).
 
     A displacement of an anchor in its own chart is one of the camera: R^T (xi_t + xi_r x t) and R^T xi_r in
-    the camera's, anchor_from_camera (K, T, 7) being R, t.
+    the camera's, anchor_from_camera (K, T, 7) being R, t. Camera and anchor follow one distortion field, the
+    camera by (T, 6, F) itself.
     """
 
-    def carried(relative: jax.Array, covariance: jax.Array) -> jax.Array:
+    def to_camera(relative: jax.Array) -> jax.Array:
         pose = jaxlie.SE3(relative)
         inverse = pose.rotation().as_matrix().T
         lever = inverse @ jnp.cross(jnp.eye(3), pose.translation()).T
-        jacobian = jnp.block([[inverse, lever], [jnp.zeros((3, 3)), inverse]])
-        return jacobian @ covariance @ jacobian.T
+        return jnp.block([[inverse, lever], [jnp.zeros((3, 3)), inverse]])
 
-    def of_particle(mode: jax.Array, anchors: jax.Array, relative: jax.Array) -> tuple[jax.Array, jax.Array]:
-        spread = jax.vmap(carried)(relative, placed.covariances[mode, anchor_of])
-        held = (mode >= 0) & placed.held[mode, anchor_of]
-        poses = jnp.where(held[:, None], placed.poses[mode, anchor_of], anchors)
-        return poses, jnp.where(held[:, None, None], spread, 0.0)
+    def of_particle(
+        particle: tuple[jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array]:
+        mode, anchors, relative = particle
+        jacobian = jax.vmap(to_camera)(relative)
+        held = placed.held[mode, anchor_of][:, None, None]
+        spread = jacobian @ placed.covariances[mode, anchor_of] @ jacobian.mT
+        total = following + jnp.where(held, jacobian @ placed.sensitivity[mode, anchor_of], 0.0)
+        shared = total @ placed.field_covariance[mode] @ total.mT
+        poses = jnp.where(held[:, 0], placed.poses[mode, anchor_of], anchors)
+        return poses, jnp.where(held, spread, 0.0) + shared
 
-    known, spread = jax.vmap(of_particle)(placed.mode, anchors, relative)
+    known, spread = jax.lax.map(of_particle, (placed.mode, anchors, relative))
     return known, conditional + spread
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import jax
 import numpy as np
 
+from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS, PRIOR_SD_PER_M, SensorProfile
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
@@ -37,6 +39,7 @@ def track(
     config: SlamConfig,
     on_frame: OnFrame | None = None,
     *,
+    sensor: SensorProfile | None = None,
     checkpoint: Checkpoint | None = None,
     on_checkpoint: OnCheckpoint | None = None,
 ) -> SlamResult:
@@ -51,6 +54,7 @@ def track(
         intrinsics: of the recording; frames of another size are taken as resized.
         config: settings.
         on_frame: called after every frame.
+        sensor: by which the frames have been corrected; what it leaves open is all that is unknown then.
         checkpoint: how far a tracker of the same frames, key and settings came that was ended early.
         on_checkpoint: called after every frame with how far this one came.
 
@@ -103,8 +107,12 @@ def track(
         prior = TrajectoryPrior.of(state, config)
         details = [detail.with_plane_segments(full_detail_noise) for detail in details]
     state = choose_map(look_key, state, config, details, full_detail_noise, prior)
-    state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, prior)
-    return history.result(state, placed)
+    sd = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M) if sensor is None else sensor.sd_per_m
+    state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, sd, prior)
+    result = history.result(state, placed, intrinsics)
+    if sensor is None:
+        return result
+    return replace(result, disparity_per_m=sensor.disparity_per_m + result.disparity_per_m)
 
 
 def _recall(

@@ -58,6 +58,11 @@ def _doubts(document: dict[str, Any]) -> list[str]:
     from pipeline.publishing.told_spread import camera_text
 
     lines = [text] if (text := camera_text(document)) else []
+    if document["distortion_per_m"] is not None:
+        lines.append(
+            f"the sensor's inverse depths err by {document['distortion_per_m']:.1g}/m over the image, "
+            f"known to {document['distortion_std_per_m']:.1g}/m: sensor.toml"
+        )
     if document["lost"]:
         first = document["lost"][0]
         lines.append(f"lost first in frame {first['frame']}, at {first['stamp']} s; all stand in lost.txt")

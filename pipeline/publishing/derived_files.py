@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.views.rrd import write_rrd
 
-OPTIONAL = ("trajectory.tum", "trajectory.kitti", "lost.txt", "poses.csv")
+OPTIONAL = ("trajectory.tum", "trajectory.kitti", "lost.txt", "sensor.toml", "poses.csv")
 """Files of stages that a run may not have, or no longer has."""
 
 
@@ -34,6 +35,10 @@ def write_derived_files(run: RunFolder) -> list[Path]:
     texts = {"config.toml": tomli_w.dumps(settings)}
     if values.slam is not None:
         texts |= path_texts(values.slam)
+        with suppress(
+            ValueError, OverflowError
+        ):  # a field of numbers that no sensor has is not worth keeping
+            texts["sensor.toml"] = tomli_w.dumps(values.slam.sensor.table())
     if values.scene is not None:
         texts["poses.csv"] = bop_lines(values)
     for name in set(OPTIONAL) - set(texts):

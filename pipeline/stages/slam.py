@@ -81,6 +81,7 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
                 recording.intrinsics,
                 config,
                 on_frame,
+                sensor=recording.sensor,
                 checkpoint=keeper.found(Checkpoint.load),
                 on_checkpoint=keeper.keep,
             )

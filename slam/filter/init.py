@@ -17,6 +17,7 @@ from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_p
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image
+from slam.likelihood.distortion import NODES
 from slam.likelihood.noise_calibration import NoiseCalibration
 
 LOOSE_RADIUS = 0.15
@@ -87,6 +88,7 @@ def _first_frame_info(count: int) -> FrameInfo:
         relative_means=at_anchor,
         component=np.zeros(count, np.int32),
         component_covariances=np.zeros((1, 6, 6), np.float32),
+        field_sensitivity=np.zeros((6, NODES), np.float32),
         log_weights=np.full(count, -np.log(count), np.float32),
         ancestors=np.arange(count, dtype=np.int32),
         log_evidence=0.0,

@@ -54,6 +54,8 @@ class FrameInfo:
             found where the frame is lost, so that its spread outlives the particles.
         component: (K,) which component that was.
         component_covariances: (J, 6, 6) of the draws around their centres, camera chart.
+        field_sensitivity: (6, NODES) how the pose follows the sensor's distortion field, camera chart
+            (`slam.registration.field_sensitivity`); zero where the frame is lost or became a keyframe.
         log_weights: (K,) normalised, after this frame.
         ancestors: (K,) particle before this frame that each one continues.
         log_evidence: increment.
@@ -73,6 +75,7 @@ class FrameInfo:
     relative_means: NDArray[np.float32]
     component: NDArray[np.int32]
     component_covariances: NDArray[np.float32]
+    field_sensitivity: NDArray[np.float32]
     log_weights: NDArray[np.float32]
     ancestors: NDArray[np.int32]
     log_evidence: float

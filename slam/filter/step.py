@@ -28,6 +28,8 @@ from slam.filter.proposal import Component, Proposed, component_at, propose_all
 from slam.filter.state import CameraParticles, FilterState, FrameInfo
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import stacked
+from slam.likelihood.distortion import NODES, NodeWeights
+from slam.registration.field_sensitivity import field_sensitivity
 from slam.registration.search import Registration
 
 COMPONENT_BUCKETS = (1, 2, 4, MAX_HYPOTHESES)
@@ -75,7 +77,7 @@ def step(
     moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
     if not lost:
         moved = with_frame(moved, view, found)
-    report = frame_info(moved, known, info, proposed, components, found, lost, unexpected)
+    report = frame_info(moved, known, view, info, proposed, components, found, lost, unexpected)
     turned = state.steps_were_wide or turns_wide(*last_motion(population))
     return replace(moved, steps_were_wide=turned), report
 
@@ -139,6 +141,7 @@ def _advance(
 def frame_info(
     state: FilterState,
     known_keyframes: int,
+    view: CanvasView,
     info: smc.StepInfo,
     proposed: Proposed,
     components: Component,
@@ -151,6 +154,7 @@ def frame_info(
     Args:
         state: after it.
         known_keyframes: number of keyframes before it.
+        view: the frame.
         info: of the generic step.
         proposed: the draws.
         components: of the proposal.
@@ -167,12 +171,17 @@ def frame_info(
         means = jnp.tile(state.last_found, (len(anchors), 1))
         spread = spread_around(state.last_found, proposed.pose, state.population.log_weights)
         covariances = np.tile(spread, (len(scales), 1, 1))
+    is_keyframe = len(state.keyframe_map) > known_keyframes
+    following = np.zeros((6, NODES), np.float32)
+    if not (lost or is_keyframe):
+        following = np.asarray(_field_sensitivity(state, view, found[0], jnp.asarray(covariances[0])))
     return FrameInfo(
         anchor=anchor,
         relative_poses=np.asarray(_relative(anchors, proposed.pose)),
         relative_means=np.asarray(_relative(anchors, means)),
         component=np.asarray(proposed.component),
         component_covariances=covariances,
+        field_sensitivity=following,
         log_weights=np.asarray(state.population.log_weights),
         ancestors=np.asarray(info.ancestors),
         log_evidence=float(info.log_evidence),
@@ -183,9 +192,18 @@ def frame_info(
         explained=found[0].explained,
         covered=found[0].covered,
         keyframes=len(state.keyframe_map),
-        keyframe=known_keyframes if len(state.keyframe_map) > known_keyframes else None,
+        keyframe=known_keyframes if is_keyframe else None,
         components=0 if lost else len(found),
     )
+
+
+def _field_sensitivity(
+    state: FilterState, view: CanvasView, located: Registration, covariance: jax.Array
+) -> jax.Array:
+    """Of the frame's best optimum, whose tempered covariance (6, 6) that is."""
+    calibration, nodes = state.calibration, NodeWeights.of(view)
+    tempered = calibration.exponent * covariance
+    return field_sensitivity(located.optimum, located.local_map, view, nodes, calibration.noise, tempered)
 
 
 @jax.jit

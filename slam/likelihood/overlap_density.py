@@ -4,24 +4,31 @@ A pixel's gap is the distance of its point from the plane of the pixel that it f
 mixture of a Normal, whose variance is that of both depths across the plane, and of a uniform for what the
 other keyframe does not see: an occluded or moved surface, an edge, empty space. Where densities at several
 poses are compared, the same pixels give a factor at each, so that poses which look away cannot win.
+
+Both depths may be distorted by the sensor's static field (`slam.likelihood.distortion`): gaps are those of
+corrected depths, and terms tell how they follow the field's nodes. Of a surface's plane the offset follows
+the field at the pixel, its orientation does not.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
+from recordings.sensor_profile import NODE_ROWS
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.camera import Camera, project
 from shapes.geometry.vectors import cross, dot, rotate, transform
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import NEAREST_DEPTH_M
+from slam.likelihood.distortion import NodeWeights, node_products
 
 SAMPLES = 4096
 """Size of compiled arrays: pixels compared per keyframe, a fifth of a canvas."""
@@ -54,16 +61,18 @@ class PlaneImage:
         elements: (H, W, 7) plane in its frame, zeros where there is none, then ray and depth: what a pixel is
             asked for lies together, and is gathered in less time.
         camera: intrinsics on the canvas.
+        nodes: of the distortion field, there.
     """
 
     elements: jax.Array
     camera: Camera
+    nodes: NodeWeights
 
     @classmethod
     def of(cls, view: CanvasView, planes: jax.Array) -> PlaneImage:
         """A view with planes (3, H, W)."""
         leaves = jnp.concatenate([planes, view.rays, view.depth_m[None]])
-        return cls(jnp.moveaxis(leaves, 0, -1), view.camera)
+        return cls(jnp.moveaxis(leaves, 0, -1), view.camera, NodeWeights.of(view))
 
 
 @jax.tree_util.register_dataclass
@@ -74,10 +83,32 @@ class PointSample:
     Attributes:
         points: (3, SAMPLES) in its frame, metres.
         normals: (3, SAMPLES) unit, away from the camera.
+        nodes: (NODE_ROWS + NODE_COLUMNS, SAMPLES) weights of the distortion field's nodes.
     """
 
     points: jax.Array
     normals: jax.Array
+    nodes: jax.Array
+
+    def node_weights(self) -> jax.Array:
+        """(NODES, SAMPLES)."""
+        return node_products(self.nodes[:NODE_ROWS], self.nodes[NODE_ROWS:])
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FieldTerms:
+    """How one overlap depends on the nodes of the distortion field.
+
+    Attributes:
+        precision: (NODES, NODES).
+        gradient: (NODES,) of minus the log density.
+        cross: (12, NODES) with the displacements of `OverlapTerms`.
+    """
+
+    precision: ArrayLike
+    gradient: ArrayLike
+    cross: ArrayLike
 
 
 @jax.tree_util.register_dataclass
@@ -90,12 +121,14 @@ class OverlapTerms:
         gradient: (12,) of minus the log density.
         score_variance: (12, 12) of the gradient, from the spread of blocks of pixels.
         inliers: expected number of pixels on the surface.
+        field: the same in the nodes of the distortion field, where it was given.
     """
 
     precision: jax.Array
     gradient: jax.Array
     score_variance: jax.Array
     inliers: jax.Array
+    field: FieldTerms | None
 
 
 def sample_points(view: CanvasView, planes: jax.Array, region_sizes: jax.Array) -> PointSample:
@@ -114,7 +147,10 @@ def sample_points(view: CanvasView, planes: jax.Array, region_sizes: jax.Array) 
     pixels = pixels[np.argsort(block, kind="stable")]
     normal = normals.reshape(3, -1)[:, pixels]
     points = (np.asarray(view.rays) * np.asarray(view.depth_m)).reshape(3, -1)[:, pixels]
-    return PointSample(_padded(points), _padded(normal / np.linalg.norm(normal, axis=0)))
+    nodes, (row, column) = NodeWeights.of(view), np.divmod(pixels, columns)
+    at_pixels = np.concatenate([np.asarray(nodes.rows)[row], np.asarray(nodes.columns)[column]], axis=1)
+    unit = normal / np.linalg.norm(normal, axis=0)
+    return PointSample(_padded(points), _padded(unit), _padded(at_pixels.T))
 
 
 def _padded(columns: NDArray[np.floating]) -> jax.Array:
@@ -124,38 +160,68 @@ def _padded(columns: NDArray[np.floating]) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Gaps:
-    """Per sampled pixel (n,): its point and plane normal in the surface's frame (3, n), gap and variance."""
+    """Per sampled pixel (n,): its point and plane normal in the surface's frame (3, n), gap and variance.
+
+    Where a distortion field is given also `field` (NODES, n): how the gap follows its nodes. The gap then
+    counts in metres as they were measured: in corrected ones it, and all that it costs, would shrink with the
+    scene, which the field shrinks at will. For the same reason the point is where the pixel's ray meets the
+    plane: slopes at the noisy point would go with the gap itself.
+    """
 
     points: jax.Array
     normals: jax.Array
     gap_m: jax.Array
     variance_m2: jax.Array
     meets: jax.Array
+    field: jax.Array | None = None
 
 
 def _gaps(
-    surface: PlaneImage, sample: PointSample, surface_from_image: jax.Array, noise: DepthNoise
+    surface: PlaneImage,
+    sample: PointSample,
+    surface_from_image: jax.Array,
+    noise: DepthNoise,
+    disparity_per_m: jax.Array | None,
 ) -> _Gaps:
     pose = jaxlie.SE3(surface_from_image)
     rotation = pose.rotation().as_matrix()
-    points = transform(rotation, pose.translation(), sample.points)
+    measured = sample.points[2]
+    shrink = jnp.ones_like(measured)
+    if disparity_per_m is not None:
+        shrink = 1.0 - (disparity_per_m @ sample.node_weights()) * measured
+    points = transform(rotation, pose.translation(), sample.points / shrink[None])
     pixel, inside = _pixels(points, surface)
     element = surface.elements.reshape(-1, surface.elements.shape[-1])[pixel].T
     planes, surface_ray, surface_depth = element[:3], element[3:6], element[6]
+    if disparity_per_m is not None:
+        inverse_depth = dot(planes, surface_ray)
+        distortion = disparity_per_m @ surface.nodes.at(pixel)
+        planes = planes * (1.0 - distortion / jnp.where(inverse_depth > 0, inverse_depth, 1.0))[None]
     length = jnp.sqrt(dot(planes, planes))
     normals = planes / jnp.where(length > 0, length, 1.0)[None]
-    depth = sample.points[2]
-    ray = rotate(rotation, sample.points / jnp.where(depth > 0, depth, 1.0)[None])
+    ray = rotate(rotation, sample.points / jnp.where(measured > 0, measured, 1.0)[None])
     along, surface_along = dot(normals, ray), dot(normals, surface_ray)
-    meets = inside & (depth > NO_RETURN) & (length > 0)
+    meets = inside & (measured > NO_RETURN) & (length > 0)
     meets &= dot(normals, rotate(rotation, sample.normals)) > LEAST_NORMAL_COSINE
     meets &= along > LEAST_INCIDENCE_COSINE * jnp.sqrt(dot(ray, ray))
     meets &= surface_along > LEAST_INCIDENCE_COSINE * jnp.sqrt(dot(surface_ray, surface_ray))
-    sigma = depth_noise.standard_deviation(noise, depth)
+    sigma = depth_noise.standard_deviation(noise, measured)
     surface_sigma = depth_noise.standard_deviation(noise, surface_depth)
     variance = (sigma * along) ** 2 + (surface_sigma * surface_along) ** 2
     gap = (dot(planes, points) - 1.0) / jnp.where(length > 0, length, 1.0)
-    return _Gaps(points, normals, gap, jnp.where(meets, variance, 1.0), meets)
+    gaps = _Gaps(points, normals, gap, jnp.where(meets, variance, 1.0), meets)
+    if disparity_per_m is None:
+        return gaps
+    back = jnp.where(meets, gap / jnp.where(meets, along, 1.0), 0.0)
+    away = jnp.where(meets, 1.0 / jnp.where(meets, length * surface_along, 1.0), 0.0)
+    of_image = jnp.where(meets, along * (measured / shrink - back) ** 2, 0.0)
+    return replace(
+        gaps,
+        points=points - ray * back[None],
+        gap_m=gap * shrink**2,
+        field=of_image[None] * sample.node_weights()
+        - (surface_along * away**2)[None] * surface.nodes.at(pixel),
+    )
 
 
 def _pixels(points: jax.Array, surface: PlaneImage) -> tuple[jax.Array, jax.Array]:
@@ -182,6 +248,7 @@ def overlap_terms(
     surface_from_images: jax.Array,
     noise: DepthNoise,
     inflation: jax.Array | float,
+    disparity_per_m: jax.Array | None = None,
 ) -> OverlapTerms:
     """Terms of one surface's overlaps with B images, leaves stacked (B, ...).
 
@@ -191,25 +258,33 @@ def overlap_terms(
         surface_from_images: (B, 7).
         noise: the sensor.
         inflation: of sigma, over 1 while poses are still far off.
+        disparity_per_m: (NODES,) the distortion field, where terms are to tell of it.
     """
 
     def one(pair: tuple[PointSample, jax.Array]) -> OverlapTerms:
         sample, pose = pair
-        gaps = _gaps(surface, sample, pose, noise)
+        gaps = _gaps(surface, sample, pose, noise, disparity_per_m)
         variance = inflation**2 * gaps.variance_m2
         inlier = jnp.where(gaps.meets, jax.nn.sigmoid(_log_normal(gaps, variance) - LOG_OUTLIER), 0.0)
         weight = inlier / variance
-        normals = rotate(jaxlie.SE3(pose).rotation().as_matrix().T, gaps.normals)
-        of_image = [normals, cross(sample.points, normals)]
+        rotation, translation = jaxlie.SE3(pose).rotation().as_matrix(), jaxlie.SE3(pose).translation()
+        normals = rotate(rotation.T, gaps.normals)
+        own = rotate(rotation.T, gaps.points - translation[:, None])
+        of_image = [normals, cross(own, normals)]
         of_surface = [-gaps.normals, -cross(gaps.points, gaps.normals)]
         jacobian = jnp.concatenate([*of_image, *of_surface])
         gradients = jacobian * (weight * gaps.gap_m)[None]
         blocks = gradients.reshape(12, BLOCKS, -1).sum(2)
+        field = None
+        if gaps.field is not None:
+            weighted = gaps.field * weight[None]
+            field = FieldTerms(weighted @ gaps.field.T, weighted @ gaps.gap_m, jacobian @ weighted.T)
         return OverlapTerms(
             precision=(jacobian * weight[None]) @ jacobian.T,
             gradient=blocks @ jnp.ones(BLOCKS, blocks.dtype),
             score_variance=blocks @ blocks.T,
             inliers=inlier.sum(),
+            field=field,
         )
 
     return jax.lax.map(one, (samples, surface_from_images))
@@ -217,9 +292,15 @@ def overlap_terms(
 
 @jax.jit
 def log_overlap_densities(
-    surface: PlaneImage, samples: PointSample, surface_from_images: jax.Array, noise: DepthNoise
+    surface: PlaneImage,
+    samples: PointSample,
+    surface_from_images: jax.Array,
+    noise: DepthNoise,
+    disparities_per_m: jax.Array,
 ) -> jax.Array:
     """Log densities (B, L) of B images' samples (B, ...) given one surface, at poses (B, L, 7).
+
+    The distortion field's nodes (L, NODES) go with the poses.
 
     Base measure: Lebesgue in metres of each pixel's gap. Counted are the pixels that meet the surface from
     all of the poses: those that come and go at the edges would not compare.
@@ -227,7 +308,7 @@ def log_overlap_densities(
 
     def at_poses(pair: tuple[PointSample, jax.Array]) -> jax.Array:
         sample, poses = pair
-        gaps = jax.vmap(lambda pose: _gaps(surface, sample, pose, noise))(poses)
+        gaps = jax.vmap(lambda *at: _gaps(surface, sample, at[0], noise, at[1]))(poses, disparities_per_m)
         log_surface = jnp.logaddexp(_log_normal(gaps, gaps.variance_m2), LOG_OUTLIER)
         return jnp.where(gaps.meets.all(0), log_surface, 0.0).sum(1)
 

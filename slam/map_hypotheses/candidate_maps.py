@@ -121,8 +121,8 @@ def optimise_jointly(
     keyframes = keyframes_at(keyframe_map, details, poses, noise)
     for inflations, prior in ((FAR_INFLATIONS, None), (HELD_INFLATIONS, motion)):
         found = optimise(keyframes, np.asarray(single_precision_poses(poses)), inflations, FARTHEST, prior)
-        if found is None or not np.isfinite(found[0]).all():
+        if found is None or not np.isfinite(found.poses).all():
             return poses
-        moved = matrices_of(found[0])
+        moved = matrices_of(found.poses)
         poses = np.linalg.inv(moved[0]) @ moved
     return poses

@@ -1,8 +1,9 @@
 """Gauss-Newton optimum of the keyframe overlap graph; every overlap is linearised anew in each round.
 
 The target is the overlap density (`slam.likelihood.overlap_density`), tempered so that a pixel explained by
-several surfaces counts once. Arrays over keyframes are padded to a multiple, since their number differs from
-recording to recording and each new shape would be compiled (as long as a dozen frames take).
+several surfaces counts once; in the last rounds it is a density of the sensor's distortion field, too. Arrays
+over keyframes are padded to a multiple, since their number differs from recording to recording and each new
+shape would be compiled (as long as a dozen frames take).
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from numpy.typing import NDArray
 from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import matrices_of
 from slam.filter.map_update import CAPACITY_STEP
-from slam.likelihood.overlap_density import overlap_terms
+from slam.likelihood.overlap_density import FieldTerms, overlap_terms
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
-from slam.pose_graph.sparse_gaussian import PoseGraph
+from slam.pose_graph.sparse_gaussian import FieldTerm, PoseGraph
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 INFLATIONS = (4.0, 3.0, 2.0, 1.5)
@@ -39,6 +40,9 @@ coordinate. In a bare room further steps lead away, centimetres along the walls,
 HELD_INFLATIONS, HELD_DAMPING, HELD_CONVERGED = (1.0,), 100.0, 0.002
 """The same where the motion prior holds what no pixel sees. It is not to outweigh what they see: few samples
 of inflated sigma say less of rotations than it does, so that all are asked from the first round on."""
+
+FIELD_INFLATIONS = (3.0, 2.0, 1.5)
+"""Of sigma in the first rounds with the distortion field: a gap may be as wide as the field bends it."""
 
 FARTHEST = 0.05
 """Metres or radians. A keyframe that would move farther is not near its optimum: the filter mistook the
@@ -59,11 +63,74 @@ class _Linearised:
         graph: not tempered.
         score_variance: (E, 12, 12) of the gradients.
         inliers: (E,).
+        field: leaves (E, ...), or None.
     """
 
     graph: PoseGraph
     score_variance: NDArray[np.float64]
     inliers: NDArray[np.float64]
+    field: FieldTerms | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distortion:
+    """The sensor's distortion field, in coordinates that are independent unit Gaussians a priori.
+
+    Attributes:
+        factor: (NODES, F) of `slam.likelihood.distortion.node_factor`.
+        coordinates: (F,).
+        removed_per_m: (NODES,) the field that the images have been corrected by.
+    """
+
+    factor: NDArray[np.float64]
+    coordinates: NDArray[np.float64]
+    removed_per_m: NDArray[np.float64]
+
+    @classmethod
+    def unknown(cls, factor: NDArray[np.float64]) -> Distortion:
+        """None, as the prior has it on average."""
+        return cls(factor=factor, coordinates=np.zeros(factor.shape[1]), removed_per_m=np.zeros(len(factor)))
+
+    @property
+    def disparity_per_m(self) -> NDArray[np.float64]:
+        """(NODES,) what the images still have of it."""
+        return self.factor @ self.coordinates - self.removed_per_m
+
+    def removed(self) -> Distortion:
+        """The same for images that have been corrected by it."""
+        return replace(self, removed_per_m=self.factor @ self.coordinates)
+
+    def moved(self, step: NDArray[np.float64]) -> Distortion:
+        """The field a step (F,) further."""
+        return replace(self, coordinates=self.coordinates + step)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphOptimum:
+    """Where the keyframes agree best.
+
+    Attributes:
+        poses: (N, 7) reference_from_keyframe.
+        graph: tempered, there.
+        exponents: (N,) of each image's densities.
+        astray: (N,) keyframes that were left where they were.
+    """
+
+    poses: NDArray[np.float32]
+    graph: PoseGraph
+    exponents: NDArray[np.float64]
+    astray: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldOptimum(GraphOptimum):
+    """The same with the sensor's distortion field.
+
+    Attributes:
+        distortion: there.
+    """
+
+    distortion: Distortion
 
 
 def optimise(
@@ -72,8 +139,8 @@ def optimise(
     inflations: Sequence[float] = INFLATIONS,
     farthest: float = FARTHEST,
     motion: TrajectoryPrior | None = None,
-) -> tuple[NDArray[np.float32], PoseGraph, NDArray[np.float64]] | None:
-    """Poses (N, 7) at the optimum near `poses`, the tempered graph there and each image's exponent (N,).
+) -> GraphOptimum | None:
+    """The optimum near poses (N, 7), for a sensor without distortion.
 
     None where no keyframes overlap. `inflations` and `farthest` as `INFLATIONS` and `FARTHEST`; with `motion`
     the overlaps are tempered in every step, and damped less: it holds what they do not see.
@@ -85,8 +152,8 @@ def optimise(
         if linearised is None:
             return None
         tempered = _tempered(linearised, motion, poses)
-        step = sparse_gaussian.damped_step(linearised.graph if motion is None else tempered, damping)
-        if round_ > len(inflations) and _gain(tempered, step) < converged * 0.5 * step[1:].size:
+        step, none = sparse_gaussian.damped_step(linearised.graph if motion is None else tempered, damping)
+        if round_ > len(inflations) and _gain(tempered, step, none) < converged * 0.5 * step[1:].size:
             break
         poses = displaced(poses, step)
         astray |= np.abs(coordinates(start, poses)).max(axis=1) > farthest
@@ -95,52 +162,124 @@ def optimise(
         linearised = _linearised(keyframes, poses, inflation, astray)
     if linearised is None:
         return None
-    return poses, _tempered(linearised, motion, poses), _exponents(linearised)
+    return GraphOptimum(
+        poses=poses,
+        graph=_tempered(linearised, motion, poses),
+        exponents=_exponents(linearised),
+        astray=astray,
+    )
+
+
+def optimise_with_distortion(
+    keyframes: Keyframes,
+    start: GraphOptimum,
+    distortion: Distortion,
+    motion: TrajectoryPrior | None = None,
+) -> FieldOptimum | None:
+    """The optimum over poses and the sensor's distortion field, from one without it.
+
+    Terms are tempered in every step, for the field's prior is to be worth as much as they.
+    """
+    poses, rounds = start.poses, len(FIELD_INFLATIONS) + MOST_STEPS
+    for round_ in range(rounds):
+        inflation = FIELD_INFLATIONS[round_] if round_ < len(FIELD_INFLATIONS) else 1.0
+        linearised = _linearised(keyframes, poses, inflation, start.astray, distortion)
+        if linearised is None:
+            return None
+        tempered = _tempered(linearised, motion, poses, distortion)
+        step, of_field = sparse_gaussian.damped_step(tempered, HELD_DAMPING)
+        gain = _gain(tempered, step, of_field)
+        least = HELD_CONVERGED * 0.5 * (step[1:].size + of_field.size)
+        if round_ == rounds - 1 or (inflation == 1.0 and gain < least):
+            exponents = _exponents(linearised)
+            return FieldOptimum(
+                poses=poses, graph=tempered, exponents=exponents, astray=start.astray, distortion=distortion
+            )
+        poses, distortion = displaced(poses, step), distortion.moved(of_field)
+    return None
 
 
 def _tempered(
-    linearised: _Linearised, motion: TrajectoryPrior | None, poses: NDArray[np.float32]
+    linearised: _Linearised,
+    motion: TrajectoryPrior | None,
+    poses: NDArray[np.float32],
+    distortion: Distortion | None = None,
 ) -> PoseGraph:
-    """The graph with its terms to the power of their exponents, and the motion prior at poses (N, 7)."""
+    """The graph with its terms to the power of their exponents, and the priors at poses (N, 7)."""
     graph = linearised.graph
     exponents = _exponents(linearised)[graph.pairs[:, 0]]
+    field = None
+    if linearised.field is not None and distortion is not None:
+        field = _field_term(graph, linearised.field, exponents, distortion)
     return replace(
         graph,
         precision=graph.precision * exponents[:, None, None],
         gradient=graph.gradient * exponents[:, None],
         joint=None if motion is None else motion.bent(matrices_of(poses)),
+        field=field,
+    )
+
+
+def _field_term(
+    graph: PoseGraph, terms: FieldTerms, exponents: NDArray[np.float64], distortion: Distortion
+) -> FieldTerm:
+    """What tempered terms and the prior say of the field's coordinates."""
+    factor = distortion.factor
+    cross = np.zeros((graph.keyframes, 6, len(factor)))
+    tempered = np.asarray(terms.cross) * exponents[:, None, None]
+    np.add.at(cross, graph.pairs, tempered.reshape(len(graph), 2, 6, -1))
+    precision = np.einsum("e,eij->ij", exponents, np.asarray(terms.precision))
+    return FieldTerm(
+        precision=np.eye(factor.shape[1]) + factor.T @ precision @ factor,
+        gradient=distortion.coordinates + factor.T @ (exponents @ np.asarray(terms.gradient)),
+        cross=cross.reshape(-1, len(factor)) @ factor,
     )
 
 
 def _linearised(
-    keyframes: Keyframes, poses: NDArray[np.float32], inflation: float, astray: NDArray[np.bool_]
+    keyframes: Keyframes,
+    poses: NDArray[np.float32],
+    inflation: float,
+    astray: NDArray[np.bool_],
+    distortion: Distortion | None = None,
 ) -> _Linearised | None:
     """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
-    stride = 1 if inflation == 1.0 else THINNED
+    stride = 1 if inflation == 1.0 or distortion else THINNED
+    disparity = None if distortion is None else distortion.disparity_per_m.astype(np.float32)
     overlaps, parts = [], []
     for surface, samples, index, images in keyframes.batches(stride):
         relative = relative_to(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
-        terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation)
+        terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation, disparity)
         parts.append([np.asarray(leaf, np.float64)[: len(images)] for leaf in jax.tree.leaves(terms)])
         overlaps.append(np.stack([images, np.full(len(images), index)], axis=1))
     if not parts:
         return None
     pairs = np.concatenate(overlaps)
-    precision, gradient, score_variance, inliers = (np.concatenate(leaf) for leaf in zip(*parts, strict=True))
+    leaves = (np.concatenate(leaf) for leaf in zip(*parts, strict=True))
+    precision, gradient, score_variance, inliers, *of_field = leaves
     agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
     if not agree.any():
         return None
     graph = PoseGraph(
         keyframes=len(poses), pairs=pairs[agree], precision=precision[agree], gradient=gradient[agree]
     )
-    return _Linearised(graph=graph, score_variance=score_variance[agree], inliers=inliers[agree])
+    return _Linearised(
+        graph=graph,
+        score_variance=score_variance[agree],
+        inliers=inliers[agree],
+        field=FieldTerms(*(leaf[agree] for leaf in of_field)) if of_field else None,
+    )
 
 
-def _gain(graph: PoseGraph, step: NDArray[np.float64]) -> float:
-    """Nats by which a Newton step (N, 6) raises the density: half its squared decrement."""
+def _gain(graph: PoseGraph, step: NDArray[np.float64], of_field: NDArray[np.float64]) -> float:
+    """Nats by which a Newton step (N, 6) and (F,) raises the density: half its squared decrement."""
     displaced = step[graph.pairs].reshape(-1, 12)
-    joint = 0.0 if graph.joint is None else step.ravel() @ graph.joint.precision @ step.ravel()
-    return float(0.5 * (np.einsum("ei,eij,ej->", displaced, graph.precision, displaced) + joint))
+    squared = np.einsum("ei,eij,ej->", displaced, graph.precision, displaced)
+    if graph.joint is not None:
+        squared += step.ravel() @ graph.joint.precision @ step.ravel()
+    if graph.field is not None:
+        squared += of_field @ (graph.field.precision @ of_field + 2.0 * graph.field.cross.T @ step.ravel())
+    return float(0.5 * squared)
 
 
 def _exponents(linearised: _Linearised) -> NDArray[np.float64]:

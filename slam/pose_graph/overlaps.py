@@ -12,11 +12,12 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
+from recordings.types import NO_RETURN, DepthNoise
 from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
 from slam.keyframes.plane_segmentation import with_plane_segments
 from slam.keyframes.planes import region_planes
+from slam.likelihood.distortion import NodeWeights
 from slam.likelihood.overlap_density import PlaneImage, PointSample, sample_points
 
 OVERLAPS = 6
@@ -31,11 +32,13 @@ class KeyframeDetail:
     """A keyframe at full detail: its view, and `region_planes` of it.
 
     JAX computes in the background: planes are asked for when the keyframe is made, and used at the end.
+    `is_segmented` says whether large planes are one each.
     """
 
     view: CanvasView
     planes: jax.Array
     region_sizes: jax.Array
+    is_segmented: bool = False
 
     @cached_property
     def surface(self) -> PlaneImage:
@@ -50,7 +53,15 @@ class KeyframeDetail:
     def with_plane_segments(self, noise: DepthNoise) -> KeyframeDetail:
         """The same with large planes as one each."""
         planes = with_plane_segments(np.asarray(self.planes), np.asarray(self.region_sizes), self.view, noise)
-        return replace(self, planes=jnp.asarray(planes))
+        return replace(self, planes=jnp.asarray(planes), is_segmented=True)
+
+    def without_distortion(self, disparity_per_m: jax.Array, noise: DepthNoise) -> KeyframeDetail:
+        """The same as a sensor without the distortion field of these nodes (NODES,) would have seen it."""
+        depth = self.view.depth_m
+        shrink = 1.0 - NodeWeights.of(self.view).field(disparity_per_m) * depth
+        corrected = jnp.where((depth != NO_RETURN) & (shrink > 0), depth / shrink, NO_RETURN)
+        detail = keyframe_detail(replace(self.view, depth_m=corrected), noise)
+        return detail.with_plane_segments(noise) if self.is_segmented else detail
 
 
 def keyframe_detail(view: CanvasView, noise: DepthNoise) -> KeyframeDetail:
@@ -73,6 +84,11 @@ class Keyframes:
     samples: Sequence[PointSample]
     images_of: Sequence[NDArray[np.int_]]
     noise: DepthNoise
+
+    def of(self, details: Sequence[KeyframeDetail]) -> Keyframes:
+        """The same overlaps of other images of the keyframes."""
+        surfaces, samples = [detail.surface for detail in details], [detail.sample for detail in details]
+        return replace(self, surfaces=surfaces, samples=samples)
 
     def batches(self, stride: int) -> Iterator[tuple[PlaneImage, PointSample, int, NDArray[np.int_]]]:
         """Surface, every `stride`-th sample of the images, the surface's index, the images' (n,)."""

@@ -5,7 +5,9 @@ graph-based SLAM"), the first keyframe being fixed:
 
     sum_e 1/2 [xi_i; xi_j]^T H_e [xi_i; xi_j] + g_e^T [xi_i; xi_j],
 
-and where there is one, a term over all keyframes at once: a prior of the way from each to the next.
+and where there is one, a term over all keyframes at once: a prior of the way from each to the next. Where the
+sensor's distortion field is unknown too, its coordinates c stand in all terms: the arrow-shaped system is
+solved by the Schur complement of the poses, and c is integrated out of what is told of them.
 """
 
 from __future__ import annotations
@@ -39,6 +41,34 @@ class JointTerm:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FieldTerm:
+    """A quadratic term over F coordinates that all terms share, their prior included.
+
+    Attributes:
+        precision: (F, F), positive definite.
+        gradient: (F,).
+        cross: (6 N, F) with the keyframes' displacements.
+    """
+
+    precision: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+    cross: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldPosterior:
+    """The Gaussian of the shared coordinates with the poses integrated out, and how these follow.
+
+    Attributes:
+        covariance: (F, F).
+        sensitivity: (N, 6, F) of the keyframes' displacements, zero for the first.
+    """
+
+    covariance: NDArray[np.float64]
+    sensitivity: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
 class PoseGraph:
     """E terms over pairs of N keyframes.
 
@@ -48,6 +78,7 @@ class PoseGraph:
         precision: (E, 12, 12) H, positive semidefinite.
         gradient: (E, 12) g.
         joint: over all keyframes, or None.
+        field: what the terms share, or None.
     """
 
     keyframes: int
@@ -55,46 +86,78 @@ class PoseGraph:
     precision: NDArray[np.float64]
     gradient: NDArray[np.float64]
     joint: JointTerm | None = None
+    field: FieldTerm | None = None
 
     def __len__(self) -> int:
         """Number of terms."""
         return len(self.pairs)
 
 
-def damped_step(graph: PoseGraph, damping: float) -> NDArray[np.float64]:
+def damped_step(graph: PoseGraph, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Displacements (N, 6) that minimise the terms and half of `damping` times their own squares.
 
     The first keyframe stays. Damping, in 1/m^2 and 1/rad^2, keeps a step from leaving the neighbourhood that
-    the terms were taken in, along directions which they hardly see.
+    the terms were taken in, along directions which they hardly see. Also the step (F,) of what terms share.
     """
     gradient = _summed(graph, graph.gradient)
     if graph.joint is not None:
         gradient += graph.joint.gradient
-    step = _normal_equations(graph, damping).solve(-gradient[6:])
-    return np.append(np.zeros(6), step).reshape(-1, 6)
+    factor = _normal_equations(graph, damping)
+    step = np.append(np.zeros(6), factor.solve(-gradient[6:])).reshape(-1, 6)
+    if graph.field is None:
+        return step, np.zeros(0)
+    shared = _field_posterior(graph, graph.field, factor)
+    slope = graph.field.gradient + graph.field.cross.T @ step.ravel()
+    shared_step = -shared.covariance @ slope
+    return step + shared.sensitivity @ shared_step, shared_step
 
 
-def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
+def draws(key: jax.Array, graph: PoseGraph, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Displacements (count, N, 6), Gaussian with the graph's precision around zero.
 
     Perturb and solve: the normal equations with a right hand side whose covariance is the precision
-    (Papandreou and Yuille 2010).
+    (Papandreou and Yuille 2010). What the terms share (count, F) is drawn first.
     """
     size = 6 * graph.keyframes
-    sizes = (12 * len(graph), size, 0 if graph.joint is None else size)
+    shared_size = 0 if graph.field is None else len(graph.field.gradient)
+    sizes = (12 * len(graph), size, 0 if graph.joint is None else size, shared_size)
     noise = np.asarray(jax.random.normal(key, (count, sum(sizes))), np.float64)
-    pairwise, diagonal, jointly = np.split(noise, np.cumsum(sizes)[:-1], axis=1)
+    pairwise, diagonal, jointly, shared = np.split(noise, np.cumsum(sizes)[:-1], axis=1)
     of_terms = np.einsum("eij,kej->kei", _roots(graph.precision), pairwise.reshape(count, -1, 12))
     right = np.stack([_summed(graph, terms) for terms in of_terms])
     right += np.sqrt(STIFFNESS) * diagonal
     if graph.joint is not None:
         right += jointly @ _roots(graph.joint.precision).T
     drawn = _normal_equations(graph, STIFFNESS).solve(np.ascontiguousarray(right[:, 6:].T)).T
-    return np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
+    displacements = np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
+    if graph.field is not None:
+        posterior = field_posterior(graph)
+        shared = shared @ _roots(posterior.covariance).T
+        displacements += np.einsum("nif,kf->kni", posterior.sensitivity, shared)
+    return displacements, shared
 
 
-def marginals(graph: PoseGraph) -> NDArray[np.float64]:
-    """Covariances (N, 6, 6) of the displacements under the same Gaussian, zero for the first keyframe."""
+def field_posterior(graph: PoseGraph) -> FieldPosterior:
+    """Of a graph whose terms share coordinates."""
+    assert graph.field is not None
+    return _field_posterior(graph, graph.field, _normal_equations(graph, STIFFNESS))
+
+
+def _field_posterior(graph: PoseGraph, field: FieldTerm, factor: SuperLU) -> FieldPosterior:
+    """By the Schur complement of the poses, whose normal equations are factorised."""
+    follow = np.concatenate([np.zeros((6, field.cross.shape[1])), -factor.solve(field.cross[6:])])
+    precision = field.precision + field.cross.T @ follow
+    return FieldPosterior(
+        covariance=np.linalg.inv(0.5 * (precision + precision.T)).astype(np.float64),
+        sensitivity=follow.reshape(graph.keyframes, 6, -1),
+    )
+
+
+def conditional_marginals(graph: PoseGraph) -> NDArray[np.float64]:
+    """Covariances (N, 6, 6) of the displacements under the same Gaussian, zero for the first keyframe.
+
+    Given what terms share: its part S C S^T is that of the `FieldPosterior`.
+    """
     solve = _normal_equations(graph, STIFFNESS).solve
     size = 6 * (graph.keyframes - 1)
     covariances = np.zeros((graph.keyframes, 6, 6))

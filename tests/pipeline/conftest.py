@@ -57,6 +57,9 @@ def true_trajectory(filmed_mug: SyntheticRecording) -> SlamResult:
         resampled=np.zeros(frames, bool),
         lost=np.zeros(frames, bool),
         explained=np.ones(frames),
+        disparity_per_m=np.zeros((7, 9)),
+        disparity_sd_per_m=np.full((7, 9), 2e-3),
+        camera=np.array([640.0, 480.0, 600.0, 600.0, 319.5, 239.5]),
     )
 
 

@@ -78,6 +78,7 @@ def test_the_run_folder_holds_what_other_programs_rely_on(
     summary = json.loads((run / "summary.json").read_text())
     slam = {"frames": 6, "lost_frames": 0, "lost": [], "ess_min": 2.0, "path_probabilities": [1.0]}
     slam |= {"log_evidence": 60.0, "warnings": []}
+    slam |= {"distortion_per_m": 0.0, "distortion_std_per_m": 2e-3}
     spread_m = pytest.approx(np.sqrt(3e-6))
     slam |= {"position_std_m": spread_m, "largest_position_std_m": spread_m, "least_sure_frame": 0}
     slam["length_m"] = pytest.approx(path_length_m(true_trajectory))

@@ -20,19 +20,31 @@ RELATIVE = _pose(0.1, 0.7, 0.3, -0.3, 0.6, 0.2)
 
 
 def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
-    """As by autodiff; particles of no mode, and keyframes that nothing holds, stay as they were."""
-    factor = np.random.default_rng(seed).normal(size=(6, 6))
+    """As by autodiff, the distortion field's included; keyframes that nothing holds stay as they were."""
+    rng = np.random.default_rng(seed)
+    factor, of_keyframe, of_frame = rng.normal(size=(6, 6)), rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
+    field_covariance = np.diag([0.5, 1.0, 2.0])
     placed = RefinedKeyframes(
-        mode=jnp.asarray([0, -1], jnp.int32),
+        mode=jnp.zeros(2, jnp.int32),
         poses=jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR])[None],
         covariances=jnp.asarray(np.stack([0 * factor, *[factor @ factor.T] * 2])[None], jnp.float32),
         held=jnp.asarray([[True, True, False]]),
+        factor=jnp.zeros((63, 3)),
+        field=jnp.zeros((1, 3)),
+        field_covariance=jnp.asarray(field_covariance[None], jnp.float32),
+        field_draws=jnp.zeros((2, 3)),
+        sensitivity=jnp.asarray(np.stack([0 * of_keyframe, of_keyframe, of_keyframe])[None], jnp.float32),
     )
     own = jnp.eye(6)
     drawn, relative = (jnp.tile(pose, (2, 2, 1)) for pose in (DRAWN, RELATIVE))
 
     known, spread = _with_placed(
-        drawn, relative, jnp.tile(own, (2, 2, 1, 1)), placed, jnp.asarray([1, 2], jnp.int32)
+        drawn,
+        relative,
+        jnp.tile(own, (2, 2, 1, 1)),
+        placed,
+        jnp.asarray([1, 2], jnp.int32),
+        jnp.asarray(np.stack([of_frame, of_frame]), jnp.float32),
     )
 
     def moved(xi: jax.Array) -> jax.Array:
@@ -41,9 +53,11 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
         return pose_gaussian.coordinates(camera.wxyz_xyz, displaced.wxyz_xyz)
 
     jacobian = np.asarray(jax.jacfwd(moved)(jnp.full(6, 1e-4)))
+    following = of_frame + jacobian @ of_keyframe
     expected = np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T
+    expected = expected + following @ field_covariance @ following.T
+    alone = np.eye(6) + of_frame @ field_covariance @ of_frame.T
     np.testing.assert_allclose(known[0, 0], ANCHOR)
-    np.testing.assert_allclose(spread[0, 0], expected, rtol=0.01, atol=0.01)
-    for particle, frame in ((0, 1), (1, 0), (1, 1)):
-        np.testing.assert_array_equal(known[particle, frame], DRAWN)
-        np.testing.assert_array_equal(spread[particle, frame], own)
+    np.testing.assert_allclose(spread[0, 0], expected, rtol=0.01, atol=0.02)
+    np.testing.assert_array_equal(known[:, 1], DRAWN[None].repeat(2, 0))
+    np.testing.assert_allclose(spread[0, 1], alone, rtol=1e-4, atol=1e-4)

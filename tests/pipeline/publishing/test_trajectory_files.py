@@ -25,6 +25,9 @@ def path(seed: int, count: int, lost: tuple[int, ...] = ()) -> SlamResult:
         resampled=np.zeros(count, bool),
         lost=np.isin(np.arange(count), lost),
         explained=np.ones(count),
+        disparity_per_m=np.zeros((7, 9)),
+        disparity_sd_per_m=np.full((7, 9), 2e-3),
+        camera=np.array([640.0, 480.0, 600.0, 600.0, 319.5, 239.5]),
     )
 
 

@@ -24,6 +24,8 @@ DRIFT_M = 0.004
 
 
 NOISE = DepthNoise()
+NO_DISTORTION = np.full((7, 9), 1e-6)
+"""Standard deviations of a sensor that is known to have none."""
 POSES = np.stack([box_room.pose(0.12 * i, 0.05 * i, -0.5, 0.21 * i) for i in range(4)])
 
 
@@ -67,7 +69,7 @@ def test_drift_is_undone(key, tracked):
     assert len(tracked.keyframe_map) == len(POSES)
     drifted = _drifted(tracked)
 
-    after, _ = refine_keyframes(key, drifted, DETAILS, NOISE)
+    after, _ = refine_keyframes(key, drifted, DETAILS, NOISE, NO_DISTORTION)
 
     assert _errors_m(after)[0] == 0.0
     assert _errors_m(after).max() < 0.65 * _errors_m(drifted).max()
@@ -76,7 +78,9 @@ def test_drift_is_undone(key, tracked):
 
 def test_equal_keys_give_equal_poses(key, tracked):
     """Repair draws from its key alone."""
-    first, second = (refine_keyframes(jax.random.clone(key), tracked, DETAILS, NOISE)[0] for _ in range(2))
+    first, second = (
+        refine_keyframes(jax.random.clone(key), tracked, DETAILS, NOISE, NO_DISTORTION)[0] for _ in range(2)
+    )
     np.testing.assert_array_equal(
         np.asarray(first.population.particles.keyframe_poses),
         np.asarray(second.population.particles.keyframe_poses),
@@ -87,9 +91,10 @@ def test_a_lone_keyframe_stays(key):
     """Without overlaps there is nothing to repair."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     state, _ = init(view, 0, CONFIG)
-    after, placed = refine_keyframes(key, state, DETAILS[:1], NOISE)
+    after, placed = refine_keyframes(key, state, DETAILS[:1], NOISE, NO_DISTORTION)
 
-    assert placed is None
+    assert not placed.held.any()
+    np.testing.assert_allclose(placed.field_covariance[0], np.eye(62))
     assert jnp.array_equal(
         after.population.particles.keyframe_poses, state.population.particles.keyframe_poses
     )
