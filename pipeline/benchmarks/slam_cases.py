@@ -184,8 +184,11 @@ def _orbit(kind: Literal["bare", "furnished"], degrees: float, frames: int, numb
     return _filmed(recording)
 
 
-def short_walk(number: int) -> Case:
-    """Eight frames at 160x120 of a hand-held camera in a furnished room, room and path of that number."""
+def short_walk(number: int, distortion_per_m: float = 0.0) -> Case:
+    """Eight frames at 160x120 of a hand-held camera in a furnished room, room and path of that number.
+
+    The camera's distortion field, of that standard deviation, is drawn for each number, too.
+    """
     rng = np.random.default_rng([number, 77_002])
     path = PathConfig(
         kind="handheld",
@@ -201,7 +204,7 @@ def short_walk(number: int) -> Case:
         SceneTruth(objects=(), support_plane=None),
         Trajectory(times_ns=33_333_333 * np.arange(path.frames), reference_from_camera=poses),
         CameraConfig(width=160, height=120).intrinsics,
-        DepthSensor(),
+        DepthSensor(distortion_per_m=distortion_per_m),
         number,
     )
     return _filmed(recording)

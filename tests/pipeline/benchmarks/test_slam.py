@@ -74,7 +74,7 @@ def test_coverage_holds_for_the_stated_spread_alone(monkeypatch: pytest.MonkeyPa
     runs = 400
     exact = (np.arange(runs) + 0.5) / runs
     told = Mock()
-    monkeypatch.setattr(slam_coverage, "_level", lambda _, number: exact[number - 10_000])
+    monkeypatch.setattr(slam_coverage, "_level", lambda _, number: (exact[number - 10_000], 0.0))
 
     row = slam_coverage.coverage_row(runs, 1, told)
     narrow = slam_coverage.summary(stats.chi2.cdf(4 * stats.chi2.ppf(exact, 6), 6))
