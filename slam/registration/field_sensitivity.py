@@ -45,7 +45,7 @@ def field_sensitivity(
     planes, variance = fused_planes(image, keyframes_from_camera)
     identity = jaxlie.SE3.identity().wxyz_xyz.astype(optimum.pose.dtype)
     terms = pixel_terms(planes, variance, pixels.observed_m, pixels.rays, identity, noise)
-    of_residual = pixels.observed_m**2 * nodes.at(_lattice(view)) - sum(
+    of_residual = (pixels.observed_m**2)[None] * nodes.at(_lattice(view)) - sum(
         _of_rendered(index, pixels, local_map, keyframes_from_camera[index], nodes)
         for index in range(len(local_map.present))
     )
