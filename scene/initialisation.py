@@ -91,6 +91,7 @@ def initialise(
         log_odds=verified.log_odds,
         pools=pools.poses.astype(np.float64),
         log_gains=np.asarray(log_gains(pools.layers, scene), np.float64),
+        atoms=search_round.boltzmann_atoms(pools),
     )
 
 

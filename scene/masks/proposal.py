@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_softmax, softmax
 
 from scene.masks.convolution import FlatGrid, best_places, scores_in
 from scene.masks.detector import Detector, detector, is_thin
@@ -24,6 +25,14 @@ from shapes.geometry.poses import poses_of
 
 PAIRS = 2000
 """Of orientation and coarse cell that are looked at in fine cells."""
+
+EFFECTIVE_ATOMS = 16.0
+
+COLDEST = 1e4
+"""Largest beta: scores that differ by a thousandth then differ by a factor of 20,000."""
+
+BISECTIONS = 40
+"""Beta to a hundred-millionth."""
 
 _CHILDREN = np.stack(np.meshgrid(*3 * [np.arange(-1, 3)], indexing="ij"), axis=-1).reshape(-1, 3)
 """Fine cells of a coarse one, and those round them."""
@@ -97,3 +106,17 @@ def best_atoms(grid: EvidenceGrid, shape: Detector) -> Atoms:
     poses[:, :3, 3] += grid.pitch_m * (cells[order] + 0.5) @ grid.camera_from_grid[:3, :3].T
     poses[:, :3, :3] = poses[:, :3, :3] @ shape.fine.rotations[turns[order]]
     return Atoms(poses=poses_of(poses).astype(np.float32).reshape(-1, 7), scores=scores[order])
+
+
+def log_boltzmann(scores: NDArray[np.floating], effective: float = EFFECTIVE_ATOMS) -> NDArray[np.float64]:
+    """Log probabilities (n,) in proportion to exp(beta score), with 1 / sum p^2 = `effective`.
+
+    Beta lies between 0, where there are fewer atoms, and COLDEST, where more of them score alike.
+    """
+    scores = np.asarray(scores, np.float64)
+    low, high = 0.0, COLDEST
+    for _ in range(BISECTIONS):
+        beta = (low + high) / 2
+        atoms = 1 / np.square(softmax(beta * scores)).sum()
+        low, high = (beta, high) if atoms > effective else (low, beta)
+    return log_softmax(low * scores)

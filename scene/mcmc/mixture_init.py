@@ -22,6 +22,9 @@ OTHERS, OTHERS_SHARE = 7, 0.15
 
 OTHER_SIGMA = np.repeat([0.002, 0.03], 3)
 
+ATOMS_SHARE, ATOM_RAD = 0.1, 0.08
+"""Of atoms from masks, and the standard deviation of a turn that is even over a step of 15 degrees."""
+
 WIDE, WIDE_SHARE = 2.0, 0.25
 """Own components that are wider, for the tails."""
 
@@ -130,7 +133,45 @@ def pose_proposals(
     log_weights = TRUST * refined.log_masses
     log_weights = log_weights - np.logaddexp.reduce(log_weights, axis=1, keepdims=True)
     every = (log_weights, refined.means, refined.covariances, others, log_others)
-    return _in_world(world_from_camera, *map(filled, every), axes)
+    mixture = _in_world(world_from_camera, *map(filled, every), axes)
+    if start.atoms is None:
+        return mixture
+    atoms = filled(start.atoms.poses), filled(start.atoms.log_weights)
+    return with_atoms(mixture, world_from_camera, *atoms, start.atoms.pitch_m / math.sqrt(12), ATOM_RAD)
+
+
+@jax.jit
+def with_atoms(
+    mixture: PoseMixture,
+    world_from_camera: jax.Array,
+    poses: jax.Array,
+    log_weights: jax.Array,
+    sigma_m: jax.Array | float,
+    sigma_rad: jax.Array | float,
+) -> PoseMixture:
+    """The mixture with components round atoms that have ATOMS_SHARE of the draws.
+
+    An atom without width could be drawn and never be come back to: it is spread over its cell and its step of
+    orientation, by Gaussians of their variance.
+
+    Args:
+        mixture: of C bodies.
+        world_from_camera: (7,).
+        poses: (C, A, 7) camera_from_box.
+        log_weights: (C, A), normalised over A, or all -inf for a body without atoms.
+        sigma_m: of places.
+        sigma_rad: of turns.
+    """
+    centres = jax.vmap(jax.vmap(lambda pose: compose(world_from_camera, pose)))(poses)
+    sigma = jnp.concatenate([jnp.full(3, sigma_m), jnp.full(3, sigma_rad)]).astype(centres.dtype)
+    factors = jnp.broadcast_to(jnp.diag(sigma), (*log_weights.shape, 6, 6))
+    log_share = jnp.log1p(-ATOMS_SHARE) + mixture.log_weights
+    return PoseMixture(
+        jax.nn.log_softmax(jnp.concatenate([log_share, jnp.log(ATOMS_SHARE) + log_weights], axis=1), axis=-1),
+        jnp.concatenate([mixture.centres, centres], axis=1),
+        jnp.concatenate([mixture.choleskys, factors], axis=1),
+        jnp.concatenate([mixture.whitenings, jnp.broadcast_to(jnp.diag(1 / sigma), factors.shape)], axis=1),
+    )
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.objects.slots import FoundObjects
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoltzmannAtoms:
+    """Poses of N objects from masks, told by the image alone: no object's present pose decides them.
+
+    Attributes:
+        poses: (N, A, 7) camera_from_box.
+        log_weights: (N, A), normalised over A; -inf where masks tell of none.
+        pitch_m: edge of the cell within which each may lie.
+    """
+
+    poses: NDArray[np.float64]
+    log_weights: NDArray[np.float64]
+    pitch_m: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,6 +36,7 @@ class Initialisation:
         pools: (N, K, 7).
         log_gains: (N, K) log density of the scene with each pose of the pool in place of the best one,
             less that of the best scene; the last column is without the object.
+        atoms: of masks, where they were asked for.
     """
 
     poses: NDArray[np.float64]
@@ -28,6 +44,7 @@ class Initialisation:
     log_odds: NDArray[np.float64]
     pools: NDArray[np.float64]
     log_gains: NDArray[np.float64]
+    atoms: BoltzmannAtoms | None = None
 
     def of_slots(self, found: FoundObjects) -> Initialisation:
         """The best scene and its pools of some objects alone, in their slots."""
@@ -37,4 +54,10 @@ class Initialisation:
             log_odds=self.log_odds[found.placed],
             pools=self.pools[found.placed],
             log_gains=self.log_gains[found.placed],
+            atoms=self.atoms
+            and replace(
+                self.atoms,
+                poses=self.atoms.poses[found.placed],
+                log_weights=self.atoms.log_weights[found.placed],
+            ),
         )

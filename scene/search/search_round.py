@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,19 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
-from scene.masks.proposal import Atoms, MaskSearch
+from scene.masks.proposal import Atoms, MaskSearch, log_boltzmann
 from scene.objects.orientations import tried_rotations
 from scene.objects.scene_object import SceneObject
+from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.depth_view import unproject
 from scene.observation.detection import SupportPlane, clusters
 from scene.search.assignment import PoseLayers, choose, log_conditional
 from scene.search.competing_scenes import best_of
 from scene.search.hypotheses import PosePools
+from scene.search.search_result import BoltzmannAtoms
 from scene.search.template_matching import CANDIDATES, distinct, match_templates
 from shapes.geometry.poses import matrices_of
 
 FROM_MASKS = {"points": 0, "masks": CANDIDATES, "both": CANDIDATES // 2}
 """Of the poses that are refined."""
+
+ATOMS = 32
+"""Of an object, that chains are offered."""
 
 ANCHORS, CENTRES = 192, 8
 
@@ -118,10 +124,29 @@ class SearchRound:
     def _from_masks(self, index: int, mask: NDArray[np.bool_], count: int) -> NDArray[np.float32]:
         """An object's poses (count, 7) of high score that differ, none where masks tell of none."""
         atoms = self.by_masks.atoms(index, mask) if self.by_masks else Atoms.none()
-        if not len(atoms.poses):
-            return atoms.poses
-        rotations = matrices_of(atoms.poses)[:, :3, :3].astype(np.float32)
-        return atoms.poses[np.asarray(distinct(rotations, atoms.poses[:, 4:], atoms.scores, count))]
+        return atoms.poses[_apart(atoms, count)]
+
+    def boltzmann_atoms(self, pools: PosePools) -> BoltzmannAtoms | None:
+        """Atoms of all objects on the whole foreground; None where no masks were asked for or can be."""
+        if self.by_masks is None or self.by_masks.seen is None:
+            return None
+        poses = np.tile(np.asarray(OUT_OF_SIGHT, np.float64), (len(pools.objects), ATOMS, 1))
+        log_weights = np.full((len(pools.objects), ATOMS), -np.inf)
+        on_foreground = partial(self.by_masks.atoms, unexplained=pools.data.foreground)
+        for index, atoms in enumerate(map_parallel(on_foreground, range(len(pools.objects)))):
+            chosen = np.unique(_apart(atoms, ATOMS))
+            if len(chosen):
+                poses[index, : len(chosen)] = atoms.poses[chosen]
+                log_weights[index, : len(chosen)] = log_boltzmann(atoms.scores[chosen])
+        return BoltzmannAtoms(poses=poses, log_weights=log_weights, pitch_m=self.by_masks.seen.pitch_m)
+
+
+def _apart(atoms: Atoms, count: int) -> NDArray[np.integer]:
+    """Places of atoms of high score that differ, the best first; none where there are no atoms."""
+    if not len(atoms.poses):
+        return np.zeros(0, np.int32)
+    rotations = matrices_of(atoms.poses)[:, :3, :3].astype(np.float32)
+    return np.asarray(distinct(rotations, atoms.poses[:, 4:], atoms.scores, count))
 
 
 def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
