@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_softmax, softmax
 
+from scene.execution import map_parallel
 from scene.masks.convolution import FlatGrid, best_places, scores_in
 from scene.masks.detector import Detector, detector, is_thin
 from scene.masks.grid import EvidenceGrid, SeenSpace, seen_space
@@ -60,38 +61,48 @@ class Atoms:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MaskSearch:
-    """Detectors of objects, and what a camera saw.
+    """Detectors of objects, what a camera saw, and where the detectors see the objects in all of it.
 
     Attributes:
         seen: the frame's grid; None where there is no foreground.
         detectors: of each object, None of those that are too thin for the grid's cells.
+        foreground: (H, W) pixels that may show an object.
+        first: the atoms of each object on the whole foreground.
     """
 
     seen: SeenSpace | None
     detectors: Sequence[Detector | None]
+    foreground: NDArray[np.bool_]
+    first: Sequence[Atoms]
 
     @classmethod
     def of(cls, data: SceneData, objects: Sequence[SceneObject]) -> MaskSearch:
         """The search in one frame."""
         seen = seen_space(data, max(float(np.linalg.norm(one.half_extents_m)) for one in objects))
-        if seen is None:
-            return cls(seen=None, detectors=[None] * len(objects))
-        thin = [is_thin(one, seen.pitch_m) for one in objects]
-        for one in (one for one, is_one in zip(objects, thin, strict=True) if is_one):
-            _log.warning("%s is too thin for masks of %.0f mm cells", one.name, 1000 * seen.pitch_m)
-        standing = data.table is not None
-        made = [
-            None if is_one else detector(one, seen.pitch_m, standing=standing)
-            for one, is_one in zip(objects, thin, strict=True)
-        ]
-        return cls(seen=seen, detectors=made)
+        detectors = [_detector_for(one, seen, standing=data.table is not None) for one in objects]
+        first = map_parallel(lambda made: _atoms(seen, made, data.foreground), detectors)
+        return cls(seen=seen, detectors=detectors, foreground=data.foreground, first=first)
 
     def atoms(self, one: int, unexplained: NDArray[np.bool_]) -> Atoms:
         """The best poses of an object on pixels (H, W) of the foreground that may show it."""
-        detector = self.detectors[one]
-        if self.seen is None or detector is None:
-            return Atoms.none()
-        return best_atoms(self.seen.waiting(unexplained), detector)
+        if np.array_equal(unexplained, self.foreground):
+            return self.first[one]
+        return _atoms(self.seen, self.detectors[one], unexplained)
+
+
+def _detector_for(one: SceneObject, seen: SeenSpace | None, *, standing: bool) -> Detector | None:
+    if seen is None:
+        return None
+    if is_thin(one, seen.pitch_m):
+        _log.warning("%s is too thin for masks of %.0f mm cells", one.name, 1000 * seen.pitch_m)
+        return None
+    return detector(one, seen.pitch_m, standing=standing)
+
+
+def _atoms(seen: SeenSpace | None, shape: Detector | None, unexplained: NDArray[np.bool_]) -> Atoms:
+    if seen is None or shape is None:
+        return Atoms.none()
+    return best_atoms(seen.waiting(unexplained), shape)
 
 
 def best_atoms(grid: EvidenceGrid, shape: Detector) -> Atoms:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -132,8 +131,7 @@ class SearchRound:
             return None
         poses = np.tile(np.asarray(OUT_OF_SIGHT, np.float64), (len(pools.objects), ATOMS, 1))
         log_weights = np.full((len(pools.objects), ATOMS), -np.inf)
-        on_foreground = partial(self.by_masks.atoms, unexplained=pools.data.foreground)
-        for index, atoms in enumerate(map_parallel(on_foreground, range(len(pools.objects)))):
+        for index, atoms in enumerate(self.by_masks.first):
             chosen = np.unique(_apart(atoms, ATOMS))
             if len(chosen):
                 poses[index, : len(chosen)] = atoms.poses[chosen]

@@ -14,7 +14,7 @@ from pipeline.synthesis.objects import built_in_object
 from scene.masks import detector as detector_source
 from scene.masks.detector import Detector, detector, is_thin
 from scene.masks.grid import FREE, PITCH_M, STEPS, EvidenceGrid
-from scene.masks.proposal import MaskSearch, best_atoms
+from scene.masks.proposal import Atoms, MaskSearch, best_atoms
 from scene.masks.shape_masks import OUTSIDE, SURFACE, ShapeMasks
 from scene.objects.scene_object import SceneObject, scene_object
 from shapes.geometry.poses import matrices_of
@@ -146,5 +146,7 @@ def test_what_is_thinner_than_half_a_cell_is_left_to_others(bottle: SceneObject)
 
     assert is_thin(card, PITCH_M)
     assert not is_thin(slab, PITCH_M)
-    nothing = MaskSearch(seen=None, detectors=[None])
-    assert nothing.atoms(0, np.ones((2, 2), bool)).poses.shape == (0, 7)
+    foreground = np.ones((2, 2), bool)
+    nothing = MaskSearch(seen=None, detectors=[None], foreground=foreground, first=[Atoms.none()])
+    for unexplained in (foreground, ~foreground):
+        assert nothing.atoms(0, unexplained).poses.shape == (0, 7)
