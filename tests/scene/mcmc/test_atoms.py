@@ -2,7 +2,7 @@
 
 A proposal is right if its density is that of its draws, whatever data the atoms come from: with the
 likelihood constant, chains return the prior. Three mutants do not, and are tested to be seen: the density
-without the atoms' share, atoms that follow the object's present pose, and atoms that it takes for wider.
+without the atoms' share, atoms that depend on where the object is, and atoms that it takes for wider.
 """
 
 from collections.abc import Callable
@@ -19,19 +19,21 @@ from scene.masks.convolution import FlatGrid, scores_in
 from scene.masks.grid import FREE, STEPS, EvidenceGrid
 from scene.masks.proposal import log_boltzmann
 from scene.masks.shape_masks import MOST_CELLS, ShapeMasks
-from scene.mcmc import pose_mixture
-from scene.mcmc.independence_multiple_try import MixtureProposal
+from scene.mcmc import mixture_init, pose_mixture
+from scene.mcmc.independence_multiple_try import IndependenceMultipleTry
+from scene.mcmc.involution import CandidateSet
 from scene.mcmc.kernel import Kernel, run_block
 from scene.mcmc.mixture_init import ATOMS_SHARE, with_atoms
 from scene.mcmc.pose_mixture import PoseMixture
+from scene.mcmc.random_variates import Variates
 from scene.mcmc.walks import WalkMove
-from scene.model.posterior import ChainState
+from scene.model.posterior import ChainState, SceneModel
 from scene.model.scene_graph import ROOT
 from shapes.geometry.rotation_densities import uniform_rotation
 from tests.statistical import assert_frequencies, assert_mean
 
 HERE = jnp.array([1.0, 0, 0, 0, 0, 0, 0])
-SIGMA_M, SIGMA_RAD = 0.1, 0.3
+SIGMA_M, SIGMA_RAD = 0.2, 1.0
 """Of atoms among cubes of a metre."""
 
 
@@ -68,7 +70,7 @@ def test_boltzmann_from_uniform_to_the_best() -> None:
 
 def atoms_mixture(count: int, log_weights: jax.Array, centres: jax.Array, sigma: float = 1.0) -> PoseMixture:
     """One wide component for each of `count` bodies, and the same atoms (A,) and (A, 7) for each."""
-    wide = jnp.diag(jnp.array([0.3, 0.3, 0.3, 0.8, 0.8, 0.8]) ** 2)
+    wide = jnp.diag(jnp.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0]) ** 2)
     mixture = PoseMixture.build(
         jnp.zeros((count, 1)), jnp.tile(HERE, (count, 1, 1)), jnp.tile(wide, (count, 1, 1, 1))
     )
@@ -191,24 +193,31 @@ def test_a_density_that_is_not_of_the_draws_is_seen(
 def test_a_grid_that_holds_the_moved_object_is_seen(
     key: jax.Array, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Atoms that follow the object's own pose: draws near where it is, with the density of others."""
-    context_of = MixtureProposal.context
+    """Atoms are right where they always are, and wrong where they are there only while the object is near."""
+    offer = IndependenceMultipleTry.propose
 
-    def follows(self, model, scene, chosen):
-        context = context_of(self, model, scene, chosen)
-        shift = 0.5 * jnp.abs(scene.poses[chosen, 4:])
-        return replace(
-            context, mixture=replace(context.mixture, centres=context.mixture.centres.at[:, 4:].add(shift))
-        )
+    def own_cells(
+        self: IndependenceMultipleTry, dice: Variates, model: SceneModel, state: ChainState
+    ) -> CandidateSet:
+        log_weights = self.mixture.log_weights
+        alone = jnp.where(jnp.arange(log_weights.shape[1]) == 0, 0.0, -jnp.inf)
+        is_near = state.scene.poses[0, 4] > 0
+        mixture = replace(self.mixture, log_weights=jnp.where(is_near, log_weights, alone[None]))
+        return offer(replace(self, mixture=mixture), dice, model, state)
 
-    monkeypatch.setattr(MixtureProposal, "context", follows)
+    right_key, wrong_key = jax.random.split(key)
+    monkeypatch.setattr(mixture_init, "ATOMS_SHARE", 0.5)
+    jax.clear_caches()
+    right = visited(right_key, seed)
+    monkeypatch.setattr(IndependenceMultipleTry, "propose", own_cells)
     jax.clear_caches()
 
-    means = visited(key, seed)
+    wrong = visited(wrong_key, seed)
 
     jax.clear_caches()
+    assert_mean(right, PRIOR, detectable=0.12)
     with pytest.raises(AssertionError, match="mean is off"):
-        assert_mean(means, PRIOR, detectable=0.12)
+        assert_mean(wrong, PRIOR, detectable=0.12)
 
 
 @pytest.mark.slow
