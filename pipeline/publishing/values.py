@@ -22,6 +22,8 @@ from slam.result import SlamResult
 V = TypeVar("V")
 LEVEL = 0.02
 """Mean squared sine (8 degrees) between the image's x axes and a direction across them, at most."""
+UPRIGHT = float(np.cos(np.radians(45)))
+"""A plane that leans more is a wall, or a grid that was laid along the camera's axes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,10 +70,15 @@ class RunValues:
         """Unit vector (3,) in the reference frame: a learned support's normal, else what cameras hold level.
 
         People hold cameras so that the image's x axis is level: up is across all of them, on the side where
-        the images have their top.
+        the images have their top. A shape's grid stands on its support, or is not upright at all.
         """
-        for shape in self.shapes.values():
-            return shape.reference_from_grid[:3, 2]
+        level = self._level_up
+        supports = [shape.reference_from_grid[:3, 2] for shape in self.shapes.values()]
+        return next((normal for normal in supports if normal @ level > UPRIGHT), level)
+
+    @property
+    def _level_up(self) -> NDArray[np.float64]:
+        """Across the x axes of all cameras."""
         if self.slam is None:
             return np.array([0.0, -1.0, 0.0])
         rightward, top = self.slam.mean[:, :3, 0], -self.slam.mean[:, :3, 1].mean(axis=0)

@@ -9,6 +9,7 @@ import rerun as rr
 from click.testing import CliRunner
 from PIL import Image
 from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
 
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
@@ -159,7 +160,12 @@ def test_up_is_the_worlds(filmed_mug: SyntheticRecording, values: RunValues) -> 
     alone = RunValues(slam=values.slam, room=values.room, shapes={})
 
     assert alone.up @ reference_from_world[:3, 2] > np.cos(np.radians(1))
-    assert values.up.tolist() == [0, 0, 1]
+    small = values.shapes["mug"]
+    upright = np.eye(4)
+    upright[:3, :3] = Rotation.align_vectors([alone.up], [[0.0, 0.0, 1.0]])[0].as_matrix()
+    standing = replace(alone, shapes={"mug": replace(small, reference_from_grid=upright)})
+    np.testing.assert_allclose(standing.up, upright[:3, 2])
+    assert values.up.tolist() == alone.up.tolist()  # whose grid lies along the camera's axes
 
 
 def test_the_views_are_made_again_from_the_mcap_alone(
