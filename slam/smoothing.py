@@ -47,9 +47,9 @@ class History:
 
         A particle's trajectory follows its own ancestors. The marginal of a frame mixes the particles'
         conditional Gaussians, those of its keyframe and of itself, so that it keeps its spread where few
-        ancestors survive, and is widened to a Student-t by what was learnt to be `UNDERSTATED`; the particles
-        themselves are not spread. Frames follow the sensor's distortion field, as it was estimated and as
-        uncertain as it is.
+        ancestors survive, and is widened to a Student-t by what was learnt to be `UNDERSTATED`. Where two
+        motions compete it reaches to the other one. The particles themselves are not spread. Frames follow
+        the sensor's distortion field, as it was estimated and as uncertain as it is.
 
         Args:
             state: after the last frame.
@@ -85,12 +85,14 @@ class History:
         central = _of_the_heaviest_mode(particles.keyframe_poses[:, : len(state.keyframe_map)], log_weights)
         mean, covariance = _marginals(known, means, state.population.log_weights, spread, central)
         disparity, sd = _distortion(placed, np.exp(log_weights))
+        displaced = np.asarray([info.doubt.displacements for info in self.frames], np.float64)
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
             trajectories=matrices_of(_composed(anchors, draws)),
             log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
-            covariance=UNDERSTATED * np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM),
+            covariance=UNDERSTATED * np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
+            + displaced @ displaced.transpose(0, 2, 1),
             degrees_of_freedom=np.asarray(DEGREES_OF_FREEDOM),
             ess=np.asarray([info.ess for info in self.frames]),
             log_evidence=np.asarray([info.log_evidence for info in self.frames]),

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 SOURCES = ("pipeline.stages.slam", "slam.tracking")
 MANY_SEARCHED = 10
+TOLD_DISPLACEMENT_M = 0.02
+"""By which a second motion must widen the told spread of a frame to be worth a warning. Chosen by hand."""
 CAUSES = (
     "tracking is slow and doubtful there: is it the right unit (--depth-scale), camera and depth topic, do "
     "few frames a second leave out much of the way, does something large move, is there but a bare wall?"
@@ -60,6 +62,7 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
     with session.common.progress("slam", "frames") as progress:
         progress.phase("reading")
         total, done, searched = session.look().frames, 0, 0
+        contested: list[int] = []
         progress.phase(f"compiling once for {recording.size[0]}x{recording.size[1]}")
 
         def on_frame(info: FrameInfo) -> None:
@@ -70,12 +73,14 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
                 session.warn(
                     f"frames {done - searched} to {done - 1} had to be searched one by one; {CAUSES}"
                 )
+            if info.doubt.shift_m > TOLD_DISPLACEMENT_M:
+                contested.append(done - 1)
             progress(done, total)
             if done == total:
                 progress.phase("refining the map")
 
         try:
-            return track(
+            result = track(
                 key,
                 recording,
                 recording.intrinsics,
@@ -87,3 +92,10 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
             )
         except ValueError as error:
             raise PipelineError(f"{session.source.path}: {error}") from error
+        if contested:
+            session.warn(
+                f"in {len(contested)} frames, {contested[0]} to {contested[-1]}, two things move against "
+                "each other and which is the room is open: the spread told there reaches to both. What moves "
+                "along with the camera is left out by --mask FILE.png"
+            )
+        return result

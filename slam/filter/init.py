@@ -13,6 +13,7 @@ from slam.config import SlamConfig
 from slam.filter import smc
 from slam.filter.map_update import CAPACITY_STEP
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
+from slam.filter.rival_motion import CERTAIN, RivalMotion
 from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_particles
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
@@ -34,9 +35,10 @@ def init(view: CanvasView, time_ns: int, config: SlamConfig) -> tuple[FilterStat
     calibration = NoiseCalibration.initial(config.noise, config.effective_pixel_share)
     pivot = np.asarray([0.0, 0.0, radius], np.float32)
     particles = initial_particles(config.particles, CAPACITY_STEP, pivot)
+    surface = surfel_image(view, calibration.noise)
     state = FilterState(
         population=smc.uniform_population(particles),
-        keyframe_map=KeyframeMap().with_keyframe(surfel_image(view, calibration.noise)),
+        keyframe_map=KeyframeMap().with_keyframe(surface),
         keyframe_times_ns=(time_ns,),
         calibration=calibration,
         motion=motion,
@@ -44,6 +46,7 @@ def init(view: CanvasView, time_ns: int, config: SlamConfig) -> tuple[FilterStat
         last_found=jnp.asarray(IDENTITY, jnp.float32),
         was_lost=False,
         steps_were_wide=False,
+        rival=RivalMotion.since(surface),
     )
     return state, _first_frame_info(config.particles)
 
@@ -101,4 +104,5 @@ def _first_frame_info(count: int) -> FrameInfo:
         keyframes=1,
         keyframe=0,
         components=0,
+        doubt=CERTAIN,
     )

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
+from slam.filter.rival_motion import Doubt
 from slam.filter.state import CameraParticles, FilterState, with_capacity
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.fusion import fuse
@@ -39,7 +40,7 @@ def with_room(state: FilterState) -> FilterState:
     return replace(state, population=population)
 
 
-def with_frame(state: FilterState, view: CanvasView, found: list[Registration]) -> FilterState:
+def with_frame(state: FilterState, view: CanvasView, found: list[Registration], doubt: Doubt) -> FilterState:
     """The frame teaches the sensor, and refines its anchor or, seen from elsewhere, becomes a keyframe.
 
     A new keyframe stands where each particle has the camera. While several places compete, no depth is
@@ -59,10 +60,12 @@ def with_frame(state: FilterState, view: CanvasView, found: list[Registration]) 
     particles: CameraParticles = state.population.particles
     keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
     population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
+    surface = surfel_image(view, noise)
     return replace(
         state,
         population=population,
-        keyframe_map=keyframe_map.with_keyframe(surfel_image(view, noise)),
+        keyframe_map=keyframe_map.with_keyframe(surface),
+        rival=state.rival.with_keyframe(surface, best.optimum.pose, doubt),
         keyframe_times_ns=(*state.keyframe_times_ns, state.times_ns[1]),
     )
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from shapes.geometry.pose_sets import IDENTITY
 from slam.filter import smc
 from slam.filter.motion import MotionPrior
+from slam.filter.rival_motion import Doubt, RivalMotion
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.likelihood.noise_calibration import NoiseCalibration
 
@@ -30,6 +31,7 @@ class FilterState:
         last_found: (7,) mean pose of the last frame that was found.
         was_lost: whether the last frame was not.
         steps_were_wide: whether the camera ever turned far from one frame to the next.
+        rival: what moves against the camera's motion.
     """
 
     population: smc.Population
@@ -41,6 +43,7 @@ class FilterState:
     last_found: jax.Array
     was_lost: bool
     steps_were_wide: bool
+    rival: RivalMotion
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class FrameInfo:
         keyframes: number of keyframes after this frame.
         keyframe: index of the one that this frame became, if it did.
         components: number of components of the proposal.
+        doubt: what a second motion leaves open about it.
     """
 
     anchor: int
@@ -88,6 +92,7 @@ class FrameInfo:
     keyframes: int
     keyframe: int | None
     components: int
+    doubt: Doubt
 
 
 @jax.tree_util.register_dataclass

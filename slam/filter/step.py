@@ -25,6 +25,7 @@ from slam.filter.map_update import with_calibration, with_frame, with_room
 from slam.filter.motion import MotionHistory, MotionPrior
 from slam.filter.pose_hypotheses import MAX_HYPOTHESES, find_pose_hypotheses, last_motion, predict
 from slam.filter.proposal import Component, Proposed, component_at, propose_all
+from slam.filter.rival_motion import CERTAIN, Doubt, doubt_of_frame
 from slam.filter.state import CameraParticles, FilterState, FrameInfo
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import stacked
@@ -75,9 +76,13 @@ def step(
     lost = found[0].group < 0
     known = len(state.keyframe_map)
     moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
+    doubt = CERTAIN
     if not lost:
-        moved = with_frame(moved, view, found)
-    report = frame_info(moved, known, view, info, proposed, components, found, lost, unexpected)
+        best = found[0]
+        anchor = int(best.indices[0]), best.local_map.poses[0]
+        rival, doubt = doubt_of_frame(state.rival, view, state.calibration, best.optimum.pose, *anchor)
+        moved = with_frame(replace(moved, rival=rival), view, found, doubt)
+    report = frame_info(moved, known, view, info, proposed, components, found, lost, unexpected, doubt)
     turned = state.steps_were_wide or turns_wide(*last_motion(population))
     return replace(moved, steps_were_wide=turned), report
 
@@ -148,6 +153,7 @@ def frame_info(
     found: list[Registration],
     lost: bool,
     unexpected: bool,
+    doubt: Doubt,
 ) -> FrameInfo:
     """Of a frame after its step.
 
@@ -161,6 +167,7 @@ def frame_info(
         found: optima, as by `slam.filter.pose_hypotheses.find_pose_hypotheses`.
         lost: whether there was none.
         unexpected: whether none was found where the camera was expected.
+        doubt: what a second motion leaves open.
     """
     particles: CameraParticles = state.population.particles
     anchor = int(found[0].indices[0])
@@ -194,6 +201,7 @@ def frame_info(
         keyframes=len(state.keyframe_map),
         keyframe=known_keyframes if is_keyframe else None,
         components=0 if lost else len(found),
+        doubt=doubt,
     )
 
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
 
+import numpy as np
+import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from pipeline.commands.learn import command
+from pipeline.stages.slam import MANY_SEARCHED, slam_stage
+from slam.filter.rival_motion import CERTAIN, Doubt
 
 
 def _without_poses_and_truth(source: Path, target: Path) -> None:
@@ -44,3 +51,49 @@ def test_truth_and_poses_change_no_byte(mug_file: Path, tmp_path: Path) -> None:
     for name in ("slam.npz", "trajectory.tum", "mug.npz", "summary.json"):
         files = [next((tmp_path / run).rglob(name)).read_bytes() for run in ("with", "without")]
         assert files[0] == files[1], name
+
+
+def _warnings(monkeypatch: pytest.MonkeyPatch, frames: list[SimpleNamespace]) -> list[str]:
+    """What the stage says of a recording whose frames give these reports."""
+
+    def track(*given: Any, **_: Any) -> None:
+        for info in frames:
+            given[4](info)
+
+    monkeypatch.setattr("slam.tracking.track", track)
+    session = MagicMock()
+    session.look.return_value.frames = len(frames)
+    session.stage.side_effect = lambda *given, **_: given[2]()
+    monkeypatch.setattr("pipeline.stages.slam.room_stage", lambda *_: None)
+    monkeypatch.setattr("pipeline.stages.slam.CheckpointKeeper", MagicMock())
+    slam_stage(session)
+    return [call.args[0] for call in session.warn.call_args_list]
+
+
+def test_frames_that_are_searched_one_by_one_are_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After ten in a row, with likely causes; nine, or a pause between, say nothing."""
+    found, searched = (SimpleNamespace(unexpected=flag, doubt=CERTAIN) for flag in (False, True))
+
+    said = _warnings(monkeypatch, [found] * 3 + [searched] * (2 * MANY_SEARCHED))
+    silent = _warnings(monkeypatch, [searched] * (MANY_SEARCHED - 1) + [found] + [searched] * 3)
+
+    assert len(said) == 1
+    assert said[0].startswith(f"frames 3 to {MANY_SEARCHED + 2} had to be searched")
+    assert "--depth-scale" in said[0]
+    assert silent == []
+
+
+def test_frames_in_which_two_things_move_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How many, from which to which; not where the spread is widened by millimetres."""
+    wide, narrow = np.zeros((6, 8), np.float32), np.zeros((6, 8), np.float32)
+    wide[0, 1], narrow[0, 1] = 0.1, 0.003
+    still = SimpleNamespace(unexpected=False, doubt=CERTAIN)
+    contested = SimpleNamespace(unexpected=False, doubt=Doubt(wide, 0.4))
+    hardly = SimpleNamespace(unexpected=False, doubt=Doubt(narrow, 0.1))
+
+    said = _warnings(monkeypatch, [still, contested, still, contested, hardly])
+
+    assert len(said) == 1
+    assert said[0].startswith("in 2 frames, 1 to 3, two things move")
+    assert "--mask" in said[0]
+    assert _warnings(monkeypatch, [still, hardly]) == []

@@ -1,0 +1,164 @@
+"""How far the camera may be from where it was found because something else than the room moves with it.
+
+Nothing but shares of the image tells which of two motions is the room's: each is with the probability that a
+pixel, out of those that only one of them explains, is explained by it. A keyframe that was placed in doubt
+hands its doubt on: the same thing is followed by mistake, or none is, so that displacements add up instead of
+averaging out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from shapes.geometry import pose_gaussian
+from shapes.geometry.pose_sets import IDENTITY
+from slam.keyframes.depth_view import CanvasView
+from slam.keyframes.surfels import SurfelImage
+from slam.likelihood.noise_calibration import NoiseCalibration
+from slam.registration.alignment import ModelImage
+from slam.registration.second_motion import two_motions
+
+LEAST_EXPLAINED = 0.5
+"""Of the returns, what an earlier view must explain by either motion to say anything of a frame: most."""
+
+BENT = 0.25
+"""Standard deviation of a displacement in all directions, relative to its size: what moves is not quite
+rigid, and a map of two motions is bent. Chosen by hand."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What a second motion leaves open about one frame.
+
+    Attributes:
+        displacements: (6, 8) from where it was found, in the camera's chart, each times the root of its
+            probability: to either motion, and along six axes as far as the second is uncertain; D D^T is the
+            second moment that they add.
+        rival_share: of the returns, what the second motion alone explains; 0 where there is none.
+    """
+
+    displacements: NDArray[np.float32]
+    rival_share: float
+
+    @property
+    def shift_m(self) -> float:
+        """Standard deviation of the position, all axes together, that it adds."""
+        return float(np.linalg.norm(self.displacements[:3]))
+
+
+CERTAIN = Doubt(np.zeros((6, 8), np.float32), 0.0)
+"""Nothing moves against the camera."""
+
+
+@dataclass(frozen=True)
+class RivalMotion:
+    """What has moved against the camera's found motion since an earlier view.
+
+    Attributes:
+        reference: that view, which no later frame has refined: of the last keyframe that was not in doubt, as
+            long as it explains most of a frame.
+        pose: (7,) where it was found.
+        of_reference: (6, 8) displacements of `Doubt` of that view.
+        second: (7,) reference_from_camera of the last frame by the other motion; the identity, as of what is
+            fixed to the camera, where there was none.
+        of_keyframes: (6, 8) for each keyframe the displacements of `Doubt`.
+    """
+
+    reference: ModelImage
+    pose: jax.Array
+    of_reference: NDArray[np.float32]
+    second: jax.Array
+    of_keyframes: tuple[NDArray[np.float32], ...]
+
+    @classmethod
+    def since(cls, surface: SurfelImage) -> RivalMotion:
+        """The first keyframe is in its place by definition."""
+        here = jnp.asarray(IDENTITY, jnp.float32)
+        doubt = CERTAIN.displacements
+        return cls(_reference(surface), here, doubt, here, (doubt,))
+
+    def with_keyframe(self, surface: SurfelImage, pose: jax.Array, doubt: Doubt) -> RivalMotion:
+        """A new keyframe, found at (7,); the next frames are compared with it unless it is in doubt."""
+        of_keyframes = (*self.of_keyframes, doubt.displacements)
+        if doubt.rival_share > 0:
+            return replace(self, of_keyframes=of_keyframes)
+        here = jnp.asarray(IDENTITY, jnp.float32)
+        return RivalMotion(_reference(surface), pose, doubt.displacements, here, of_keyframes)
+
+
+def _reference(surface: SurfelImage) -> ModelImage:
+    return ModelImage(surface.planes, surface.variance_m2, surface.camera)
+
+
+def doubt_of_frame(
+    rival: RivalMotion,
+    view: CanvasView,
+    calibration: NoiseCalibration,
+    found: jax.Array,
+    anchor: int,
+    anchor_pose: jax.Array,
+) -> tuple[RivalMotion, Doubt]:
+    """Whether a second motion says otherwise of a frame, and what is compared from then on.
+
+    Args:
+        rival: after the frame before.
+        view: the frame.
+        calibration: the sensor.
+        found: (7,) where it was found.
+        anchor: the keyframe next to it, whose doubt it shares where nothing moves.
+        anchor_pose: (7,) of that keyframe.
+    """
+    displacements, share, second = _judged(
+        rival.reference,
+        rival.pose,
+        rival.second,
+        view,
+        calibration.noise,
+        found,
+        jnp.asarray(rival.of_reference),
+        jnp.asarray(rival.of_keyframes[anchor]),
+        anchor_pose,
+    )
+    return replace(rival, second=second), Doubt(np.asarray(displacements), float(share))
+
+
+@jax.jit
+def _judged(
+    reference: ModelImage,
+    reference_pose: jax.Array,
+    second: jax.Array,
+    view: CanvasView,
+    noise: DepthNoise,
+    found: jax.Array,
+    of_reference: jax.Array,
+    of_anchor: jax.Array,
+    anchor_pose: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Displacements (6, 8), share of the second motion, and that motion (7,)."""
+    camera = jaxlie.SE3(found)
+    first = (jaxlie.SE3(reference_pose).inverse() @ camera).wxyz_xyz
+    two = two_motions(reference, view, noise, first, second)
+    away = jax.vmap(lambda pose: pose_gaussian.coordinates(first, pose))(two.poses)
+    other = jnp.argmax((away**2).sum(axis=1))
+    probabilities = two.shares / jnp.maximum(two.shares.sum(), 1e-6)
+    size = jnp.repeat(jnp.linalg.norm(away[other].reshape(2, 3), axis=1), 3)
+    spread = jnp.linalg.cholesky(two.covariances[other] + jnp.diag((BENT * size) ** 2 + 1e-12))
+    moved = jnp.concatenate(
+        [jnp.sqrt(probabilities)[None] * away.T, jnp.sqrt(probabilities[other]) * spread], axis=1
+    )
+    is_two = (two.log_odds > 0) & (two.explained > LEAST_EXPLAINED) & (two.shares[other] > 0)
+    is_two &= jnp.isfinite(moved).all()
+    of_reference = jaxlie.SE3(first).inverse().adjoint() @ of_reference
+    of_anchor = (jaxlie.SE3(anchor_pose).inverse() @ camera).inverse().adjoint() @ of_anchor
+    return (
+        jnp.where(is_two, of_reference + moved, of_anchor),
+        jnp.where(is_two, two.shares[other], 0.0),
+        jnp.where(is_two, two.poses[other], jnp.asarray(IDENTITY, first.dtype)),
+    )
