@@ -198,13 +198,21 @@ def short_walk(number: int, distortion_per_m: float = 0.0) -> Case:
         elevations_deg=(rng.uniform(0.0, 40.0),),
     )
     poses = camera_path(path, TARGET_M, rng)
+    sensor = DepthSensor(distortion_per_m=distortion_per_m)
+    return filmed_in_furnished_room(poses, path.radius_m, sensor, rng, number)
+
+
+def filmed_in_furnished_room(
+    poses: NDArray[np.float64], radius_m: float, sensor: DepthSensor, rng: np.random.Generator, number: int
+) -> Case:
+    """What a camera of 160x120 at (T, 4, 4) sees of a room with things in it, drawn by `rng`."""
     room = RoomConfig(kind="furnished", width_m=ROOM_M, depth_m=ROOM_M)
     recording = SyntheticRecording(
-        room_parts(room, path.radius_m, rng),
+        room_parts(room, radius_m, rng),
         SceneTruth(objects=(), support_plane=None),
-        Trajectory(times_ns=33_333_333 * np.arange(path.frames), reference_from_camera=poses),
+        Trajectory(times_ns=33_333_333 * np.arange(len(poses)), reference_from_camera=poses),
         CameraConfig(width=160, height=120).intrinsics,
-        DepthSensor(distortion_per_m=distortion_per_m),
+        sensor,
         number,
     )
     return _filmed(recording)
