@@ -10,7 +10,7 @@ import click
 from pipeline.executors import Workers, executors_for
 from pipeline.options import Common, common_options, words
 
-SECTIONS = ("C", "D", "E", "F", "G", "H", "O")
+SECTIONS = ("C", "D", "E", "F", "G", "H", "L", "O")
 PEERS = ("fpfh", "icp24", "ppf")
 ESTIMATE_AFTER = 8
 """Images after which the remaining time is told."""
@@ -58,6 +58,7 @@ def command(
     D  images in which objects are hard to find
     E  accuracy of poses in them, with curves; G, H: outlines on the images
     F  the same in a data set of real images (--data)
+    L  the probability of a mug that nobody sees
     O  the sampler of scene graphs against enumeration
 
     With --meshes the page tells how well it works on one's own objects. An interrupted run goes on with the

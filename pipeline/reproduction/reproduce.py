@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from pipeline.benchmarks.occlusion import figures, measure_occlusion, write_rows
 from pipeline.benchmarks.sampler import document_of, measure_sampler
 from pipeline.errors import PipelineError
 from pipeline.machine import machine
@@ -13,6 +14,8 @@ from pipeline.reproduction.request import Request
 from pipeline.reproduction.shape_chapter import shape_chapter
 
 SAMPLER_MOVES = 2_000_000
+OCCLUSION_WIDTH_PX, OCCLUSION_DRAWS = 64, 2**18
+"""As `bench occlusion` has them."""
 
 
 def reproduce(request: Request, sections: Sequence[str]) -> Page:
@@ -51,6 +54,22 @@ def _real_images(request: Request, page: Page) -> None:
     pose_chapters(request, page, request.data, "F, G, H. Poses in real images", "data", made_by)
 
 
+def _occlusion(request: Request, page: Page) -> None:
+    rows = measure_occlusion(request.seed, 0, OCCLUSION_WIDTH_PX, OCCLUSION_DRAWS, request.progress)
+    write_rows(request.out / "tables" / "occlusion.csv", rows)
+    page.chapter("L. A mug that nobody sees")
+    in_order = "yes" if figures(rows)["in_order"] else "no"
+    page.text(
+        "Its probability where a box is turned, wide, or closer, before which both are there with 0.9; the "
+        f"share of the volume that is hidden beside it. In the supplement's order: {in_order}."
+    )
+    page.listing(request.command("bench", "occlusion", meshes=False))
+    page.table(
+        ("scene", "hidden", "probability of the mug", "standard error"),
+        [(row.scene, f"{row.hidden_fraction:.1%}", f"{row.mug:.4f}", f"{row.mug_error:.4f}") for row in rows],
+    )
+
+
 def _sampler(request: Request, page: Page) -> None:
     document = document_of(measure_sampler(request.seed, SAMPLER_MOVES, request.progress))
     page.chapter("O. The sampler of scene graphs")
@@ -76,6 +95,7 @@ CHAPTERS: Mapping[str, Callable[[Request, Page], None]] = {
     "D": image_chapter,
     "E": _poses,
     "F": _real_images,
+    "L": _occlusion,
     "O": _sampler,
 }
 """By the supplement's letters; pictures (G, H) stand with the poses of E and F."""

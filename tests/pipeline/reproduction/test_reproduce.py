@@ -64,7 +64,7 @@ def test_the_page_holds_tables_curves_and_outlines(tmp_path: Path, monkeypatch: 
     assert (tmp_path / "figures" / "challenging_curves.svg").is_file()
     kept = list(kept_images(pose_chapters.challenging_source(request), columns, request.rows))
     assert [len(found) for _, found in kept] == [2, 2]
-    assert set("CDEFO") == set(CHAPTERS)
+    assert set("CDEFLO") == set(CHAPTERS)
 
 
 def test_the_page_opens_in_a_browser_without_a_network(tmp_path: Path) -> None:
