@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import warnings
 from pathlib import Path
 
 
@@ -11,10 +12,11 @@ def keep_compiled_kernels() -> None:
     """Switch JAX's persistent compilation cache on, for the shortest kernels too.
 
     `JAX_COMPILATION_CACHE_DIR` decides the folder where it is set. Without platformdirs, or where the
-    folder cannot be made, kernels are compiled in every process.
+    folder cannot be made, kernels are compiled in every process, and so is one whose file there is damaged.
     """
     import jax
 
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):

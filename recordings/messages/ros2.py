@@ -5,7 +5,9 @@ Where the file's definition is empty or IDL, the standard definition of that nam
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
+from contextlib import redirect_stderr
 from typing import Any
 
 import numpy as np
@@ -57,7 +59,8 @@ def decoder(
     if schema_encoding != SchemaEncoding.ROS2 or not schema_data.strip():
         text = standard_definition(name).encode()
     schema = Schema(id=1, name=name, encoding=SchemaEncoding.ROS2, data=text)
-    parse = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+    with redirect_stderr(io.StringIO()):  # what it raises of a broken definition it prints too
+        parse = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
     assert parse is not None
     return lambda data: convert(parse(_unpacked(data)))
 

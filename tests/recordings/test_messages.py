@@ -7,7 +7,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from recordings.messages.ros2 import canonical_name
+from recordings.messages.ros2 import canonical_name, decoder
 from recordings.messages.types import quaternion_xyzw, rigid_matrix
 from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
@@ -178,6 +178,14 @@ def test_unknown_schemas_are_passed_over(recording_path):
         scribe.ros2("/camera_info", camera_info(STAMPS[0], (40, 30), K), STAMPS[0])
         scribe.ros2("/depth", image(STAMPS[0], "16UC1", DEPTH), STAMPS[0])
     assert len(open_recording(recording_path)) == 1
+
+
+def test_a_broken_definition_is_an_error_and_prints_nothing(capfd: pytest.CaptureFixture[str]):
+    """The library that reads definitions would print its own line beside what it raises."""
+    with pytest.raises(Exception, match="no-such"):
+        decoder("sensor_msgs/msg/Image", "ros2msg", b"no-such/type/at/all stamp\n")
+
+    assert capfd.readouterr().err == ""
 
 
 def test_messages_compressed_one_by_one_are_read(recording_path):
