@@ -12,6 +12,12 @@ from recordings.settings import check_finite, check_within
 MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "sweeps": 10_000_000}
 """Beyond these nobody has the memory or the time: a slip of the hand."""
 
+MOST_EXACT = 2
+"""Objects whose joint presence is computed: poses are drawn for each set of them."""
+
+EXACT_DRAWS = 2**16
+"""Of prior poses for each set: shares are then known to 0.002."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ParseConfig:
@@ -37,6 +43,8 @@ class ParseConfig:
         presence: prior probability that an object is there.
         proposals: where the search's poses come from before they are refined: templates matched to observed
             `points`, convolution `masks`, or `both`, half and half.
+        exact: one object or two whose presence is computed exactly where they are not found: at rest on a
+            support, or without one anywhere in the region.
         rounds: of renewed search on what is left unexplained.
         pool: poses an object and round that are compared jointly.
         shape_samples: draws of each uncertain shape that the likelihood is averaged over; 0 takes every
@@ -72,6 +80,7 @@ class ParseConfig:
     gamma: float = 2.2
     presence: float = 0.9
     proposals: Literal["points", "masks", "both"] = "points"
+    exact: tuple[str, ...] = ()
     rounds: int = 2
     pool: int = 48
     shape_samples: int = 0
@@ -108,6 +117,16 @@ class ParseConfig:
             raise ValueError("most must lie between 1 and 8, gamma between 0.2 and 5")
         if not 0 < self.presence < 1:
             raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")
+        if len(set(self.exact)) != len(self.exact) or len(self.exact) > MOST_EXACT:
+            sets = 2 ** len(self.exact) - 1
+            raise ValueError(
+                f"exact takes one object or two, got {','.join(self.exact)}: {sets} sets of them would have "
+                f"to be rendered together, {EXACT_DRAWS} times each"
+            )
+        if missing := set(self.exact) - set(self.objects or self.exact):
+            raise ValueError(f"exact names {min(missing)!r}, which is none of the objects asked for")
+        if self.exact and self.colour == "only":
+            raise ValueError("exact needs depth images; it does not go with colour only")
         if not 0 < self.pixel_weight <= 1:
             raise ValueError(f"pixel_weight must lie in (0, 1], got {self.pixel_weight}")
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:

@@ -13,19 +13,21 @@ from scipy.spatial import KDTree
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
+from scene.hidden.hidden_places import HiddenPlaces, hidden_places
+from scene.hidden.pose_priors import PlacedObject, Support
 from scene.initialisation import initialise
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.mcmc.sampling import sample_posterior
+from scene.mcmc.sampling import carrying, sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.depth_view import unproject
+from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import frame_data, scene_data
 from scene.result import SceneResult
 from scene.search.importance_sampling import refine
 from scene.search.search_result import Initialisation
 from scene.summary import summarise
-from scene.verification.occlusion import PlacedObject, unseen_share
 from shapes.depth_noise import with_surface_error
 from shapes.geometry.poses import matrices_of, poses_of
 
@@ -65,7 +67,7 @@ def parse_scene(
     Raises:
         ValueError: the first frame shows nothing to parse.
     """
-    seed_key, search_key, refine_key, chain_key, again_key, unseen_key = jax.random.split(key, 6)
+    seed_key, search_key, refine_key, chain_key, again_key, hidden_key = jax.random.split(key, 6)
     seed = int(jax.random.randint(seed_key, (), 0, 2**31 - 1))
     views = _views(frames, first_camera_from_camera, intrinsics, seed, config)
     renderer = ObjectRenderer.of(objects)
@@ -97,12 +99,13 @@ def parse_scene(
             config,
             progress,
         )
+    used = carrying(data.supports, objects, start)
     scene = summarise(
         samples,
         found,
         start,
         found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0],
-        _unseen(unseen_key, views, objects, start, world_from_camera),
+        _hidden(hidden_key, views, poses, used, world_from_camera, objects, start, noise, config),
         world_from_camera,
         objects,
         np.asarray(frame_indices),
@@ -148,27 +151,37 @@ def _best_start(
     return 0, start
 
 
-def _unseen(
+def _hidden(
     key: jax.Array,
     views: Sequence[SceneData],
+    camera_from_world: NDArray[np.float64],
+    supports: Sequence[SupportPlane],
+    world_from_camera: NDArray[np.float64],
     objects: Sequence[SceneObject],
     start: Initialisation,
-    world_from_camera: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Share (N,) of the poses of each object on the table that no view shows; 0 of those found."""
-    share = np.zeros(len(objects))
-    seen = [(view.view, view.table) for view in views if view.table]
-    if not seen:
-        return share
-    table_from_box = world_from_camera @ matrices_of(start.poses)
-    placed = [
-        PlacedObject(shape=objects[one], table_from_box=table_from_box[one])
-        for one in np.flatnonzero(start.found).tolist()
-    ]
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    for one in np.flatnonzero(~start.found).tolist():
-        share[one] = unseen_share(rng, seen, objects[one], placed)
-    return share
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> HiddenPlaces:
+    """Where the objects that were not found may be; supports and scene are in the searched frame's camera."""
+    world_from_box = world_from_camera @ matrices_of(start.poses)
+    return hidden_places(
+        np.random.default_rng(np.asarray(jax.random.key_data(key))),
+        views,
+        camera_from_world,
+        [
+            Support(world_from_support=world_from_camera @ one.camera_from_table, half_size_m=one.half_size_m)
+            for one in supports
+        ],
+        camera_from_world[0],
+        objects,
+        [
+            PlacedObject(shape=objects[one], world_from_box=world_from_box[one])
+            for one in np.flatnonzero(start.found).tolist()
+        ],
+        start.found,
+        noise,
+        config,
+    )
 
 
 def _most_new(views: Sequence[SceneData], first_camera_from_camera: NDArray[np.float64]) -> int:

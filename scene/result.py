@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shapes.archive import load_fields, save_fields
 from shapes.geometry.poses import matrices_of, poses_of
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 
 TABLE = "table"
 
@@ -33,6 +33,12 @@ class SceneResult:
             first; other modes are part of it.
         most_probable: (N, 4, 4) the sample of the greatest posterior density.
         presence: (N,) probability that the object is there.
+        presence_std: (N,) its standard error from the number of poses at which hidden objects were tried; 0
+            of those found.
+        hidden_share: (N,) of an object not found the mean likelihood ratio over prior poses, about the share
+            of them that no image shows; 0 of those found.
+        hidden_poses: (N, K, 7) float64 camera_from_object in draws of the posterior of an object not found,
+            given that it is there.
         visible_fraction: (N,) share of its pixels that nothing hides, in the frame that was searched.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.
         mode_probabilities: (N, M), 0 where there are fewer.
@@ -54,6 +60,9 @@ class SceneResult:
     covariance: NDArray[np.float64]
     most_probable: NDArray[np.float64]
     presence: NDArray[np.float64]
+    presence_std: NDArray[np.float64]
+    hidden_share: NDArray[np.float64]
+    hidden_poses: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]
     mode_poses: NDArray[np.float64]
     mode_probabilities: NDArray[np.float64]
@@ -127,6 +136,7 @@ class SceneResult:
             most_probable=camera_from_this @ self.most_probable,
             mode_poses=camera_from_this @ self.mode_poses,
             sample_poses=poses_of(camera_from_this @ matrices_of(self.sample_poses)),
+            hidden_poses=poses_of(camera_from_this @ matrices_of(self.hidden_poses)),
         )
 
     def save(self, path: Path) -> None:

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import expit
 
 from scene.config import ParseConfig
+from scene.hidden.hidden_places import HiddenPlaces
 from scene.mcmc.samples import Samples
 from scene.model.presence import log_odds_of_presence
 from scene.model.scene_graph import ROOT
@@ -38,7 +39,7 @@ def summarise(
     chosen: FoundObjects,
     start: Initialisation,
     visible_fraction: NDArray[np.float64],
-    unseen: NDArray[np.float64],
+    hidden: HiddenPlaces,
     world_from_camera: NDArray[np.float64],
     objects: Sequence[SceneObject],
     frames: NDArray[np.int64],
@@ -52,7 +53,7 @@ def summarise(
         chosen: which of all these are.
         start: the best scene of all objects.
         visible_fraction: (N,).
-        unseen: (N,) share of the prior's poses that no view shows.
+        hidden: what is known of objects that were not found.
         world_from_camera: (4, 4).
         objects: all N.
         frames: numbers of the frames used.
@@ -69,6 +70,7 @@ def summarise(
     modes = [pose_modes(boxes[:, one]) for one in range(count)]
     means = np.stack([one.centres[0] for one in modes]) @ box_from_object
     poses = boxes @ box_from_object
+    presence, presence_std = _presence(start, hidden, config)
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
     return SceneResult(
         names=np.array([one.name for one in objects]),
@@ -76,7 +78,10 @@ def summarise(
         camera_from_object=means,
         covariance=np.stack([second_moment(poses[:, one], means[one]) for one in range(count)]),
         most_probable=poses[int(flat.log_posterior.argmax())],
-        presence=expit(log_odds_of_presence(start.log_odds, unseen, config.presence)),
+        presence=presence,
+        presence_std=presence_std,
+        hidden_share=hidden.share,
+        hidden_poses=poses_of(np.linalg.inv(world_from_camera) @ hidden.poses @ box_from_object[:, None]),
         visible_fraction=visible_fraction,
         mode_poses=np.stack([one.centres for one in modes]) @ box_from_object[:, None],
         mode_probabilities=np.stack([one.shares for one in modes]),
@@ -90,6 +95,20 @@ def summarise(
         acceptance=np.asarray(np.mean(flat.accepted), np.float64),
         log_estimate_variance=np.asarray(log_estimate_variance),
     )
+
+
+def _presence(
+    start: Initialisation, hidden: HiddenPlaces, config: ParseConfig
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Presence (N,) and its standard error (N,) from the draws of hidden poses."""
+    presence, above = (
+        expit(log_odds_of_presence(start.log_odds, share, config.presence))
+        for share in (hidden.share, hidden.share + hidden.share_std)
+    )
+    std = np.where(start.found, 0.0, above - presence)
+    for one, told in hidden.exact.items():
+        presence[one], std[one] = told
+    return presence, std
 
 
 def _of_all(flat: Samples, chosen: FoundObjects) -> Samples:

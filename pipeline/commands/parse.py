@@ -15,6 +15,12 @@ from pipeline.options import Common, RecordingSource, common_options, numbers, r
 MOST_FRAMES = 1000
 """All are held in memory and compared at once."""
 
+MENTIONED = 0.05
+"""Presence from which the terminal tells of an object that was not found."""
+
+REGIONS = 3
+"""Of such an object that the terminal tells."""
+
 
 class FrameNumbers(click.ParamType):
     """`0`, `0,5,9` or `0:5` (up to and without 5)."""
@@ -104,6 +110,11 @@ class FrameNumbers(click.ParamType):
     "default.",
 )
 @click.option("--presence", type=float, metavar="P", help="Prior probability that an object is there.")
+@click.option(
+    "--exact",
+    metavar="A[,B]",
+    help="Of one object or two that are not found: the exact probability of being hidden, and where.",
+)
 @recording_options
 @common_options("recording", "parse", "slam")
 @click.pass_context
@@ -127,6 +138,7 @@ def command(
     table: str | None,
     light: str | None,
     presence: float | None,
+    exact: str | None,
 ) -> None:
     """Find the objects in REC, their poses and what rests on what.
 
@@ -139,7 +151,7 @@ def command(
     from pipeline.stages.parse import parse_stage
 
     options = {
-        "objects": _names(objects),
+        "objects": None if objects in (None, "any") else _names("--objects", objects),
         "frames": frames,
         "graph": graph,
         "likelihood": likelihood,
@@ -150,6 +162,7 @@ def command(
         "table": None if table is None else numbers("--table", table),
         "light": None if light is None else numbers("--light", light),
         "presence": presence,
+        "exact": None if exact is None else _names("--exact", exact),
     }
     if colour == "only":
         source = replace(source, said={**source.said, "colour_alone": True})
@@ -159,6 +172,7 @@ def command(
         damage = session.damage
     document = stage_document(session.run, "parse")
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]
+    lines += [_hidden_line(one) for one in document["not_found"] if one["presence"] >= MENTIONED]
     rate = (document["effective_samples"] or 0) / max(document["seconds"], 1e-3)
     lines += [
         f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s; "
@@ -171,13 +185,25 @@ def command(
     ctx.exit(report_damage(source.path, damage))
 
 
-def _names(objects: str | None) -> tuple[str, ...] | None:
-    if objects is None or objects == "any":
-        return None
-    names = tuple(name.strip() for name in objects.split(","))
+def _names(option: str, text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
     if not all(names):
-        raise ConfigError(f"--objects {objects}: write names with commas between them, or any")
+        raise ConfigError(f"{option} {text}: write names with commas between them")
     return names
+
+
+def _hidden_line(one: dict[str, Any]) -> str:
+    """What a person wants to know of an object that nobody sees."""
+    text = f"{one['name']}: not seen, presence {one['presence']:.3f} ± {one['presence_std']:.3f}"
+    places = [
+        f"{region['probability']:.2f} in ({_corner(region['low_m'])}) to ({_corner(region['high_m'])}) cm"
+        for region in one["regions"][:REGIONS]
+    ]
+    return "; ".join([text, *places])
+
+
+def _corner(point_m: list[float]) -> str:
+    return ", ".join(f"{100 * metres:.0f}" for metres in point_m)
 
 
 def _line(one: dict[str, Any], graph: list[dict[str, Any]]) -> str:

@@ -60,15 +60,15 @@ def drawable_scene(result: SceneResult) -> SceneResult:
     """The same without the objects whose pose or spread is not finite."""
     usable = _is_rigid(result.camera_from_object) & _is_small(result.covariance).all(axis=(1, 2))
     presence = np.where(usable, _probabilities(result.presence), 0.0)
-    sampled = _is_small(result.sample_poses).all(axis=-1, keepdims=True)
-    sampled &= (
-        np.linalg.norm(np.where(sampled, result.sample_poses, 0.0)[..., :4], axis=-1, keepdims=True) > 0
+    samples, hidden = (
+        np.where(are_poses(poses)[..., None], poses, [1.0, 0, 0, 0, 0, 0, 0])
+        for poses in (result.sample_poses, result.hidden_poses)
     )
-    samples = np.where(sampled, result.sample_poses, [1.0, 0, 0, 0, 0, 0, 0])
     return replace(
         _with_finite_poses(result),
         presence=presence,
         sample_poses=samples,
+        hidden_poses=hidden,
         edge_probabilities=_probabilities(result.edge_probabilities),
     )
 
@@ -76,6 +76,12 @@ def drawable_scene(result: SceneResult) -> SceneResult:
 def _probabilities(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """The nearest that are probabilities, zero for what is no number."""
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
+
+
+def are_poses(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether (..., 7) are finite, with a quaternion of some length."""
+    small = np.asarray(_is_small(poses).all(axis=-1))
+    return small & (np.linalg.norm(np.where(small[..., None], poses, 0.0)[..., :4], axis=-1) > 0)
 
 
 def _with_finite_poses(result: Result) -> Result:

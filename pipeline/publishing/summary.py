@@ -8,19 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from pipeline.publishing.finite import finite_json, remarks_on
+from pipeline.publishing.finite import are_poses, finite_json, remarks_on
 from pipeline.publishing.trajectory_files import seconds_text
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import Surfaces
 from scene.diagnostics import ENOUGH_SAMPLES, Convergence, scene_convergence
+from scene.hidden.regions import regions_of
 from scene.result import FACES, SceneResult
+from shapes.geometry.poses import matrices_of
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
 MOST_ENCLOSED, MOST_BODIES, LARGEST_M = 5.0, 20, 0.4
 """Beyond these a learned shape is told to be doubtful. A hand-held scan of which a whole shelf was taken for
 the object had 37 times as many enclosed voxels as seen ones, in 1160 bodies."""
+LEAST_REGION = 0.001
+"""Probability of a region that is told: a few hundred poses of the posterior tell no smaller ones."""
 MOST_SWEEPS_FACTOR = 20.0
 """Chains longer than this many times the default have not been measured (README, "Measured")."""
 
@@ -150,7 +154,13 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
             for one in found
         ],
         "not_found": [
-            {"name": names[one], "presence": float(scene.presence[one])}
+            {
+                "name": names[one],
+                "presence": float(scene.presence[one]),
+                "presence_std": float(scene.presence_std[one]),
+                "hidden_share": float(scene.hidden_share[one]),
+                "regions": _regions(scene, one, middles_m[one]),
+            }
             for one in np.flatnonzero(~scene.found).tolist()
         ],
         "graph": [
@@ -165,6 +175,19 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
             for parent in np.flatnonzero(scene.edge_probabilities[child] > 0)
         ],
     }
+
+
+def _regions(scene: SceneResult, one: int, middle_m: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Where an object that was not found may be, likeliest region first; corners of where its middle is."""
+    if not scene.hidden_share[one] > 0:
+        return []
+    poses = matrices_of(scene.hidden_poses[one][are_poses(scene.hidden_poses[one])])
+    regions = regions_of(float(scene.presence[one]), poses[:, :3, :3] @ middle_m + poses[:, :3, 3])
+    return [
+        {"probability": each.probability, "low_m": each.low_m.tolist(), "high_m": each.high_m.tolist()}
+        for each in regions
+        if each.probability >= LEAST_REGION
+    ]
 
 
 def sweeps_advised(scene: SceneResult, agreement: Convergence) -> int | None:
@@ -211,5 +234,7 @@ def _modes(scene: SceneResult, one: int, middle_m: NDArray[np.float64]) -> list[
             "probability": float(scene.mode_probabilities[one, mode]),
             "middle_std_m": float(np.sqrt(np.trace(scene.covariance_of_point(one, middle_m, mode)))),
         }
-        for mode in np.flatnonzero(scene.mode_probabilities[one] > 0).tolist()
+        for mode in np.flatnonzero(
+            np.isfinite(scene.mode_probabilities[one]) & (scene.mode_probabilities[one] > 0)
+        ).tolist()
     ]

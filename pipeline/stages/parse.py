@@ -56,6 +56,10 @@ def parse_stage(
     config = session.common.settings.section("parse", ParseConfig, options)
     alone = config.colour == "only"
     surfaces = _surfaces(session, shapes, units, config.objects, ids or {}, config.most if alone else 1)
+    if missing := sorted(set(config.exact) - set(surfaces.value.by_name)):
+        raise PipelineError(
+            f"--exact {missing[0]}: no such shape; there are {', '.join(surfaces.value.by_name)}"
+        )
     trajectory = slam_stage(session) if len(config.frames) > 1 and not alone else None
 
     def compute() -> SceneResult:

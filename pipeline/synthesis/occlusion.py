@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -17,9 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.synthesis.colours import shape_colour
 from pipeline.synthesis.world import Part, RayCaster
-from recordings.truth import SceneTruth, TrueObject, write_scene_truth
-from recordings.types import CameraIntrinsics, DepthNoise, Frame
-from recordings.writer import RecordingWriter
+from recordings.types import CameraIntrinsics, DepthNoise
 
 FAR_M = 2.0
 """D, the depth that a pixel without an object shows."""
@@ -48,8 +45,6 @@ SCENES: Mapping[str, tuple[float, float]] = {
     "closer": (0.0, 0.65),
 }
 """Yaw in degrees and distance in metres of the box in Fig. 7 (d), (c) and (e)."""
-
-FIRST_STAMP_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,26 +131,3 @@ def hidden_fraction(scene: OcclusionScene, points: int = 32) -> float:
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     shown_m = scene.ideal_m[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
     return float((~inside | (z > shown_m)).mean())
-
-
-def write_occlusion_scene(scene: OcclusionScene, meshes: Mapping[str, trimesh.Trimesh], path: Path) -> None:
-    """One frame as an MCAP file, with the truth of what is there.
-
-    Raises:
-        RecordingError: the file cannot be written.
-    """
-    there = [
-        TrueObject(
-            name=name,
-            shape=name,
-            world_from_object=pose,
-            vertices_m=np.asarray(meshes[name].vertices, np.float64),
-            faces=np.asarray(meshes[name].faces, np.int32),
-            parent=None,
-        )
-        for name, pose in scene.camera_from_object.items()
-    ]
-    with RecordingWriter(path, scene.camera) as writer:
-        write_scene_truth(writer, SceneTruth(objects=tuple(there), support_plane=None), FIRST_STAMP_NS)
-        writer.write_camera_pose(FIRST_STAMP_NS, np.eye(4))
-        writer.write_depth(Frame(time_ns=FIRST_STAMP_NS, depth_m=np.maximum(scene.depth_m, 1e-3), rgb=None))

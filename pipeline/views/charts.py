@@ -68,23 +68,28 @@ def presence_bars(parse: Mapping[str, Any], colours: Mapping[str, Colour]) -> ND
         parse: of summary.json.
         colours: of the objects that were found, by name.
     """
-    every = sorted([*parse["objects"], *parse["not_found"]], key=lambda one: -one["presence"])
+    every = sorted([*parse["objects"], *parse["not_found"]], key=lambda one: -_share(one))
     image, draw = _canvas(len(every), NARROW_PX)
     for row, one in enumerate(every):
         top = MARGIN_PX + row * LINE_PX
         draw.text((MARGIN_PX, top), one["name"][:NAME_LETTERS], INK, _font())
         draw.rectangle((BAR_LEFT_PX, top + 2, BAR_LEFT_PX + SHORT_PX, top + 16), FAINT)
-        end = BAR_LEFT_PX + round(SHORT_PX * one["presence"])
+        end = BAR_LEFT_PX + round(SHORT_PX * _share(one))
         draw.rectangle((BAR_LEFT_PX, top + 2, end, top + 16), colours.get(one["name"], INK))
         draw.text((BAR_LEFT_PX + SHORT_PX + 8, top), _bar_text(one), INK, _font())
     return np.asarray(image)
 
 
+def _share(one: Mapping[str, Any]) -> float:
+    """Presence as a share of the bar, also where it is no number."""
+    return min(max(one["presence"] or 0.0, 0.0), 1.0)
+
+
 def _bar_text(one: Mapping[str, Any]) -> str:
     """Presence and spread, with a question mark where chains do not agree on it."""
     if "middle_std_m" not in one:
-        return f"{one['presence']:.0%}"
-    return f"{one['presence']:.0%}, {position_text(one)}{'' if one['converged'] else '?'}"
+        return f"{_share(one):.0%}"
+    return f"{_share(one):.0%}, {position_text(one)}{'' if one['converged'] else '?'}"
 
 
 def depth_colours(shares: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -12,7 +12,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from pipeline.colours import TABLE as TABLE_COLOUR
-from pipeline.colours import WHITE, object_colours
+from pipeline.colours import UNSEEN, WHITE, object_colours
 from pipeline.publishing.told_spread import label_text
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import SceneSurface, Surfaces
@@ -23,7 +23,7 @@ from shapes.geometry.poses import matrices_of
 LETTER_PX, LEVEL_PX, STAGGER_PX = 8, 110, 40
 """Of the graph: width of a letter, height of a level, and by how much every second node is raised."""
 LIKELY = 0.05
-"""Edges at least as probable are drawn, with their probabilities."""
+"""Edges at least as probable are drawn, with their probabilities, and objects that nobody sees."""
 LABEL_RADIUS_M = 1e-4
 CHI_95 = 2.796
 """Radius of the 95% region of a normal distribution in three dimensions, in standard deviations."""
@@ -62,8 +62,10 @@ def log_scene(
             albedo_factor=colour,
         )
         recording.log(f"{path}/surface", mesh, static=True)
-        recording.log(f"{path}/samples", _outlines(scene, one, surface, colour), static=True)
+        samples = np.linalg.inv(scene.camera_from_object[one]) @ matrices_of(scene.sample_poses[:, one])
+        recording.log(f"{path}/samples", _outlines(samples, surface, colour), static=True)
         _log_flag(recording, values, scene, one, surface, label_text(told[name]))
+    _log_hidden(recording, values, scene, surfaces)
     _log_graph(recording, scene)
 
 
@@ -85,12 +87,29 @@ def found_places_m(scene: SceneResult, surfaces: Surfaces, up: NDArray[np.float6
     return np.concatenate(corners)
 
 
+def _log_hidden(
+    recording: rr.RecordingStream, values: RunValues, scene: SceneResult, surfaces: Surfaces
+) -> None:
+    """Outlines of where objects that nobody sees may be, behind what hides them, a label at the first."""
+    for one in np.flatnonzero(~scene.found & (scene.hidden_share > 0) & (scene.presence >= LIKELY)).tolist():
+        name, surface = str(scene.names[one]), surfaces.by_name[str(scene.names[one])]
+        poses = values.reference_from_parsed @ matrices_of(scene.hidden_poses[one])
+        path, colour = f"world/hidden/{name}", UNSEEN
+        recording.log(f"{path}/samples", _outlines(poses, surface, colour), static=True)
+        label = rr.Points3D(
+            [poses[0, :3, :3] @ surface.middle_m + poses[0, :3, 3]],
+            radii=LABEL_RADIUS_M,
+            colors=WHITE,
+            labels=f"{name} {scene.presence[one]:.0%}, not seen",
+        )
+        recording.log(f"{path}/label", label, static=True)
+
+
 def _outlines(
-    scene: SceneResult, one: int, surface: SceneSurface, colour: tuple[int, int, int]
+    samples: NDArray[np.float64], surface: SceneSurface, colour: tuple[int, int, int]
 ) -> rr.Boxes3D:
-    """Bounding boxes of some samples, evenly chosen, in the frame of the object's mean pose."""
-    chosen = np.unique(np.linspace(0, len(scene.sample_poses) - 1, GHOSTS).round().astype(int))
-    poses = np.linalg.inv(scene.camera_from_object[one]) @ matrices_of(scene.sample_poses[chosen, one])
+    """Bounding boxes of some samples (S, 4, 4), evenly chosen."""
+    poses = samples[np.unique(np.linspace(0, len(samples) - 1, GHOSTS).round().astype(int))]
     return rr.Boxes3D(
         centers=poses[:, :3, :3] @ surface.middle_m + poses[:, :3, 3],
         half_sizes=np.tile(np.ptp(surface.vertices_m, axis=0) / 2, (len(poses), 1)),

@@ -69,7 +69,7 @@ class DepthImages:
         self.draws = len(images[0].rest_m)
         self._evidence = [
             depth_evidence(
-                noise, _cameras(image, self.draws), jnp.asarray(image.observed_m)[None], image.rest_m
+                noise, _cameras(image.camera, self.draws), jnp.asarray(image.observed_m)[None], image.rest_m
             )
             for image in images
         ]
@@ -80,16 +80,15 @@ class DepthImages:
 
     def layers(self, one: SceneObject, world_from_box: NDArray[np.float64]) -> NDArray[np.float32]:
         """Depth (n, H, W) of an object alone at poses (n, 4, 4) in the first image; +inf where it is not."""
-        image = self.images[0]
-        posed = _posed(image, one, world_from_box, np.zeros(len(world_from_box), int))
-        return np.asarray(render_layers(one.library, posed, _cameras(image, 1), *image.observed_m.shape))
+        first = self.images[0]
+        return rendered_m(first.camera, first.camera_from_world, one, world_from_box, first.observed_m.shape)
 
     def log_ratios(self, one: SceneObject, world_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log ratio (n,) of each pose (n, 4, 4), against the draws of what is known in turn."""
         draw = np.arange(len(world_from_box)) % self.draws
         total = np.zeros(len(world_from_box))
         for image, evidence in zip(self.images, self._evidence, strict=True):
-            posed = _posed(image, one, world_from_box, draw)
+            posed = _posed(image.camera_from_world, one, world_from_box, draw)
             total += image.weight * log_likelihood_ratio(one.library, self.noise, evidence, posed)
         return total
 
@@ -123,27 +122,44 @@ class DepthImages:
         filled = np.minimum(np.arange(PAIRS_TOGETHER), count - 1)
         draw, total = (first + filled) % self.draws, np.zeros(PAIRS_TOGETHER)
         for image in self.images:
-            known = _posed(image, other, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int))
-            layers_m = render_layers(other.library, known, _cameras(image, 1), *image.observed_m.shape)
+            known = _posed(
+                image.camera_from_world, other, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int)
+            )
+            layers_m = render_layers(other.library, known, _cameras(image.camera, 1), *image.observed_m.shape)
             rest_m = jnp.minimum(layers_m, jnp.asarray(image.rest_m)[draw])
-            cameras = _cameras(image, PAIRS_TOGETHER)
+            cameras = _cameras(image.camera, PAIRS_TOGETHER)
             evidence: DepthEvidence = depth_evidence(
                 self.noise, cameras, jnp.asarray(image.observed_m)[None], rest_m
             )
-            posed = _posed(image, one, world_from_box[filled], np.arange(PAIRS_TOGETHER))
+            posed = _posed(image.camera_from_world, one, world_from_box[filled], np.arange(PAIRS_TOGETHER))
             total += image.weight * log_likelihood_ratio(one.library, self.noise, evidence, posed)
         return total[:count]
 
 
-def _cameras(image: SeenImage, count: int) -> Camera:
-    """The image's camera so often, leaves (count,)."""
-    return jax.tree.map(lambda leaf: np.full(count, leaf, np.float32), image.camera)
+def rendered_m(
+    camera: Camera,
+    camera_from_world: NDArray[np.float64],
+    one: SceneObject,
+    world_from_box: NDArray[np.float64],
+    shape: tuple[int, ...],
+) -> NDArray[np.float32]:
+    """Depth (n, H, W) of an object alone at poses (n, 4, 4); +inf where it is not. `shape` is (H, W)."""
+    posed = _posed(camera_from_world, one, world_from_box, np.zeros(len(world_from_box), int))
+    return np.asarray(render_layers(one.library, posed, _cameras(camera, 1), *shape))
+
+
+def _cameras(camera: Camera, count: int) -> Camera:
+    """The camera so often, leaves (count,)."""
+    return jax.tree.map(lambda leaf: np.full(count, leaf, np.float32), camera)
 
 
 def _posed(
-    image: SeenImage, one: SceneObject, world_from_box: NDArray[np.float64], index: NDArray[np.integer]
+    camera_from_world: NDArray[np.float64],
+    one: SceneObject,
+    world_from_box: NDArray[np.float64],
+    index: NDArray[np.integer],
 ) -> PosedObjects:
-    camera_from_object = image.camera_from_world @ world_from_box
+    camera_from_object = camera_from_world @ world_from_box
     camera_from_object[:, :3, 3] -= camera_from_object[:, :3, :3] @ one.centre_m
     library_index = np.zeros(len(world_from_box), np.int32)
     leaves = library_index, camera_from_object.astype(np.float32), index.astype(np.int32)

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.config import MOST_EXACT
 from scene.hidden.depth_evidence import DepthImages
 from scene.hidden.pose_priors import PosePrior
 from scene.model.number_prior import NumberPrior
 from scene.objects.scene_object import SceneObject
-
-MOST_HIDDEN = 2
-"""Objects whose joint answer is computed: draws of poses are needed for each set of them."""
 
 TOGETHER = 2048
 """Poses that are weighed between two reports of progress."""
@@ -90,10 +88,10 @@ def hidden_posterior(
         ValueError: there are more, or no room for one.
     """
     count = len(objects)
-    if not 1 <= count <= MOST_HIDDEN:
+    if not 1 <= count <= MOST_EXACT:
         raise ValueError(
-            f"exact answers are for one hidden object or two, not {count}: {2**count - 1} sets of objects "
-            f"would need about {draws}^{count / 2:g} draws"
+            f"exact answers are for one hidden object or two, not {count}: {2**count - 1} sets of them would "
+            f"have to be rendered together, {draws} times each"
         )
     sets = [(one,) for one in range(count)] + ([(0, 1)] if count == 2 else [])
     ratios = {}

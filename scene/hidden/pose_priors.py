@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -45,7 +45,8 @@ class EulerUniformPoses:
     is 1 / (4 pi^3) in angles, 2 / (pi^3 cos beta) in the Haar measure of mass pi^2, not uniform on rotations.
 
     Attributes:
-        low_m, high_m: (3,) corners of the cuboid in the world.
+        low_m, high_m: (3,) corners of the cuboid.
+        world_from_cuboid: (4, 4), whose axes the angles are about.
 
     Raises:
         ValueError: the cuboid has no volume.
@@ -53,6 +54,7 @@ class EulerUniformPoses:
 
     low_m: NDArray[np.float64]
     high_m: NDArray[np.float64]
+    world_from_cuboid: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         if not (np.asarray(self.low_m) < np.asarray(self.high_m)).all():
@@ -68,13 +70,14 @@ class EulerUniformPoses:
         turns = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix()
         poses[..., :3, :3] = turns.reshape(*shape, 3, 3)
         poses[..., :3, 3] = rng.uniform(self.low_m, self.high_m, (*shape, 3))
-        return poses
+        return self.world_from_cuboid @ poses
 
     def log_density(self, world_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log density (...) of poses (..., 4, 4), Lebesgue in metres times the Haar measure of mass pi^2."""
-        places = world_from_box[..., :3, 3]
+        poses = np.linalg.inv(self.world_from_cuboid) @ world_from_box
+        places = poses[..., :3, 3]
         inside = ((places >= self.low_m) & (places <= self.high_m)).all(axis=-1)
-        cosine = np.hypot(world_from_box[..., 0, 0], world_from_box[..., 1, 0])
+        cosine = np.hypot(poses[..., 0, 0], poses[..., 1, 0])
         log_volume = np.log(np.asarray(self.high_m) - self.low_m).sum()
         log_rotation = np.log(2 / np.pi**3) - np.log(np.maximum(cosine, 1e-300))
         return np.where(inside, log_rotation - log_volume, -np.inf)
@@ -115,10 +118,12 @@ class RestingPoses:
     Attributes:
         supports: at least one.
         others: objects whose boxes it does not enter.
+        in_sight: whether middles (n, 3) are where they are possible; None where all are.
     """
 
     supports: tuple[Support, ...]
-    others: tuple[PlacedObject, ...] = field(default=())
+    others: tuple[PlacedObject, ...] = ()
+    in_sight: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
 
     def draw(
         self, rng: np.random.Generator, objects: Sequence[SceneObject], count: int
@@ -134,9 +139,11 @@ class RestingPoses:
         raise ValueError(f"there is no room for {names} on what was found to carry objects")
 
     def _clear(self, objects: Sequence[SceneObject], poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """(count,) draws in which none of the objects, at poses (n, count, 4, 4), meets any."""
+        """(count,) draws in which no object, at poses (n, count, 4, 4), meets any, and all are in sight."""
         clear = np.ones(poses.shape[1], bool)
         for place, one in enumerate(objects):
+            if self.in_sight is not None:
+                clear &= self.in_sight(poses[place, :, :3, 3])
             standing = [(other.shape, other.world_from_box[None]) for other in self.others]
             for other, where in [*standing, *zip(objects[:place], poses[:place], strict=True)]:
                 clear &= ~meet(one, poses[place], other, where)

@@ -1,5 +1,4 @@
-"""Verification of detections by the density of the image, and where missing objects may stand unseen.
+"""Verification of detections by the density of the image.
 
-`initialisation` calls `reassignment.without_lookalikes`, `parsing` calls `occlusion.unseen_share`. Imports
-scene.search and what is below it.
+`initialisation` calls `reassignment.without_lookalikes`. Imports scene.search and what is below it.
 """

@@ -12,39 +12,32 @@ from pipeline.options import Common, common_options
 
 @click.command(name="occlusion")
 @click.argument("out", type=click.Path(path_type=Path, file_okay=False))
-@click.option(
-    "--width", type=click.IntRange(32, 1024), default=320, show_default=True, help="Of images, pixels; 4:3."
-)
+@click.option("--mug", is_flag=True, help="Let a mug stand behind the box.")
 @common_options()
-def command(common: Common, out: Path, width: int) -> None:
-    """Photograph the three scenes of the supplement's Fig. 7, into OUT.
+def command(common: Common, out: Path, mug: bool) -> None:
+    """Film a box on a table turned, wide and closer, into OUT, after the supplement's Fig. 7.
 
-    One depth frame for each recording: a box turned, wide and closer, and no mug. Every pixel returns: 2 m
-    where there is nothing, anything in a tenth of them. The truth is in the file.
+    One frame for each recording, truth in the file: was there a mug behind the box? Ask with
+    `voxscene parse OUT/occlusion_wide.mcap --shapes DIR --objects box,mug --exact mug`.
     """
     from pipeline.quiet_stdout import stdout_to_stderr
-    from pipeline.synthesis.objects import built_in_object
-    from pipeline.synthesis.occlusion import (
-        SCENES,
-        box_pose,
-        hidden_fraction,
-        occlusion_camera,
-        occlusion_scene,
-        write_occlusion_scene,
-    )
+    from pipeline.synthesis.occluded_table import PLACES, occluded_table
+    from pipeline.synthesis.writing import write_recording
 
     if out.is_dir() and any(out.iterdir()):
         raise PipelineError(f"{out} is not empty; name a new folder")
     out.mkdir(parents=True, exist_ok=True)
-    meshes = {"box": built_in_object("box")}
     document = []
-    with stdout_to_stderr():
-        for number, (name, (yaw_deg, distance_m)) in enumerate(SCENES.items()):
-            poses = {"box": box_pose(yaw_deg, 0.0, distance_m)}
-            scene = occlusion_scene(name, meshes, poses, occlusion_camera(width), [common.seed, number])
-            path = out / f"occlusion_{name}.mcap"
-            write_occlusion_scene(scene, meshes, path)
-            document.append({"path": str(path), "hidden_fraction": hidden_fraction(scene)})
-    common.report(
-        document, [f"{one['path']}: {one['hidden_fraction']:.1%} of the volume hidden" for one in document]
-    )
+    for name in PLACES:
+        path = out / f"occlusion_{name}.mcap"
+        with stdout_to_stderr():
+            recording = occluded_table(name, common.seed, mug=mug)
+            write_recording(recording, path)
+        shown = {one.name: one.visible_fraction for one in recording.truth.objects}
+        document.append({"path": str(path), "visible_fraction": shown})
+    lines = [
+        f"{one['path']}: "
+        + ", ".join(f"{name} {share:.0%} visible" for name, share in one["visible_fraction"].items())
+        for one in document
+    ]
+    common.report(document, lines)

@@ -2,20 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
+import pytest
 
 from pipeline.benchmarks.occlusion import figures, measure_occlusion, write_rows
-from pipeline.synthesis.objects import built_in_object
-from pipeline.synthesis.occlusion import (
-    FAR_M,
-    box_pose,
-    hidden_fraction,
-    occlusion_camera,
-    occlusion_scene,
-    write_occlusion_scene,
-)
-from recordings.reading import open_recording
-from recordings.truth import recorded_scene_truth
+from pipeline.synthesis.occluded_table import PLACES, occluded_table
+from pipeline.synthesis.occlusion import hidden_fraction, occlusion_camera, occlusion_scene
 
 
 def test_the_order_of_the_supplements_figure(tmp_path: Path) -> None:
@@ -38,18 +29,10 @@ def test_an_empty_volume_hides_nothing_and_a_wall_hides_what_is_behind() -> None
     assert abs(hidden_fraction(empty) - 0.5) < 0.01
 
 
-def test_recordings_hold_the_image_and_the_truth(tmp_path: Path) -> None:
-    """Depth as it was drawn, the box at its pose."""
-    meshes = {"box": built_in_object("box")}
-    pose = box_pose(30.0, 0.05, 0.8)
-    scene = occlusion_scene("one", meshes, {"box": pose}, occlusion_camera(64), [0])
-    path = tmp_path / "one.mcap"
-    write_occlusion_scene(scene, meshes, path)
+@pytest.mark.parametrize("name", PLACES)
+def test_a_mug_behind_the_box_is_not_seen(name: str) -> None:
+    """Both stand on the table; of the mug the frame shows nothing, of the box everything."""
+    box, mug = occluded_table(name, 0, mug=True).truth.objects
 
-    (frame,) = list(open_recording(path))
-    np.testing.assert_allclose(frame.depth_m, np.maximum(scene.depth_m, 1e-3), atol=1e-6)
-    assert abs(np.median(frame.depth_m[:5]) - FAR_M) < 0.005
-    told = recorded_scene_truth(path)
-    assert told is not None
-    (truth,) = told.objects
-    np.testing.assert_allclose(truth.world_from_object, pose, atol=1e-9)
+    assert box.visible_fraction == 1
+    assert mug.visible_fraction == 0

@@ -1,0 +1,159 @@
+"""Objects of a parsed scene that were not found: where they may be all the same, and with what probability.
+
+A priori they lie at rest on a support in sight of a camera, clear of what was found; without supports
+anywhere in the region that was given. What was measured hides what is behind it, whatever it is; where
+nothing was measured anything may hide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import NO_RETURN, DepthNoise
+from scene.config import EXACT_DRAWS, ParseConfig
+from scene.hidden.depth_evidence import DepthImages, SeenImage, rendered_m
+from scene.hidden.hidden_objects import hidden_posterior, mean_ratio
+from scene.hidden.pose_priors import EulerUniformPoses, PlacedObject, PosePrior, RestingPoses, Support
+from scene.model.number_prior import BinomialNumber
+from scene.objects.scene_object import SceneObject
+from scene.observation.depth_view import PooledView
+from scene.observation.frame_data import SceneData
+
+DRAWS = 512
+"""Prior poses of an object that is not asked for exactly: its share is then known to 0.02."""
+
+KEPT = 256
+"""Poses of the posterior that the result holds."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HiddenPlaces:
+    """What is known of the objects that were not found; zeros for those that were.
+
+    Attributes:
+        share: (N,) mean likelihood ratio over prior poses: about the share of them that no image shows.
+        share_std: (N,) its standard error.
+        poses: (N, K, 4, 4) world_from_box, draws of the posterior given that the object is there.
+        exact: presence and its standard error of objects asked for exactly, by number.
+    """
+
+    share: NDArray[np.float64]
+    share_std: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    exact: dict[int, tuple[float, float]]
+
+    @classmethod
+    def none(cls, count: int) -> HiddenPlaces:
+        """Nothing is hidden."""
+        poses = np.tile(np.eye(4), (count, KEPT, 1, 1))
+        return cls(share=np.zeros(count), share_std=np.zeros(count), poses=poses, exact={})
+
+
+def hidden_places(
+    rng: np.random.Generator,
+    views: Sequence[SceneData],
+    camera_from_world: NDArray[np.float64],
+    supports: Sequence[Support],
+    first_from_world: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    placed: Sequence[PlacedObject],
+    found: NDArray[np.bool_],
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> HiddenPlaces:
+    """Shares and poses of the objects that were not found.
+
+    Args:
+        rng: random numbers.
+        views: one a frame.
+        camera_from_world: (F, 4, 4).
+        supports: on which objects can stand.
+        first_from_world: (4, 4) to the camera that the region is told in.
+        objects: all N.
+        placed: those found, in the world.
+        found: (N,).
+        noise: of the sensor and the surfaces together.
+        config: settings.
+
+    Raises:
+        ValueError: there is no room for an object, or nothing tells where one asked for exactly might be.
+    """
+    places = HiddenPlaces.none(len(objects))
+    missing = np.flatnonzero(~found).tolist()
+    if not missing:
+        return places
+    images = DepthImages(
+        [
+            seen_image(view.view, pose, placed, _weight(view, config))
+            for view, pose in zip(views, camera_from_world, strict=True)
+        ],
+        noise,
+    )
+    asked = [one for one in missing if objects[one].name in config.exact]
+    prior = _pose_prior(supports, first_from_world, placed, images, config)
+    if prior is None:
+        if asked:
+            raise ValueError("no support was found; tell with --region where hidden objects may be")
+        return places
+    for one in missing:
+        if one not in asked:
+            ratio = mean_ratio(rng, [objects[one]], prior, images, draws=DRAWS, keep=KEPT)
+            places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
+            places.poses[one] = ratio.poses[0]
+    if asked:
+        chosen, number = [objects[one] for one in asked], BinomialNumber(config.presence)
+        exact = hidden_posterior(rng, chosen, prior, images, number, draws=EXACT_DRAWS, keep=KEPT)
+        for rank, one in enumerate(asked):
+            ratio = exact.ratios[(rank,)]
+            places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
+            places.poses[one] = exact.poses[rank]
+            places.exact[one] = float(exact.presence[rank]), float(exact.standard_error[rank])
+    return places
+
+
+def _pose_prior(
+    supports: Sequence[Support],
+    first_from_world: NDArray[np.float64],
+    placed: Sequence[PlacedObject],
+    images: DepthImages,
+    config: ParseConfig,
+) -> PosePrior | None:
+    """At rest in sight, else anywhere in the region; None where there is neither."""
+    if supports:
+        return RestingPoses(supports=tuple(supports), others=tuple(placed), in_sight=images.seen)
+    if not config.region:
+        return None
+    low_m, high_m = np.array(config.region[:3]), np.array(config.region[3:])
+    return EulerUniformPoses(
+        low_m=low_m, high_m=high_m, world_from_cuboid=np.asarray(np.linalg.inv(first_from_world), np.float64)
+    )
+
+
+def _weight(view: SceneData, config: ParseConfig) -> float:
+    """Effective over actual number of pooled pixels; `pixel_weight` counts those of the search's window."""
+    pooled = view.intrinsics.fx / float(view.view.camera.fx)
+    return min(config.pixel_weight * (pooled / view.window.stride) ** 2, 1.0)
+
+
+def seen_image(
+    view: PooledView, camera_from_world: NDArray[np.float64], placed: Sequence[PlacedObject], weight: float
+) -> SeenImage:
+    """A view in which what was measured, or a found object that is nearer, hides what is behind it."""
+    depth_m = np.asarray(view.depth_m)
+    rest_m = np.where(depth_m == NO_RETURN, 0, depth_m)[None].astype(np.float32)
+    for one in placed:
+        pose = one.world_from_box[None]
+        rest_m = np.minimum(
+            rest_m, rendered_m(view.camera, camera_from_world, one.shape, pose, depth_m.shape)
+        )
+    return SeenImage(
+        camera=view.camera,
+        camera_from_world=camera_from_world,
+        observed_m=depth_m,
+        rest_m=rest_m,
+        weight=weight,
+    )

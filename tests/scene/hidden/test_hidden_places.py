@@ -1,0 +1,112 @@
+"""Room that the camera does not see: against depth images of boxes, with the object and without."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from scipy.special import expit
+
+from recordings.types import DepthNoise
+from scene.hidden.depth_evidence import DepthImages
+from scene.hidden.hidden_objects import mean_ratio
+from scene.hidden.hidden_places import DRAWS, seen_image
+from scene.hidden.pose_priors import PlacedObject, RestingPoses, Support
+from scene.model.presence import log_odds_of_presence, log_prior_odds
+from scene.objects.scene_object import SceneObject, scene_object
+from scene.observation.depth_view import PooledView
+from shapes.geometry.camera import Camera
+from tests.scene.observation.test_detection import CAMERA_FROM_TABLE
+
+HALF_SIZE_M = np.array([0.3, 0.2])
+WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
+MIDDLE_PX = np.array([79.5, 59.5])
+TABLE = Support(world_from_support=np.eye(4), half_size_m=HALF_SIZE_M)
+SCREEN_M = np.array([0.12, 0.02, 0.1])
+CUBE_M = np.full(3, 0.02)
+
+
+def box(name: str, half_m: np.ndarray) -> SceneObject:
+    """A box of this half size."""
+    mesh = trimesh.creation.box(2 * half_m)
+    return scene_object(name, mesh.vertices, mesh.faces)
+
+
+def depth_of(boxes: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Depth (H, W) of upright boxes, middle and half size in the table's frame, on the plane z = 0: slabs."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([(u - MIDDLE_PX[0]) / FOCAL, (v - MIDDLE_PX[1]) / FOCAL, np.ones(u.shape)], axis=-1)
+    turn, origin = CAMERA_FROM_TABLE[:3, :3], -CAMERA_FROM_TABLE[:3, :3].T @ CAMERA_FROM_TABLE[:3, 3]
+    rays = rays @ turn
+    depth = -origin[2] / rays[..., 2]
+    for middle, half in boxes:
+        ends = np.sort((middle + np.array([-1, 1])[:, None] * half - origin)[:, None, None] / rays, axis=0)
+        near, far = ends[0].max(axis=-1), ends[1].min(axis=-1)
+        depth = np.where(near < far, np.minimum(depth, near), depth)
+    return depth.astype(np.float32)
+
+
+def images_of(depth_m: np.ndarray, placed: list[PlacedObject]) -> DepthImages:
+    """The image as the parse sees it."""
+    camera = Camera(*(jnp.asarray(value) for value in (FOCAL, FOCAL, *MIDDLE_PX)))
+    view = PooledView(
+        camera, jnp.asarray(depth_m), jnp.zeros((*depth_m.shape, 3)), jnp.zeros(depth_m.shape, bool)
+    )
+    return DepthImages(
+        [seen_image(view, CAMERA_FROM_TABLE, placed, 1.0)], DepthNoise(outlier_probability=0.1)
+    )
+
+
+def test_a_cube_is_hidden_where_the_image_is_the_same_without_it(seed: int) -> None:
+    """A screen on the table: the share of places, by slabs of the cube at 300 of them beside the screen."""
+    rng = np.random.default_rng(seed)
+    screen = np.array([0.0, 0.0, SCREEN_M[2]]), SCREEN_M
+    before = depth_of([screen])
+    places = rng.uniform(-HALF_SIZE_M, HALF_SIZE_M, (600, 2))
+    places = places[(np.abs(places) > SCREEN_M[:2] + 0.02 * np.sqrt(2)).any(axis=1)][:300]
+    after = [depth_of([screen, (np.append(at, 0.02), CUBE_M)]) for at in places]
+    same = [(one == before).mean() > 1 - 1e-4 for one in after]
+    placed = np.eye(4)
+    placed[2, 3] = SCREEN_M[2]
+    known = [PlacedObject(shape=box("screen", SCREEN_M), world_from_box=placed)]
+    images = images_of(before, known)
+    prior = RestingPoses(supports=(TABLE,), others=tuple(known), in_sight=images.seen)
+
+    ratio = mean_ratio(rng, [box("cube", CUBE_M)], prior, images, draws=DRAWS, keep=64)
+
+    expected = np.mean(same)
+    error = np.hypot(ratio.standard_error, np.sqrt(expected * (1 - expected) / len(same)))
+    assert abs(ratio.mean - expected) < 4 * error
+    behind = ratio.poses[0, :, 1, 3] * np.sign(CAMERA_FROM_TABLE[2, 1])
+    assert (behind > 0).mean() > 0.8
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_what_would_be_in_plain_sight_is_not_there(seed: int, measured: bool) -> None:
+    """An empty table excludes a cube; an image without a measurement says nothing: the prior stays."""
+    depth_m = depth_of([]) if measured else np.zeros((HEIGHT, WIDTH), np.float32)
+    images = images_of(depth_m, [])
+    prior = RestingPoses(supports=(TABLE,), in_sight=images.seen)
+
+    ratio = mean_ratio(np.random.default_rng(seed), [box("cube", CUBE_M)], prior, images, draws=DRAWS, keep=1)
+    presence = expit(log_odds_of_presence([log_prior_odds(0.9)], [ratio.mean], 0.9))[0]
+
+    assert presence == pytest.approx(1e-8 if measured else 0.9, abs=1e-6)
+
+
+def test_an_error_of_the_sensor_behind_a_found_object_gives_nothing_away(seed: int) -> None:
+    """Pixels that look through the screen, one in ten, leave a cube behind it where it may be."""
+    rng = np.random.default_rng(seed)
+    screen = np.array([0.0, 0.0, SCREEN_M[2]]), SCREEN_M
+    clean, wall = depth_of([screen]), depth_of([])
+    holes = (rng.uniform(size=clean.shape) < 0.1) & (clean < wall)
+    placed = np.eye(4)
+    placed[2, 3] = SCREEN_M[2]
+    known = [PlacedObject(shape=box("screen", SCREEN_M), world_from_box=placed)]
+    behind = np.eye(4)[None]
+    behind[0, :3, 3] = 0.0, 0.06 * np.sign(CAMERA_FROM_TABLE[2, 1]), 0.02
+
+    ratio = images_of(np.where(holes, wall, clean), known).log_ratios(box("cube", CUBE_M), behind)
+    naked = images_of(np.where(holes, wall, clean), []).log_ratios(box("cube", CUBE_M), behind)
+
+    assert abs(ratio[0]) < 1e-3
+    assert naked[0] < -10
