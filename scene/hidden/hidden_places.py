@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +26,9 @@ from scene.observation.frame_data import SceneData
 
 DRAWS = 512
 """Prior poses of an object that is not asked for exactly: its share is then known to 0.02."""
+
+WIDEST = 160
+"""Columns of the images that are compared."""
 
 KEPT = 256
 """Poses of the posterior that the result holds."""
@@ -88,7 +92,7 @@ def hidden_places(
         return places
     images = DepthImages(
         [
-            seen_image(view.view, pose, placed, _weight(view, config))
+            seen_image(view.view, pose, placed, pixel_weight(view, config))
             for view, pose in zip(views, camera_from_world, strict=True)
         ],
         noise,
@@ -133,25 +137,32 @@ def _pose_prior(
     )
 
 
-def _weight(view: SceneData, config: ParseConfig) -> float:
-    """Effective over actual number of pooled pixels; `pixel_weight` counts those of the search's window."""
-    pooled = view.intrinsics.fx / float(view.view.camera.fx)
-    return min(config.pixel_weight * (pooled / view.window.stride) ** 2, 1.0)
+def pixel_weight(view: SceneData, config: ParseConfig) -> float:
+    """Effective over actual number of compared pixels; the setting counts those of the search's window."""
+    apart = _stride(view.view) * view.intrinsics.fx / float(view.view.camera.fx)
+    return min(config.pixel_weight * (apart / view.window.stride) ** 2, 1.0)
+
+
+def _stride(view: PooledView) -> int:
+    return -(-view.depth_m.shape[1] // WIDEST)
 
 
 def seen_image(
     view: PooledView, camera_from_world: NDArray[np.float64], placed: Sequence[PlacedObject], weight: float
 ) -> SeenImage:
-    """A view in which what was measured, or a found object that is nearer, hides what is behind it."""
-    depth_m = np.asarray(view.depth_m)
+    """A view in which what was measured, or a found object that is nearer, hides what is behind it.
+
+    Every second pixel of a large one, or fewer: an object that is seen is seen in hundreds of them.
+    """
+    stride = _stride(view)
+    depth_m = np.asarray(view.depth_m)[::stride, ::stride]
+    camera = jax.tree.map(lambda leaf: leaf / stride, view.camera)
     rest_m = np.where(depth_m == NO_RETURN, 0, depth_m)[None].astype(np.float32)
     for one in placed:
         pose = one.world_from_box[None]
-        rest_m = np.minimum(
-            rest_m, rendered_m(view.camera, camera_from_world, one.shape, pose, depth_m.shape)
-        )
+        rest_m = np.minimum(rest_m, rendered_m(camera, camera_from_world, one.shape, pose, depth_m.shape))
     return SeenImage(
-        camera=view.camera,
+        camera=camera,
         camera_from_world=camera_from_world,
         observed_m=depth_m,
         rest_m=rest_m,

@@ -15,9 +15,10 @@ from pipeline.options import Common, common_options
 @click.option("--mug", is_flag=True, help="Let a mug stand behind the box.")
 @common_options()
 def command(common: Common, out: Path, mug: bool) -> None:
-    """Film a box on a table turned, wide and closer, into OUT, after the supplement's Fig. 7.
+    """Film a box that may hide a mug, into OUT.
 
-    One frame for each recording, truth in the file: was there a mug behind the box? Ask with
+    On a table, turned, wide and closer, after the supplement's Fig. 7. One frame for each recording, truth in
+    the file: was there a mug behind the box? Ask with
     `voxscene parse OUT/occlusion_wide.mcap --shapes DIR --objects box,mug --exact mug`.
     """
     from pipeline.quiet_stdout import stdout_to_stderr
