@@ -100,16 +100,32 @@ def usable(path: Path) -> Iterator[None]:
         raise PipelineError(f"cannot use the shape {path}: {error}") from error
 
 
-def chosen(surfaces: Mapping[str, SceneSurface], names: tuple[str, ...]) -> dict[str, SceneSurface]:
-    """The surfaces of these names, all of them where none is named.
+def chosen(
+    surfaces: Mapping[str, SceneSurface], entries: tuple[str, ...], copies: int = 1
+) -> dict[str, SceneSurface]:
+    """The surfaces that entries such as `mug` or `mug:2` ask for, all of them where there is no entry.
+
+    Args:
+        surfaces: of the folder.
+        entries: names, each perhaps with a number of copies, which get names of their own.
+        copies: of every shape whose entry says no more.
 
     Raises:
-        PipelineError: a name is unknown.
+        PipelineError: a name is unknown, or a copy's name is that of another shape.
     """
-    missing = sorted(set(names) - set(surfaces))
+    from scene.copies import asked_copies, slot_names
+
+    asked = {name: max(count, copies) for name, count in map(asked_copies, entries or tuple(surfaces))}
+    missing = sorted(set(asked) - set(surfaces))
     if missing:
         raise PipelineError(f"no shape {missing[0]!r}; there are {', '.join(sorted(surfaces))}")
-    return {name: surfaces[name] for name in names or surfaces}
+    each: dict[str, SceneSurface] = {}
+    for name, count in asked.items():
+        for slot in slot_names([name], count):
+            if slot != name and slot in surfaces:
+                raise PipelineError(f"a copy of {name!r} would be named like the shape {slot!r}; rename that")
+            each[slot] = surfaces[name]
+    return each
 
 
 def _shapes_of(folder: Path) -> Path:

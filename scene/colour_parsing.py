@@ -21,8 +21,8 @@ from scene.colour.posterior import ColourImage, Scene, colour_image, log_posteri
 from scene.colour.search import FoundScene, Searcher, Weighed
 from scene.colour.world import Kind, Light, TableWorld, render
 from scene.config import ParseConfig
+from scene.copies import slot_names
 from scene.model.scene_graph import ROOT
-from scene.objects.copies import slot_names
 from scene.result import SceneResult
 from scene.summary import MODES, pose_modes, second_moment
 from shapes.geometry.poses import matrices_of, poses_of

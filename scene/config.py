@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from recordings.settings import check_finite, check_within
+from scene.copies import asked_copies, slot_names
 
 MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "sweeps": 10_000_000}
 """Beyond these nobody has the memory or the time: a slip of the hand."""
@@ -15,8 +16,8 @@ MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "swe
 MOST_EXACT = 2
 """Objects whose joint presence is computed: poses are drawn for each set of them."""
 
-EXACT_DRAWS = 2**16
-"""Of prior poses for each set: shares are then known to 0.002."""
+EXACT_DRAWS = 2**15
+"""Of prior poses for each set: a share of 0.05 is then known to 0.0012, and the presence to 0.005."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +25,8 @@ class ParseConfig:
     """Settings of `voxscene parse`; metres and radians.
 
     Attributes:
-        objects: names of the objects to look for; none means all that are known.
+        objects: names of the objects to look for, `mug:2` for up to two of a kind; none means all that are
+            known, one of each.
         frames: numbers of the depth frames that are used; none means the first that shows enough.
         support: x, y, z of a point and of the normal of the one support, in the first camera's frame; none
             means all planes that are found.
@@ -103,6 +105,11 @@ class ParseConfig:
         check_finite(self)
         for name, most in MOST.items():
             check_within(self, 0, most, (name,))
+        asked = [asked_copies(entry) for entry in self.objects]
+        if len({name for name, _ in asked}) < len(asked):
+            raise ValueError(f"objects names one twice; for two of a kind write {asked[0][0]}:2")
+        if self.colour == "only" and any(count > 1 for _, count in asked):
+            raise ValueError("objects: colour only takes up to `most` copies of every kind; name kinds alone")
         if min(self.frames, default=0) < 0 or list(self.frames) != sorted(set(self.frames)):
             raise ValueError(f"frames must be increasing numbers from 0, got {self.frames}")
         if self.support and (len(self.support) != 6 or not any(self.support[3:])):
@@ -123,7 +130,8 @@ class ParseConfig:
                 f"exact takes one object or two, got {','.join(self.exact)}: {sets} sets of them would have "
                 f"to be rendered together, {EXACT_DRAWS} times each"
             )
-        if missing := set(self.exact) - set(self.objects or self.exact):
+        slots = {slot for name, count in asked for slot in slot_names([name], count)}
+        if missing := set(self.exact) - (slots or set(self.exact)):
             raise ValueError(f"exact names {min(missing)!r}, which is none of the objects asked for")
         if self.exact and self.colour == "only":
             raise ValueError("exact needs depth images; it does not go with colour only")

@@ -61,7 +61,11 @@ class FrameNumbers(click.ParamType):
     metavar="FILE.json",
     help='Ids of objects in poses.csv, {"mug": 14}; those of models_info.json or of the recording otherwise.',
 )
-@click.option("--objects", metavar="A,B|any", help="What to look for; any of the shapes by default.")
+@click.option(
+    "--objects",
+    metavar="A,B:2|any",
+    help="What to look for, B:2 up to two of a kind; any shape once by default.",
+)
 @click.option(
     "--frames",
     type=FrameNumbers(),

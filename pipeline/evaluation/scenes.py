@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.evaluation.object_poses import add_s_m, best_matches, error_figures, model_points
 from recordings.truth import TrueObject
+from scene.copies import shape_of
 from scene.result import TABLE, SceneResult
 
 
@@ -79,7 +80,7 @@ def object_errors(
 def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str, bool]:
     """Whether the most probable parent of each object is the true one, where the truth tells it of `objects`.
 
-    Objects of one shape stand for each other as parents.
+    Objects of one shape stand for each other: one of them right counts for all.
     """
     shapes = {one.name: one.shape for one in objects} | {TABLE: TABLE}
     names = [*scene.names.tolist(), *scene.supports]
@@ -87,11 +88,15 @@ def parents_right(scene: SceneResult, objects: Sequence[TrueObject]) -> dict[str
     for one in objects:
         if one.parent not in shapes:
             continue
-        edges = np.zeros(len(names))
-        if one.shape in names and scene.found[names.index(one.shape)]:
-            edges = scene.edge_probabilities[names.index(one.shape)]
-        best = int(np.argmax(edges))
-        right[one.name] = bool(edges[best] >= 0.5 and names[best] == shapes[one.parent])
+        copies = [
+            scene.edge_probabilities[place]
+            for place, name in enumerate(scene.names.tolist())
+            if scene.found[place] and shape_of(name, shapes.values()) == one.shape
+        ]
+        right[one.name] = any(
+            edges.max() >= 0.5 and shape_of(names[int(edges.argmax())], shapes.values()) == shapes[one.parent]
+            for edges in copies
+        )
     return right
 
 

@@ -142,14 +142,11 @@ def _surfaces(
         from pipeline.bop_numbers import ids_of_models, ids_of_names, numbered
         from pipeline.shape_folder import chosen, load_surfaces
         from recordings.dataset_numbers import recorded_dataset_numbers
-        from scene.objects.copies import slot_names
 
         surfaces = load_surfaces(shapes, units)
         recorded = recorded_dataset_numbers(session.source.path)
         known = (ids, ids_of_models(shapes), ids_of_names(surfaces), recorded.object_ids)
-        asked = chosen(surfaces, names)
-        slots = slot_names(list(asked), copies)
-        each = dict(zip(slots, (one for one in asked.values() for _ in range(copies)), strict=True))
+        each = chosen(surfaces, names, copies)
         return Surfaces(each, replace(recorded, object_ids=numbered({**surfaces, **each}, *known)))
 
     return session.stage("objects", Surfaces.load, compute, {}, inputs, sources=SURFACE_SOURCES)
@@ -163,11 +160,12 @@ def drawn_shapes(
         return [[] for _ in surfaces.by_name]
     import jax
 
-    from pipeline.shape_folder import drawn_surfaces
+    from pipeline.shape_folder import drawn_surfaces, surface_hashes
+    from scene.copies import shape_of
 
-    keys = jax.random.split(key, len(surfaces.by_name))
+    keys, known = jax.random.split(key, len(surfaces.by_name)), surface_hashes(folder)
     drawn = [
-        drawn_surfaces(folder, name, key, SHAPE_DRAWS)
+        drawn_surfaces(folder, shape_of(name, known), key, SHAPE_DRAWS)
         for name, key in zip(surfaces.by_name, keys, strict=True)
     ]
     return [[(one.vertices_m, one.faces) for one in draws] for draws in drawn]

@@ -37,7 +37,7 @@ def command(common: Common, run: Path, truth: Path) -> None:
     from pipeline.evaluation.truth import RecordedTruth
     from pipeline.publishing.values import RunValues
     from pipeline.run_folder import RunFolder
-    from scene.objects.copies import shape_of
+    from scene.copies import shape_of
 
     values = RunValues.load(RunFolder(run, force=False))
     scene = values.scene

@@ -1,6 +1,8 @@
 """Several objects of one shape have names of their own."""
 
-from scene.objects.copies import shape_of, slot_names
+import pytest
+
+from scene.copies import asked_copies, shape_of, slot_names
 
 
 def test_copies_are_named_after_their_shape() -> None:
@@ -12,3 +14,12 @@ def test_copies_are_named_after_their_shape() -> None:
     ]
     assert shape_of("model_2", {"model", "model_2"}) == "model_2"
     assert shape_of("cup_2", {"mug"}) == "cup_2"
+
+
+def test_copies_are_asked_for_by_number() -> None:
+    """One where none is told; none or too many are refused with a line that says how many may be."""
+    assert asked_copies("mug") == ("mug", 1)
+    assert asked_copies("mug:3") == ("mug", 3)
+    for entry in ("mug:0", "mug:-1", "mug:two", "mug:9", "mug:"):
+        with pytest.raises(ValueError, match=f"'{entry}' must ask for 1 to 8 copies, such as mug:2"):
+            asked_copies(entry)

@@ -7,6 +7,23 @@ from collections.abc import Container, Sequence
 
 COPY = re.compile(r"(.+)_[0-9]+$")
 
+MOST_COPIES = 8
+"""Of one shape: every copy is searched for by itself."""
+
+
+def asked_copies(entry: str) -> tuple[str, int]:
+    """Name and number of copies of `mug` or `mug:3`.
+
+    Raises:
+        ValueError: the number is none, or too large.
+    """
+    name, separator, number = entry.partition(":")
+    if not separator:
+        return name, 1
+    if not number.isdecimal() or not 1 <= int(number) <= MOST_COPIES:
+        raise ValueError(f"objects: {entry!r} must ask for 1 to {MOST_COPIES} copies, such as {name}:2")
+    return name, int(number)
+
 
 def slot_names(names: Sequence[str], copies: int) -> list[str]:
     """Of every copy of every kind: mug, mug_2, mug_3."""
