@@ -186,7 +186,7 @@ def test_three_objects_are_told_what_they_would_cost(seed: int, images: DepthIma
     """One line says how many sets there are."""
     three = [replace(boxes()[0], name=str(one)) for one in range(3)]
 
-    with pytest.raises(ValueError, match="not 3: 7 sets of objects"):
+    with pytest.raises(ValueError, match="not 3: 7 sets of them"):
         hidden_posterior(
             np.random.default_rng(seed),
             three,
