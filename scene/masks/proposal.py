@@ -108,6 +108,8 @@ def _atoms(seen: SeenSpace | None, shape: Detector | None, unexplained: NDArray[
 def best_atoms(grid: EvidenceGrid, shape: Detector) -> Atoms:
     """The best cells of all orientations: found in coarse cells, told apart in fine ones."""
     turns, cells, _ = best_places(FlatGrid.of(grid.coarser(), shape.coarse.reach), shape.coarse, PAIRS)
+    if not len(turns):
+        return Atoms.none()
     inner = 2 * cells[:, None] + _CHILDREN
     scores = scores_in(FlatGrid.of(grid, shape.fine.reach), shape.fine, turns, inner)
     best = scores.argmax(axis=1)

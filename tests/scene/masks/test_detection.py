@@ -93,6 +93,21 @@ def test_surface_cells_hold_surface_and_outer_ones_none(bottle: SceneObject) -> 
         assert min((weights == SURFACE).sum(), (weights == OUTSIDE).sum()) > 20
 
 
+def test_a_grid_without_a_surface_has_no_atoms(bottle: SceneObject) -> None:
+    """Nothing but free space, or nothing seen at all; a single cell of surface has some."""
+    masks = detector(bottle, PITCH_M, standing=True)
+    evidence = np.zeros((24, 24, 24), np.int8)
+    counts = []
+    for value, lit in ((0, 0), (-FREE, 0), (0, STEPS)):
+        evidence[:] = value
+        evidence[12, 12, 12] = lit or value
+        grid = EvidenceGrid(evidence=evidence, pitch_m=PITCH_M, camera_from_grid=np.eye(4))
+        counts.append(len(best_atoms(grid, masks).poses))
+
+    assert counts[:2] == [0, 0]
+    assert counts[2] > 0
+
+
 def same(first: Detector, second: Detector) -> bool:
     """Whether two have the same masks."""
 
