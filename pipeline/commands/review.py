@@ -64,6 +64,10 @@ def command(
     else:
         rrds = [rrd_with_truth(run, truth)] if truth else rrds_of(run, rebuild=rebuild)
     if not rrds:
+        if any(run.glob("stages/*.json")):
+            raise PipelineError(
+                f"{run} is of another version, or was changed by hand; the command that made it makes it anew"
+            )
         raise PipelineError(f"{run} holds no run; make one with voxscene slam, learn, parse or demo")
     if screenshot:
         take_screenshot(rrds, screenshot, (width, height), frame)

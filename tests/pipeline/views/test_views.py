@@ -198,6 +198,9 @@ def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.Monkey
 
     assert result.exit_code == 1
     assert "holds no run" in result.stderr
+    (tmp_path / "stages").mkdir()
+    (tmp_path / "stages" / "slam.json").write_text('{"fingerprint": "of an older version"}')
+    assert "another version" in CliRunner().invoke(voxscene, ["review", str(tmp_path)]).stderr
     assert rrds_of(tmp_path / "none") == []
     with pytest.raises(PipelineError, match=r"no screen here; .* --web, take a picture with --screenshot"):
         open_viewer([tmp_path / "run.rrd"])
