@@ -3,7 +3,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
-.PHONY: venv demo test lint docs bench pictures clean docs/camera.png docs/truth.png docs/clutter.png docs/run-mcap.png
+.PHONY: venv demo test lint docs bench pictures clean \
+    docs/camera.png docs/truth.png docs/learned.png docs/clutter.png docs/run-mcap.png
 
 demo: venv
 	$(BIN)/voxscene demo --out demo
@@ -26,18 +27,14 @@ bench: venv
 	$(BIN)/voxscene bench slam --rooms 2
 	$(BIN)/voxscene bench poses --tables 10
 
-# The pictures in docs/: of the demo, and of real recordings where DATA holds them (7-Scenes, YCB-Video).
+# The pictures in docs/, of real recordings in DATA (7-Scenes, the hand-held shelf, YCB-Video).
 DATA ?= ../shared/data
 RUNS := build/pictures
 
-pictures: venv
-	$(BIN)/voxscene demo --out demo
-	$(BIN)/voxscene review demo/run/recordings/table --rebuild --screenshot docs/parsed.png
-	$(BIN)/voxscene review demo/run/recordings/can --rebuild --screenshot docs/learned.png
-	mkdir -p $(RUNS)
-	test ! -d $(DATA) || $(MAKE) docs/camera.png docs/truth.png docs/clutter.png docs/run-mcap.png
+pictures: docs/camera.png docs/truth.png docs/learned.png docs/clutter.png docs/run-mcap.png
 
 docs/camera.png: venv
+	mkdir -p $(RUNS)
 	$(BIN)/voxscene import 7scenes $(DATA)/sevenscenes_redkitchen $(RUNS)/kitchen.mcap --frames 0:60
 	$(BIN)/voxscene slam $(RUNS)/kitchen.mcap -o $(RUNS)/kitchen.run
 	$(BIN)/voxscene review $(RUNS)/kitchen.run --screenshot $@
@@ -45,7 +42,14 @@ docs/camera.png: venv
 docs/truth.png: docs/camera.png
 	$(BIN)/voxscene review $(RUNS)/kitchen.run --truth $(RUNS)/kitchen.mcap --screenshot $@
 
+docs/learned.png: venv
+	mkdir -p $(RUNS)
+	$(BIN)/voxscene import 7scenes $(DATA)/apc_shelf_handheld $(RUNS)/shelf.mcap
+	$(BIN)/voxscene learn $(RUNS)/shelf.mcap --name shelf -o $(RUNS)/shelf.run
+	$(BIN)/voxscene review $(RUNS)/shelf.run --screenshot $@
+
 docs/clutter.png: venv
+	mkdir -p $(RUNS)
 	$(BIN)/voxscene import bop $(DATA)/ycbv/scenes/0001 $(RUNS)/clutter.mcap
 	$(BIN)/voxscene parse $(RUNS)/clutter.mcap --shapes $(DATA)/ycbv/models -o $(RUNS)/clutter.run \
 	    --objects 002_master_chef_can,003_cracker_box,004_sugar_box,006_mustard_bottle
