@@ -25,9 +25,10 @@ from scene.observation.frame_data import SceneData
 from shapes.geometry.poses import poses_of
 
 PAIRS = 2000
-"""Of orientation and coarse cell that are looked at in fine cells."""
+"""Of orientation and coarse cell that are looked at in fine cells, which takes a tenth of the time."""
 
 EFFECTIVE_ATOMS = 16.0
+"""Half of those that chains are offered."""
 
 COLDEST = 1e4
 """Largest beta: scores that differ by a thousandth then differ by a factor of 20,000."""

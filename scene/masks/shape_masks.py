@@ -17,15 +17,16 @@ from scene.objects.scene_object import SceneObject
 from shapes.rendering.object_library import WORDS, unpack
 
 HEADS = 16
+"""Of 8, 16 and 32 those with most objects found (development tables; docs/benchmarks.md)."""
 
 MOST_CELLS = 128
-"""Of a mask: sums of so many weighted cells fit in 16 bits."""
+"""Of a mask, kept at random: twice as many take twice the time, half as many find fewer (as HEADS)."""
 
 SURFACE_POINTS = 4096
 """About three in a cell of 8 mm on an object of 1,000 cm^2."""
 
 SURFACE, OUTSIDE = 2, -1
-"""Weights of surface cells, and of those that are expected free."""
+"""Weights of surface cells, and of those that are expected free, which neighbours may fill."""
 
 OUTSIDE_CELLS, CLEAR_CELLS = 2.0, 1.5
 """Distances from the surface at which a head's outer cells lie, and which they keep."""
