@@ -6,7 +6,7 @@ https://bop.felk.cvut.cz/challenges/bop-challenge-2019/ (section "How to partici
 from __future__ import annotations
 
 import csv
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,9 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.atomic import write_text
+from pipeline.benchmarks.pose_images import ImageKey
+from pipeline.benchmarks.pose_rows import Judged
 from pipeline.errors import PipelineError
+from pipeline.publishing.bop_poses import HEADER, bop_line
 
-COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
+COLUMNS = tuple(HEADER.split(","))
 NEAREST_MM = 20.0
 """No camera sees anything nearer: smaller distances are metres."""
 
@@ -64,6 +68,29 @@ def check_results(path: Path, obj_ids: Collection[int], images: Collection[tuple
         raise PipelineError(f"{path}: its translations look like metres; BOP's are millimetres")
     if not set(by_image) & set(images):
         raise PipelineError(f"{path} says nothing of the images that are judged: other scene_id or im_id?")
+
+
+def write_results(
+    path: Path, judged: Iterable[Judged], ids: Mapping[str, int], seconds: Mapping[ImageKey, float]
+) -> None:
+    """What one method found in all images, as others score it.
+
+    Args:
+        path: of the file.
+        judged: rows of that method.
+        ids: of the models, by shape.
+        seconds: of each image.
+
+    Raises:
+        PipelineError: the file cannot be written.
+    """
+    lines = [HEADER]
+    for one in judged:
+        pose = one.camera_from_object
+        if pose is not None:
+            numbers = one.scene_id, one.im_id, ids[one.shape]
+            lines.append(bop_line(numbers, 1.0 if one.score is None else one.score, pose, seconds[one.image]))
+    write_text(path, "\n".join(lines) + "\n")
 
 
 @lru_cache(maxsize=8)

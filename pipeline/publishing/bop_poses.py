@@ -37,10 +37,18 @@ def bop_lines(
     for one in map(int, np.flatnonzero(scene.found)):
         name = str(scene.names[one])
         pose = scene.camera_from_object[one] @ (object_from_model or {}).get(name, np.eye(4))
-        rotation = " ".join(f"{value:.9f}" for value in pose[:3, :3].ravel() + 0.0)
-        translation = " ".join(f"{value:.6f}" for value in 1000 * pose[:3, 3] + 0.0)
-        score = f"{scene.presence[one]:.6f}"
         number = (ids or surfaces.object_ids)[name]
-        fields = (numbers.scene_id, image, number, score, rotation, translation, UNKNOWN_TIME)
-        lines.append(",".join(map(str, fields)))
+        lines.append(bop_line((numbers.scene_id, image, number), float(scene.presence[one]), pose))
     return "\n".join(lines) + "\n"
+
+
+def bop_line(
+    numbers: tuple[int, int, int],
+    score: float,
+    camera_from_model: NDArray[np.float64],
+    seconds: float = UNKNOWN_TIME,
+) -> str:
+    """One line of a results file, for scene, image and object of these numbers; the pose (4, 4) in metres."""
+    rotation = " ".join(f"{value:.9f}" for value in camera_from_model[:3, :3].ravel() + 0.0)
+    translation = " ".join(f"{value:.6f}" for value in 1000 * camera_from_model[:3, 3] + 0.0)
+    return ",".join(map(str, (*numbers, f"{score:.6f}", rotation, translation, seconds)))

@@ -115,6 +115,12 @@ class NamedFile(click.ParamType):
     "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write all rows as one table."
 )
 @click.option(
+    "--bop",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.csv",
+    help="Write what our column found as a BOP results file.",
+)
+@click.option(
     "--curves",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.png|svg",
@@ -148,6 +154,7 @@ def command(
     proposals: str | None,
     keep: Path | None,
     csv_path: Path | None,
+    bop: Path | None,
     curves: Path | None,
     sheets: Path | None,
     watch: bool,
@@ -196,7 +203,7 @@ def command(
             )
         else:
             source = _source(common, shapes, objects, numbers, challenging, kinds, data, split)
-        files = keep, csv_path, curves, sheets
+        files = keep, csv_path, bop, curves, sheets
         if proposals:
             _proposals(common, source, words("--proposals", proposals, SOURCES), workers, files, watch=watch)
             return
@@ -256,17 +263,18 @@ def _judge(
     source: PoseSource,
     methods: Sequence[Method],
     workers: int | str,
-    files: tuple[Path | None, Path | None, Path | None, Path | None],
+    files: tuple[Path | None, ...],
     report: tuple[Callable[..., dict[str, Any]], Callable[[dict[str, Any]], list[str]]],
     *,
     watch: bool,
 ) -> None:
     """Images judged, and what `report` makes of the rows and seconds: figures, and lines of these."""
+    from pipeline.benchmarks.bop_results import write_results
     from pipeline.benchmarks.pose_report import image_line
     from pipeline.benchmarks.pose_rows import write_csv
     from pipeline.benchmarks.poses import RemainingTime, collected, judged_images, kept_images
 
-    keep, csv_path, curves, sheets = files
+    keep, csv_path, bop, curves, sheets = files
     figures, lines = report
     executors, at_once = executors_for(workers)
     done = list(kept_images(source, methods, keep)) if watch else []
@@ -283,6 +291,10 @@ def _judge(
         common.report(document, lines(document))
         if csv_path and judged:
             write_csv(csv_path, judged)
+        if bop and judged:
+            title = methods[0].title
+            rows = [one for one in judged if one.method == title]
+            write_results(bop, rows, source.shapes.ids, seconds[title])
     if curves:
         from pipeline.figures.accuracy_curves import draw_curves
 
@@ -299,7 +311,7 @@ def _proposals(
     source: PoseSource,
     sources: Sequence[str],
     workers: int | str,
-    files: tuple[Path | None, Path | None, Path | None, Path | None],
+    files: tuple[Path | None, ...],
     *,
     watch: bool,
 ) -> None:

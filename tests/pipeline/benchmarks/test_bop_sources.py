@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.benchmarks.bop_results import check_results
+from pipeline.benchmarks.bop_results import check_results, write_results
 from pipeline.benchmarks.pose_methods import Results
 from pipeline.benchmarks.pose_sources import BopImages
 from pipeline.benchmarks.poses import judgements
@@ -79,6 +79,26 @@ def test_another_programs_results_are_a_column(root: Path, tmp_path: Path) -> No
     image, method = bop.image(key), Results(title="other", path=path)
     (row,) = judgements(image, method, method.estimate(image, bop.shapes))
     assert row.error_m == pytest.approx(0, abs=1e-9)
+
+
+def test_what_was_found_scores_the_same_as_a_results_file(root: Path, tmp_path: Path) -> None:
+    """Written, looked through, and judged again: the ids of the data set, errors to a micrometre."""
+    path, again = tmp_path / "first.csv", tmp_path / "again.csv"
+    about = {"scene": 7, "image": 3, "object": SHAPES.ids["box"], "x": 4, "y": -2}
+    path.write_text(RESULT.format(**about, z=803) + "\n")
+    bop = source(root)
+    (key,) = bop.places()
+    image, method = bop.image(key), Results(title="first", path=path)
+    rows = judgements(image, method, method.estimate(image, bop.shapes))
+
+    write_results(again, rows, bop.shapes.ids, {key: 1.5})
+
+    check_results(again, bop.shapes.ids.values(), [(7, 3)])
+    second = Results(title="again", path=again)
+    (row,) = judgements(image, second, second.estimate(image, bop.shapes))
+    assert row.error_m == pytest.approx(rows[0].error_m, abs=1e-6)
+    assert row.error_m > 0.002
+    assert again.read_text().splitlines()[1].endswith(",1.5")
 
 
 @pytest.mark.parametrize(
