@@ -28,6 +28,9 @@ from slam.registration.second_motion import two_motions
 LEAST_EXPLAINED = 0.5
 """Of the returns, what an earlier view must explain by either motion to say anything of a frame: most."""
 
+LEAST_RIVAL = 0.1
+"""Of the returns, what a second motion must explain alone: less leaves the first one in the 95% region."""
+
 BENT = 0.25
 """Standard deviation of a displacement in all directions, relative to its size: what moves is not quite
 rigid, and a map of two motions is bent. Chosen by hand."""
@@ -153,7 +156,7 @@ def _judged(
     moved = jnp.concatenate(
         [jnp.sqrt(probabilities)[None] * away.T, jnp.sqrt(probabilities[other]) * spread], axis=1
     )
-    is_two = (two.log_odds > 0) & (two.explained > LEAST_EXPLAINED) & (two.shares[other] > 0)
+    is_two = (two.log_odds > 0) & (two.explained > LEAST_EXPLAINED) & (two.shares[other] > LEAST_RIVAL)
     is_two &= jnp.isfinite(moved).all()
     of_reference = jaxlie.SE3(first).inverse().adjoint() @ of_reference
     of_anchor = (jaxlie.SE3(anchor_pose).inverse() @ camera).inverse().adjoint() @ of_anchor

@@ -39,8 +39,9 @@ ASSIGNING_EXPONENT = 0.4
 """Tempering while blocks are assigned: what the filter begins with (`NoiseCalibration.initial`), on a quarter
 of its pixels."""
 
-PRIOR_LOG_ODDS = -6.9
-"""That something moves against the room: in one frame of a thousand. Chosen by hand."""
+PRIOR_LOG_ODDS = -24.0
+"""That something moves against the room. Half a nat for each of 48 blocks: by so much their densities are off
+where surfaces come out of hiding, on 24 short walks (docs/model.md, development films)."""
 
 PARAMETERS = 7
 """A second motion adds a pose and a share."""
