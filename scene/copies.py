@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 COPY = re.compile(r"(.+)_[0-9]+$")
 
 MOST_COPIES = 8
@@ -28,6 +31,13 @@ def asked_copies(entry: str) -> tuple[str, int]:
 def slot_names(names: Sequence[str], copies: int) -> list[str]:
     """Of every copy of every kind: mug, mug_2, mug_3."""
     return [name if copy == 0 else f"{name}_{copy + 1}" for name in names for copy in range(copies)]
+
+
+def copies_among(names: Sequence[str]) -> NDArray[np.bool_]:
+    """(N, N) which objects are of one shape by their names, each one with itself."""
+    originals = set(names) - {name for name in names if (copy := COPY.match(name)) and copy[1] in names}
+    shapes = np.array([shape_of(name, originals) for name in names])
+    return shapes[:, None] == shapes[None]
 
 
 def shape_of(name: str, shapes: Container[str]) -> str:

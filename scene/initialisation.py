@@ -149,5 +149,5 @@ def _kernels(pools: PosePools) -> list[Callable[[], object]]:
         lambda: pools.renderer.compile(pools.data.window),
         lambda: best_scene.lower(layers, scene, PAIRED).compile(),
         lambda: choose.lower(jax.random.key(0), layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
-        lambda: rivals.lower(layers, scene).compile(),
+        lambda: rivals.lower(layers, scene, np.eye(len(scene), dtype=bool)).compile(),
     ]

@@ -3,7 +3,7 @@
 Every object costs the log odds of being there at all, in one pose of the many that it might have had (part of
 the layers), and earns what it explains better than the others and what is unknown do. An object's posterior
 odds compare the scene with the best one without it, in which others may have taken its place. Poses that no
-pixel shows (`scene.verification.occlusion`) leave the prior odds as they are.
+pixel shows (`scene.hidden`) leave the prior odds as they are.
 """
 
 from __future__ import annotations
@@ -33,19 +33,24 @@ def best_scene(layers: PoseLayers, choice: jax.Array, candidates: int) -> tuple[
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
-def rivals(layers: PoseLayers, choice: jax.Array) -> tuple[jax.Array, jax.Array]:
+def rivals(layers: PoseLayers, choice: jax.Array, copies: jax.Array) -> tuple[jax.Array, jax.Array]:
     """For every object the best scene (N, N) without it, or with it where it is absent; its log odds (N,).
 
     Both are sought next to the scene (N,), by leaving the object out and filling the gap with others, or by
     putting it in and leaving out those that it makes superfluous. The log odds are those of the object being
     there: the log density of the scene with it less that of the scene without.
+
+    Objects of one shape do not stand for each other: that one of them is there and not another by name would
+    halve the odds of both. `copies` (N, N) tells which are alike, each one like itself.
     """
     density = log_density_of_choice(layers, choice)
 
     def rival(one: jax.Array) -> tuple[jax.Array, jax.Array]:
         absent = choice[one] == no_object(layers)
         scene = jax.lax.cond(
-            absent, lambda: _replaced(layers, choice, one), lambda: _without(layers, choice, one)
+            absent,
+            lambda: _replaced(layers, choice, one, copies[one]),
+            lambda: filled(layers, choice.at[one].set(no_object(layers)), copies[one]),
         )
         gain = log_density_of_choice(layers, scene) - density
         return scene, jnp.where(absent, gain, -gain)
@@ -98,9 +103,10 @@ def _with_replacements(layers: PoseLayers, choice: jax.Array) -> jax.Array:
     """The scene, or a better one in which an object stands for others, one object after the other."""
 
     def put(choice: jax.Array, one: jax.Array) -> tuple[jax.Array, None]:
-        return _better(layers, choice, _replaced(layers, choice, one)), None
+        return _better(layers, choice, _replaced(layers, choice, one, objects == one)), None
 
-    return jax.lax.scan(put, choice, jnp.arange(len(choice)))[0]
+    objects = jnp.arange(len(choice))
+    return jax.lax.scan(put, choice, objects)[0]
 
 
 def _without(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array:
@@ -108,8 +114,10 @@ def _without(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array
     return filled(layers, choice.at[one].set(no_object(layers)), jnp.arange(len(choice)) == one)
 
 
-def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array:
+def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array, kept: jax.Array) -> jax.Array:
     """The best scene with the object in one of its poses, without those that are then superfluous.
+
+    Those that are `kept` (N,), itself among them, stay.
 
     The poses that are tried are the best ones if they were granted every pixel that they explain, whether or
     not others explain it too.
@@ -124,7 +132,7 @@ def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Arra
 
     def leave_out(choice: jax.Array, other: jax.Array) -> tuple[jax.Array, None]:
         without = choice.at[other].set(no_object(layers))
-        return jnp.where(other == one, choice, _better(layers, choice, without)), None
+        return jnp.where(kept[other], choice, _better(layers, choice, without)), None
 
     def put(pose: jax.Array) -> jax.Array:
         return jax.lax.scan(leave_out, choice.at[one].set(pose), jnp.arange(len(choice)))[0]

@@ -1,8 +1,9 @@
 """Several objects of one shape have names of their own."""
 
+import numpy as np
 import pytest
 
-from scene.copies import asked_copies, shape_of, slot_names
+from scene.copies import asked_copies, copies_among, shape_of, slot_names
 
 
 def test_copies_are_named_after_their_shape() -> None:
@@ -23,3 +24,9 @@ def test_copies_are_asked_for_by_number() -> None:
     for entry in ("mug:0", "mug:-1", "mug:two", "mug:9", "mug:"):
         with pytest.raises(ValueError, match=f"'{entry}' must ask for 1 to 8 copies, such as mug:2"):
             asked_copies(entry)
+
+
+def test_copies_are_told_by_their_names() -> None:
+    """Of mug, mug_2 and can the first two; part_1 and part_2 without a part are shapes of their own."""
+    np.testing.assert_array_equal(copies_among(["mug", "mug_2", "can"]), [[1, 1, 0], [1, 1, 0], [0, 0, 1]])
+    np.testing.assert_array_equal(copies_among(["part_1", "part_2"]), np.eye(2))

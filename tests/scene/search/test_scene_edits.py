@@ -39,6 +39,11 @@ def _covering(*spans: tuple[int, int]) -> np.ndarray:
     return np.array([[low <= pixel < high for pixel in range(PIXELS)] for low, high in spans])
 
 
+def no_copies(layers: PoseLayers) -> np.ndarray:
+    """Every object is like itself alone."""
+    return np.eye(len(layers.depth_m), dtype=bool)
+
+
 def test_odds_are_prior_odds_times_the_bayes_factor() -> None:
     """Of objects that do not overlap: the marginals of the posterior over all scenes, there or absent."""
     layers = _layers(_covering((0, 3), (3, 8), (8, 20)), gain=0.9, log_odds=-4.0)
@@ -46,7 +51,7 @@ def test_odds_are_prior_odds_times_the_bayes_factor() -> None:
     log_posterior = np.array([float(log_density_of_choice(layers, jnp.asarray(scene))) for scene in scenes])
     found, _ = best_scene(layers, jnp.array([1, 1, 1]), 8)
     np.testing.assert_array_equal(found, scenes[log_posterior.argmax()])
-    _, log_odds = rivals(layers, found)
+    _, log_odds = rivals(layers, found, no_copies(layers))
     for one in range(3):
         there = scenes[:, one] == 0
         exact = np.log(np.exp(log_posterior[there]).sum() / np.exp(log_posterior[~there]).sum())
@@ -70,7 +75,7 @@ def test_an_object_that_nothing_shows_has_its_prior_odds() -> None:
     """It covers nothing; and prior odds are those of presence times the share of poses that fit alike."""
     prior = log_prior_odds(0.9)
     layers = _layers(_covering((0, 0), (4, 9)), gain=1.0, log_odds=prior)
-    _, log_odds = rivals(layers, jnp.array([1, 1]))
+    _, log_odds = rivals(layers, jnp.array([1, 1]), no_copies(layers))
     assert float(log_odds[0]) == pytest.approx(prior)
     assert prior - log_prior_odds(0.5) == pytest.approx(np.log(9.0))
 
@@ -81,7 +86,7 @@ def test_one_object_stands_for_two_that_explain_no_more(start: tuple[int, ...]) 
     layers = _layers(_covering((0, 10), (10, 20), (0, 20)), gain=1.0, log_odds=-3.0)
     found, _ = best_scene(layers, jnp.array(start), 8)
     np.testing.assert_array_equal(found, [1, 1, 0])
-    scenes, log_odds = rivals(layers, found)
+    scenes, log_odds = rivals(layers, found, no_copies(layers))
     np.testing.assert_array_equal(scenes[2], [0, 0, 1])
     assert float(log_odds[2]) == pytest.approx(3.0)
     assert (np.asarray(log_odds[:2]) < 0).all()
@@ -118,3 +123,15 @@ def test_rounding_is_no_object_to_add(seed: int) -> None:
     layers = replace(layers, rests=SupportTable(jnp.float32(alone), jnp.float32(on)))
     scene = jnp.asarray(rng.integers(0, 2, 21))
     np.testing.assert_array_equal(filled(layers, scene, jnp.zeros(21, bool)), scene)
+
+
+def test_copies_do_not_stand_for_each_other() -> None:
+    """One of two alike is there: by name as sure as without the other, which is absent for certain."""
+    layers = _layers(_covering((0, 10), (0, 10)), gain=1.0, log_odds=-3.0)
+    scene = jnp.array([0, 1])
+
+    _, alone = rivals(layers, scene, np.ones((2, 2), bool))
+    _, by_name = rivals(layers, scene, no_copies(layers))
+
+    np.testing.assert_allclose(alone, [7.0, -3.0], atol=1e-4)
+    np.testing.assert_allclose(by_name, [0.0, 0.0], atol=1e-4)
