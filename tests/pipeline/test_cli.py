@@ -161,3 +161,10 @@ def test_synth_names_mistakes(tmp_path: Path, arguments: list[str], exit_code: i
     assert result.exit_code == exit_code
     assert message in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_misspelt_command_is_told_which_it_may_have_been() -> None:
+    """In groups too; far-off words are told nothing."""
+    for words, near in ((["slm"], "slam"), (["eval", "pose"], "poses")):
+        assert f"Did you mean {near}?" in CliRunner().invoke(voxscene, words).stderr
+    assert "Did you mean" not in CliRunner().invoke(voxscene, ["xyz"]).stderr
