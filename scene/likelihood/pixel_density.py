@@ -41,7 +41,7 @@ UNKNOWN, CHANGES = 0.5, 0.05
 """kappa where nothing was measured before, and the probability that a pixel's neighbour shows the scene
 where it shows something unknown, or the other way round: what stands about is some ten pixels wide."""
 JUST_BEFORE, FAR_M = 1 - 1e-6, 1e6
-"""What an object does to the second pixels beside it is behind all objects and before the supports."""
+"""What an object does to the pixels beside it is behind all objects and before the supports."""
 MISSING, MISSING_ON = 0.01, 0.5
 """Probability that a surface ends before its outline, or is not there, at a pixel, and beside such pixels."""
 EDGE_PX = 3.0
@@ -73,7 +73,7 @@ class PixelDensity:
         noise: of the sensor.
         shape_sigma_m: error of objects' surfaces.
         observed_m: (H, W), `NO_RETURN` where nothing was measured.
-        edge_share: of the pixels at an outline that show the other side of it.
+        edge_reach: by how much of the way from one of these pixels to the next cameras shift outlines.
         learned: how well pixels foretell each other.
         unknown: what else the pixels may show.
     """
@@ -81,7 +81,7 @@ class PixelDensity:
     noise: DepthNoise
     shape_sigma_m: jax.Array
     observed_m: jax.Array
-    edge_share: jax.Array
+    edge_reach: jax.Array
     learned: UnknownWeights
     unknown: UnknownSurfaces
 
@@ -101,11 +101,11 @@ class PixelDensity:
             shape_sigma_m: error of objects' surfaces.
             stride: pixels of the image from one of these to the next.
         """
-        edge_share = 0.5 * min(1.0, EDGE_PX / stride)
-        sigma_m, share = (jax.device_put(np.float32(number)) for number in (shape_sigma_m, edge_share))
+        numbers = shape_sigma_m, min(1.0, EDGE_PX / stride)
+        sigma_m, reach = (jax.device_put(np.float32(number)) for number in numbers)
         observed_m, learned = jax.device_put(depth_m), UnknownWeights.learned(depth_m, noise)
         unknown = UnknownSurfaces.of(observed_m, noise, learned)
-        return cls(noise, sigma_m, observed_m, share, learned, unknown)
+        return cls(noise, sigma_m, observed_m, reach, learned, unknown)
 
     def of_rest(self, rest_m: jax.Array) -> jax.Array:
         """Log density (H, W) where no object is, before supports at depth (H, W), +inf where none is."""
@@ -116,9 +116,9 @@ class PixelDensity:
     def of_object(self, layer_m: jax.Array, rest_m: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Log density (H, W) of the pixels that an object has a part in, and its depth there, else +inf.
 
-        A camera shifts outlines: at one a pixel may show the other side of it. Where the object ends no
-        unknown surface goes on from it, which two pixels beside it tell: the first is part of the object, the
-        second behind all others, just before the supports.
+        A camera shifts outlines: at one a pixel may show the other side of it, and most so beside others that
+        do. Where the object ends no unknown surface goes on from it, which two pixels beside it tell: their
+        depth is just before the supports, so that other objects hide them.
 
         Args:
             layer_m: (H, W) depth of the object alone, +inf beside it.
@@ -132,15 +132,32 @@ class PixelDensity:
         one, rest = _Surface(wide_m, jnp.where(touches, self.shape_sigma_m, 0.0)), self._support(rest_m)
         mine, behind = self._shows(one), self._shows(rest)
         scene = jnp.where(touches, mine, behind)
-        shares = jnp.where(_all_beside(covers), 0.0, self.edge_share)
-        shares = jnp.where(covers, 1 - shares, jnp.where(touches, shares, 0.0))
+        within = 1 - self._shifted(covers & ~_all_beside(covers), 1 - mine)
+        shares = jnp.where(covers, within, self._shifted(touches & ~covers, mine))
         mixed = jnp.logaddexp(
             jnp.log(shares) + self._log_density(one, mine, scene, mine),
             jnp.log1p(-shares) + self._log_density(rest, behind, scene, mine),
         )
         left, above = _left_and_above(touches)
         just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
-        return mixed, jnp.where(touches, wide_m, jnp.where(left | above, just_before, jnp.inf))
+        return mixed, jnp.where(covers, layer_m, jnp.where(touches | left | above, just_before, jnp.inf))
+
+    def _shifted(self, outline: jax.Array, other: jax.Array) -> jax.Array:
+        """Probability (H, W) that pixels at one side of an outline show its other side; 0 elsewhere.
+
+        An outline is shifted with probability 1/2, as it was one pixel before but for `CHANGES`; where it is,
+        `edge_reach` of its pixels show the other side, which tells of those before whether it is.
+
+        Args:
+            outline: (H, W) bool, these pixels.
+            other: (H, W) probability that they show the other side, by their own measurement.
+        """
+        told = (outline & (self.observed_m != NO_RETURN)).astype(other.dtype)
+        count, seen = (sum(_left_and_above(part)) for part in (told, told * other))
+        unseen = 0.5 * (1 - self.edge_reach) / (1 - 0.5 * self.edge_reach)
+        before = unseen + (1 - unseen) * seen / jnp.maximum(count, 1.0)
+        shifted = jnp.where(count > 0, CHANGES + (1 - 2 * CHANGES) * before, 0.5)
+        return jnp.where(outline, self.edge_reach * shifted, 0.0)
 
     def _support(self, rest_m: jax.Array) -> _Surface:
         return _Surface(rest_m, SUPPORT_ERROR * jnp.where(jnp.isfinite(rest_m), rest_m, 0.0))

@@ -38,7 +38,7 @@ SCENES = {
 def density_of(observed_m: jax.Array) -> PixelDensity:
     """The density of images of 2 x 2 pixels with errors alike."""
     unknown = UnknownSurfaces.of(observed_m, NOISE, LEARNED)
-    return PixelDensity(NOISE, jnp.float32(SURFACE_M), observed_m, jnp.float32(0.3), LEARNED, unknown)
+    return PixelDensity(NOISE, jnp.float32(SURFACE_M), observed_m, jnp.float32(0.6), LEARNED, unknown)
 
 
 @jax.jit
