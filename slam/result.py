@@ -33,7 +33,8 @@ class SlamResult:
         ess: (T,) effective sample size after each frame.
         log_evidence: (T,) increments; their sum estimates log p(I_1..T) with the image density tempered.
         resampled: (T,) bool.
-        lost: (T,) bool, no pose agreed with the map.
+        lost: (T,) bool, no pose agreed with the map, or nothing ties the keyframe that it agreed with to the
+            first.
         explained: (T,) share of the returns that lay on the map's surface.
         disparity_per_m: (rows, columns) the sensor's distortion field at the nodes of
             `recordings.sensor_profile`, 1/m: mean, where several maps are left in the likeliest.

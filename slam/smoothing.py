@@ -13,7 +13,6 @@ from scipy.special import logsumexp
 
 from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS
 from recordings.types import CameraIntrinsics
-from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY, cluster, mean_and_covariance
 from shapes.geometry.poses import matrices_of
 from slam.filter.state import CameraParticles, FilterState, FrameInfo
@@ -48,8 +47,9 @@ class History:
         A particle's trajectory follows its own ancestors. The marginal of a frame mixes the particles'
         conditional Gaussians, those of its keyframe and of itself, so that it keeps its spread where few
         ancestors survive, and is widened to a Student-t by what was learnt to be `UNDERSTATED`. Where two
-        motions compete it reaches to the other one. The particles themselves are not spread. Frames follow
-        the sensor's distortion field, as it was estimated and as uncertain as it is.
+        motions compete it reaches to the other one. The particles themselves are not spread, and are those
+        of the images as they are. Frames follow the sensor's distortion field, which is unknown. A frame
+        whose keyframe nothing ties to the first is lost.
 
         Args:
             state: after the last frame.
@@ -72,23 +72,25 @@ class History:
             lineage = info.ancestors[lineage]
         anchors = particles.keyframe_poses[:, np.asarray(anchor_of)]
         following = np.stack([info.field_sensitivity for info in self.frames]) @ np.asarray(placed.factor)
-        draws = _followed(jnp.asarray(draws), jnp.asarray(following), placed.field_draws)
-        means = _followed(jnp.asarray(means), jnp.asarray(following), placed.field[placed.mode])
         known, spread = _with_placed(
             anchors,
-            means,
+            jnp.asarray(means),
             jnp.asarray(conditional),
             placed,
             jnp.asarray(anchor_of, jnp.int32),
             jnp.asarray(following),
         )
         central = _of_the_heaviest_mode(particles.keyframe_poses[:, : len(state.keyframe_map)], log_weights)
-        mean, covariance = _marginals(known, means, state.population.log_weights, spread, central)
-        disparity, sd = _distortion(placed, np.exp(log_weights))
+        mean, covariance = _marginals(
+            known, jnp.asarray(means), state.population.log_weights, spread, central
+        )
+        mode = int(np.argmax(np.bincount(np.asarray(placed.mode), np.exp(log_weights))))
+        nodes = (NODE_ROWS, NODE_COLUMNS)
+        untied = ~np.asarray(placed.held)[mode, anchor_of]
         displaced = np.asarray([info.doubt.displacements for info in self.frames], np.float64)
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
-            trajectories=matrices_of(_composed(anchors, draws)),
+            trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
             log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
             covariance=UNDERSTATED * np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
@@ -97,24 +99,12 @@ class History:
             ess=np.asarray([info.ess for info in self.frames]),
             log_evidence=np.asarray([info.log_evidence for info in self.frames]),
             resampled=np.asarray([info.resampled for info in self.frames], bool),
-            lost=np.asarray([info.lost for info in self.frames], bool),
+            lost=np.asarray([info.lost for info in self.frames], bool) | untied,
             explained=np.asarray([info.explained for info in self.frames]),
-            disparity_per_m=disparity,
-            disparity_sd_per_m=sd,
+            disparity_per_m=np.asarray(placed.disparity_per_m[mode], np.float64).reshape(nodes),
+            disparity_sd_per_m=np.asarray(placed.sd_per_m[mode], np.float64).reshape(nodes),
             camera=np.asarray([float(value) for value in vars(intrinsics).values()]),
         )
-
-
-def _distortion(
-    placed: RefinedKeyframes, weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The field at its nodes (rows, columns) in the heaviest mode, and its standard deviation."""
-    mode = int(np.argmax(np.bincount(np.asarray(placed.mode), weights)))
-    factor = np.asarray(placed.factor, np.float64)
-    covariance = np.asarray(placed.field_covariance[mode], np.float64)
-    variance = np.einsum("nf,fg,ng->n", factor, covariance, factor)
-    field = factor @ np.asarray(placed.field[mode], np.float64)
-    return field.reshape(NODE_ROWS, NODE_COLUMNS), np.sqrt(variance).reshape(NODE_ROWS, NODE_COLUMNS)
 
 
 def _of_the_heaviest_mode(keyframe_poses: jax.Array, log_weights: NDArray[np.float64]) -> jax.Array | None:
@@ -132,16 +122,6 @@ def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
     """Products (K, T, 7) of poses (K, T, 7)."""
     product = jax.vmap(jax.vmap(lambda anchor, pose: (jaxlie.SE3(anchor) @ jaxlie.SE3(pose)).wxyz_xyz))
     return product(anchors, relative)
-
-
-@jax.jit
-def _followed(poses: jax.Array, following: jax.Array, fields: jax.Array) -> jax.Array:
-    """Poses (K, T, 7) where sensitivities (T, 6, F) carry them at the particles' coordinates (K, F)."""
-
-    def one(pose: jax.Array, following: jax.Array, field: jax.Array) -> jax.Array:
-        return pose_gaussian.displace(pose, following @ field)
-
-    return jax.vmap(jax.vmap(one, (0, 0, None)), (0, None, 0))(poses, following, fields)
 
 
 @jax.jit
@@ -174,7 +154,7 @@ def _with_placed(
         held = placed.held[mode, anchor_of][:, None, None]
         spread = jacobian @ placed.covariances[mode, anchor_of] @ jacobian.mT
         total = following + jnp.where(held, jacobian @ placed.sensitivity[mode, anchor_of], 0.0)
-        shared = total @ placed.field_covariance[mode] @ total.mT
+        shared = total @ total.mT
         poses = jnp.where(held[:, 0], placed.poses[mode, anchor_of], anchors)
         return poses, jnp.where(held, spread, 0.0) + shared
 

@@ -11,7 +11,7 @@ import numpy as np
 from shapes.geometry.pose_sets import IDENTITY, spread_around
 from slam.config import SlamConfig
 from slam.filter import smc
-from slam.filter.map_update import CAPACITY_STEP
+from slam.filter.map_update import LEAST_CAPACITY
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
 from slam.filter.rival_motion import CERTAIN, RivalMotion
 from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_particles
@@ -34,7 +34,7 @@ def init(view: CanvasView, time_ns: int, config: SlamConfig) -> tuple[FilterStat
         motion = OrbitMotion.default() if known else OrbitMotion.of_unknown_radius(LOOSE_RADIUS * radius)
     calibration = NoiseCalibration.initial(config.noise, config.effective_pixel_share)
     pivot = np.asarray([0.0, 0.0, radius], np.float32)
-    particles = initial_particles(config.particles, CAPACITY_STEP, pivot)
+    particles = initial_particles(config.particles, LEAST_CAPACITY, pivot)
     surface = surfel_image(view, calibration.noise)
     state = FilterState(
         population=smc.uniform_population(particles),

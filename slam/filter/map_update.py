@@ -17,8 +17,8 @@ from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image, with_noise
 from slam.registration.search import Registration
 
-CAPACITY_STEP = 32
-"""Keyframes by which arrays grow: each growth compiles kernels anew."""
+LEAST_CAPACITY = 32
+"""Keyframes for which arrays have room at first."""
 
 KEYFRAME_SHIFT = 0.1
 """A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
@@ -30,13 +30,21 @@ KEYFRAME_COVERAGE = 0.75
 """Chosen by hand; as `KEYFRAME_ANGLE_RAD`."""
 
 
+def capacity_for(keyframes: int) -> int:
+    """Keyframes for which arrays have room: it doubles, since each growth compiles kernels anew."""
+    capacity = LEAST_CAPACITY
+    while capacity < keyframes:
+        capacity *= 2
+    return capacity
+
+
 def with_room(state: FilterState) -> FilterState:
     """The state with room for one keyframe more in every particle."""
     particles: CameraParticles = state.population.particles
-    capacity = particles.keyframe_poses.shape[1]
-    if len(state.keyframe_map) < capacity:
+    capacity = capacity_for(len(state.keyframe_map) + 1)
+    if particles.keyframe_poses.shape[1] >= capacity:
         return state
-    population = replace(state.population, particles=with_capacity(particles, capacity + CAPACITY_STEP))
+    population = replace(state.population, particles=with_capacity(particles, capacity))
     return replace(state, population=population)
 
 

@@ -2,7 +2,7 @@
 
 The target is the overlap density (`slam.likelihood.overlap_density`), tempered so that a pixel explained by
 several surfaces counts once; in the last rounds it is a density of the sensor's distortion field, too. Arrays
-over keyframes are padded to a multiple, since their number differs from recording to recording and each new
+over keyframes are padded to few sizes, since their number differs from recording to recording and each new
 shape would be compiled (as long as a dozen frames take).
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import matrices_of
-from slam.filter.map_update import CAPACITY_STEP
+from slam.filter.map_update import capacity_for
 from slam.likelihood.overlap_density import FieldTerms, overlap_terms
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
@@ -45,8 +45,8 @@ FIELD_INFLATIONS = (3.0, 2.0, 1.5)
 """Of sigma in the first rounds with the distortion field: a gap may be as wide as the field bends it."""
 
 FARTHEST = 0.05
-"""Metres or radians. A keyframe that would move farther is not near its optimum: the filter mistook the
-place, or nothing holds it. It stays, and the others are refined without it."""
+"""Metres or radians. A keyframe that would move farther is not near its optimum: the filter drifted or
+mistook the place, or nothing holds it. It stays, and the others are refined without it."""
 
 LEAST_INLIERS = 60.0
 """Ten times the six coordinates of a pose."""
@@ -139,6 +139,7 @@ def optimise(
     inflations: Sequence[float] = INFLATIONS,
     farthest: float = FARTHEST,
     motion: TrajectoryPrior | None = None,
+    damping: float = DAMPING,
 ) -> GraphOptimum | None:
     """The optimum near poses (N, 7), for a sensor without distortion.
 
@@ -147,7 +148,8 @@ def optimise(
     """
     start, astray = poses, np.zeros(len(poses), bool)
     linearised = _linearised(keyframes, poses, inflations[0], astray)
-    damping, converged = (DAMPING, CONVERGED) if motion is None else (HELD_DAMPING, HELD_CONVERGED)
+    converged = CONVERGED if motion is None else HELD_CONVERGED
+    damping = damping if motion is None else HELD_DAMPING
     for round_ in range(1, len(inflations) + MOST_STEPS):
         if linearised is None:
             return None
@@ -168,6 +170,20 @@ def optimise(
         exponents=_exponents(linearised),
         astray=astray,
     )
+
+
+def with_distortion(
+    keyframes: Keyframes,
+    start: GraphOptimum,
+    distortion: Distortion,
+    motion: TrajectoryPrior | None = None,
+) -> PoseGraph | None:
+    """The tempered graph at an optimum, with how its terms depend on the sensor's distortion field.
+
+    None where no keyframes overlap.
+    """
+    linearised = _linearised(keyframes, start.poses, 1.0, start.astray, distortion)
+    return None if linearised is None else _tempered(linearised, motion, start.poses, distortion)
 
 
 def optimise_with_distortion(
@@ -317,7 +333,7 @@ def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64])
 
 
 def _padded(values: NDArray[np.floating], axis: int) -> NDArray[np.float32]:
-    room = -values.shape[axis] % CAPACITY_STEP
+    room = capacity_for(values.shape[axis]) - values.shape[axis]
     first = np.take(values, np.zeros(room, int), axis)
     return np.concatenate([values, first], axis).astype(np.float32)
 

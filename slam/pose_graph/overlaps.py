@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
+from shapes.geometry.poses import matrices_of
 from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
 from slam.keyframes.plane_segmentation import with_plane_segments
 from slam.keyframes.planes import region_planes
 from slam.likelihood.distortion import NodeWeights
-from slam.likelihood.overlap_density import PlaneImage, PointSample, sample_points
+from slam.likelihood.overlap_density import PlaneImage, PointSample, log_overlap_densities, sample_points
 
 OVERLAPS = 6
 """Earlier keyframes with which each one is compared, both ways round."""
@@ -101,6 +102,47 @@ class Keyframes:
                 )
                 yield self.surfaces[surface], samples, surface, chosen
 
+    def log_densities(
+        self,
+        poses: NDArray[np.float32],
+        disparities_per_m: NDArray[np.float64],
+        exponents: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Log densities (L,) of all overlaps at keyframes (L, N, 7) and distortion fields (L, NODES).
+
+        Those of each image to the power of its exponent (N,).
+        """
+        total, fields = np.zeros(len(poses)), disparities_per_m.astype(np.float32)
+        for surface, samples, index, images in self.batches(1):
+            padded = np.resize(images, IMAGE_BUCKET)
+            relative = _relative_by_image(poses[:, index], poses[:, padded])
+            densities = log_overlap_densities(surface, samples, relative, self.noise, fields)
+            total += exponents[images] @ np.asarray(densities, np.float64)[: len(images)]
+        return total
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyframeImages:
+    """Keyframes whose poses are sought.
+
+    Attributes:
+        keyframe_map: at working resolution.
+        details: of each keyframe.
+        noise: the sensor at that detail.
+    """
+
+    keyframe_map: KeyframeMap
+    details: Sequence[KeyframeDetail]
+    noise: DepthNoise
+
+    def at(self, poses: NDArray[np.float32]) -> Keyframes:
+        """With the overlaps that they have at poses (N, 7)."""
+        return keyframes_at(self.keyframe_map, self.details, matrices_of(poses), self.noise)
+
+    def corrected(self, disparity_per_m: jax.Array) -> list[KeyframeDetail]:
+        """The details without the distortion field of these nodes (NODES,)."""
+        return [detail.without_distortion(disparity_per_m, self.noise) for detail in self.details]
+
 
 def keyframes_at(
     keyframe_map: KeyframeMap,
@@ -120,6 +162,12 @@ def keyframes_at(
         images_of=[np.nonzero(row)[0] for row in overlap | overlap.T],
         noise=noise,
     )
+
+
+@jax.jit
+def _relative_by_image(origins: jax.Array, poses: jax.Array) -> jax.Array:
+    """origin_from_pose (n, L, 7) of L poses (L, 7) and of n others each (L, n, 7)."""
+    return jax.vmap(relative_to)(origins, poses).swapaxes(0, 1)
 
 
 @jax.jit

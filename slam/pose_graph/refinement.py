@@ -8,8 +8,9 @@ own inverse and preserves volume, so that the density ratio alone decides. (Deci
 was refused at random: densities at single draws differ by tens of nats.) Accepted or not, particles then draw
 their displacement from the graph's Gaussian, the Laplace approximation of the same density (docs/model.md,
 section J). Reported spreads are that Gaussian's (`RefinedKeyframes`), since a few dozen weighted draws have
-no spread in most directions. The sensor's distortion field is one more unknown of each mode: an error that
-all frames share, which no number of them averages out.
+no spread in most directions. The sensor's distortion field is an error that all frames share, which no number
+of them averages out: poses follow it, and its prior is in what is told of them (a consider parameter; Schmidt
+1966). It is estimated jointly with the poses for the sensor's profile, by which frames may be corrected.
 """
 
 from __future__ import annotations
@@ -26,18 +27,16 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of
 from slam.filter.state import CameraParticles, FilterState
-from slam.likelihood.distortion import node_factor
-from slam.likelihood.overlap_density import log_overlap_densities
+from slam.likelihood.distortion import NODES, node_factor
 from slam.pose_graph import gauss_newton, sparse_gaussian
+from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
 from slam.pose_graph.gauss_newton import (
-    HELD_INFLATIONS,
-    INFLATIONS,
     Distortion,
-    FieldOptimum,
-    optimise,
+    GraphOptimum,
     optimise_with_distortion,
+    with_distortion,
 )
-from slam.pose_graph.overlaps import IMAGE_BUCKET, KeyframeDetail, Keyframes, keyframes_at, relative_to
+from slam.pose_graph.overlaps import KeyframeDetail, KeyframeImages, Keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 
@@ -46,41 +45,40 @@ from slam.pose_graph.trajectory_prior import TrajectoryPrior
 class RefinedKeyframes:
     """Where the modes have the keyframes, before the particles (K,) drew theirs, and the distortion field.
 
+    The field's coordinates are independent unit Gaussians a priori; nodes are `factor` times coordinates.
+
     Attributes:
         mode: (K,) index into the modes.
         poses: (G, N, 7) reference_from_keyframe.
         covariances: (G, N, 6, 6) in the charts there, given the field.
         held: (G, N) keyframes that overlaps tie to the first; the others are where the particles had them.
-        factor: (NODES, F) by which the field's nodes follow its coordinates.
-        field: (G, F) the coordinates' mean.
-        field_covariance: (G, F, F).
-        field_draws: (K, F) each particle's coordinates.
-        sensitivity: (G, N, 6, F) how keyframes follow the coordinates.
+        sensitivity: (G, N, 6, F) how keyframes follow the field's coordinates.
+        factor: (NODES, F).
+        disparity_per_m: (G, NODES) the field's mean, as it is estimated jointly with the poses.
+        sd_per_m: (G, NODES) its standard deviations.
     """
 
     mode: jax.Array
     poses: jax.Array
     covariances: jax.Array
     held: jax.Array
-    factor: jax.Array
-    field: jax.Array
-    field_covariance: jax.Array
-    field_draws: jax.Array
     sensitivity: jax.Array
+    factor: jax.Array
+    disparity_per_m: jax.Array
+    sd_per_m: jax.Array
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
-    """One mode's share of `RefinedKeyframes`, and draws for all particles: (K, N, 7) and (K, F)."""
+    """One mode's share of `RefinedKeyframes`, and draws (K, N, 7) for all particles."""
 
     poses: NDArray[np.float32]
     covariances: NDArray[np.float64]
     held: NDArray[np.bool_]
-    field: NDArray[np.float64]
-    field_covariance: NDArray[np.float64]
     sensitivity: NDArray[np.float64]
+    disparity_per_m: NDArray[np.float64]
+    sd_per_m: NDArray[np.float64]
     drawn: NDArray[np.float32]
-    field_drawn: NDArray[np.float64]
 
 
 def refine_keyframes(
@@ -107,17 +105,15 @@ def refine_keyframes(
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
     groups = cluster(matrices_of(poses[:, :used]), weights)
     unknown = Distortion.unknown(node_factor(sd_per_m))
-    field_draws = np.zeros((len(groups), len(unknown.coordinates)))
     modes: list[_Mode] = []
     for group in range(groups.max() + 1):
         members = groups == group
         share = jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum())
         filtered = np.asarray(mean_keyframes(particles.keyframe_poses, share))[:used]
-        keyframes = keyframes_at(state.keyframe_map, details, matrices_of(filtered), noise)
+        images = KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=noise)
         group_key = jax.random.fold_in(key, group)
-        mode = _refined(group_key, keyframes, details, filtered, unknown, motion, len(groups))
+        mode = _refined(group_key, images, filtered, unknown, motion, len(groups))
         poses[:, :used] = np.where((members[:, None] & mode.held)[..., None], mode.drawn, poses[:, :used])
-        field_draws[members] = mode.field_drawn[members]
         modes.append(mode)
     moved = replace(particles, keyframe_poses=jnp.asarray(poses))
 
@@ -125,19 +121,17 @@ def refine_keyframes(
         leaves = np.stack([getattr(mode, name) for mode in modes])
         return jnp.asarray(leaves, bool if name == "held" else jnp.float32)
 
-    told = ("poses", "covariances", "held", "field", "field_covariance", "sensitivity")
+    told = ("poses", "covariances", "held", "sensitivity", "disparity_per_m", "sd_per_m")
     return replace(state, population=replace(state.population, particles=moved)), RefinedKeyframes(
         mode=jnp.asarray(groups, jnp.int32),
         factor=jnp.asarray(unknown.factor, jnp.float32),
-        field_draws=jnp.asarray(field_draws, jnp.float32),
         **{name: stacked(name) for name in told},
     )
 
 
 def _refined(
     key: jax.Array,
-    keyframes: Keyframes,
-    details: Sequence[KeyframeDetail],
+    images: KeyframeImages,
     filtered: NDArray[np.float32],
     unknown: Distortion,
     motion: TrajectoryPrior | None,
@@ -145,50 +139,63 @@ def _refined(
 ) -> _Mode:
     """One mode, refined from where the filter has its keyframes (N, 7); `count` particles draw.
 
-    Twice: planes that were fitted to distorted depths do not bend with the field.
+    Poses are those of the images as they are, and draws are given these; what an unknown field may have moved
+    them by is in their covariances.
     """
     draw_key, choice_key = jax.random.split(key)
-    start = optimise(keyframes, filtered, INFLATIONS if motion is None else HELD_INFLATIONS, motion=motion)
-    found = start and optimise_with_distortion(keyframes, start, unknown, motion)
-    if found is not None:
-        disparity = jnp.asarray(found.distortion.disparity_per_m, jnp.float32)
-        corrected = [detail.without_distortion(disparity, keyframes.noise) for detail in details]
-        keyframes, removed = keyframes.of(corrected), found.distortion.removed()
-        found = optimise_with_distortion(keyframes, found, removed, motion)
-    if found is None:
-        return _unrefined(draw_key, filtered, unknown, count)
-    if not _is_accepted(choice_key, keyframes, filtered, found, motion):
-        found = replace(
-            found,
-            poses=filtered,
-            distortion=replace(found.distortion, coordinates=0.0 * found.distortion.coordinates),
-        )
-    field = sparse_gaussian.field_posterior(found.graph)
-    displacements, of_field = sparse_gaussian.draws(draw_key, found.graph, count)
+    keyframes, found = optimise_coarse_to_fine(images, filtered, motion)
+    if found is not None and not _is_accepted(choice_key, keyframes, filtered, found, motion):
+        found = replace(found, poses=filtered)
+    graph = found and with_distortion(keyframes, found, unknown, motion)
+    if found is None or graph is None:
+        return _unrefined(filtered, unknown, count)
+    disparity, sd = _estimated_field(images, keyframes, found, unknown, motion)
     return _Mode(
         poses=found.poses,
-        covariances=sparse_gaussian.conditional_marginals(found.graph),
-        held=sparse_gaussian.connected_to_first(found.graph),
-        field=found.distortion.coordinates,
-        field_covariance=field.covariance,
-        sensitivity=field.sensitivity,
-        drawn=gauss_newton.draw_poses(found.poses, displacements),
-        field_drawn=found.distortion.coordinates + of_field,
+        covariances=sparse_gaussian.conditional_marginals(graph),
+        held=sparse_gaussian.connected_to_first(graph),
+        sensitivity=sparse_gaussian.field_posterior(graph).sensitivity,
+        disparity_per_m=disparity,
+        sd_per_m=sd,
+        drawn=gauss_newton.draw_poses(found.poses, sparse_gaussian.draws(draw_key, graph, count)),
     )
 
 
-def _unrefined(key: jax.Array, poses: NDArray[np.float32], unknown: Distortion, count: int) -> _Mode:
-    """A mode (N, 7) whose keyframes nothing holds together: the field is what it was a priori."""
-    size, used = len(unknown.coordinates), len(poses)
+def _estimated_field(
+    images: KeyframeImages,
+    keyframes: Keyframes,
+    start: GraphOptimum,
+    unknown: Distortion,
+    motion: TrajectoryPrior | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The field's nodes (NODES,) at the joint optimum with the poses, and their standard deviations.
+
+    Twice: planes that were fitted to distorted depths do not bend with the field.
+    """
+    found = optimise_with_distortion(keyframes, start, unknown, motion)
+    if found is not None:
+        disparity = jnp.asarray(found.distortion.disparity_per_m, jnp.float32)
+        corrected, removed = keyframes.of(images.corrected(disparity)), found.distortion.removed()
+        found = optimise_with_distortion(corrected, found, removed, motion)
+    factor = unknown.factor
+    if found is None:
+        return np.zeros(len(factor)), np.sqrt((factor**2).sum(axis=1))
+    covariance = sparse_gaussian.field_posterior(found.graph).covariance
+    variance = np.einsum("nf,fg,ng->n", factor, covariance, factor)
+    return factor @ found.distortion.coordinates, np.sqrt(variance)
+
+
+def _unrefined(poses: NDArray[np.float32], unknown: Distortion, count: int) -> _Mode:
+    """A mode (N, 7) whose keyframes nothing ties to the first: the field is what it was a priori."""
+    used, factor = len(poses), unknown.factor
     return _Mode(
         poses=poses,
         covariances=np.zeros((used, 6, 6)),
-        held=np.zeros(used, bool),
-        field=unknown.coordinates,
-        field_covariance=np.eye(size),
-        sensitivity=np.zeros((used, 6, size)),
+        held=np.arange(used) == 0,
+        sensitivity=np.zeros((used, 6, factor.shape[1])),
+        disparity_per_m=np.zeros(len(factor)),
+        sd_per_m=np.sqrt((factor**2).sum(axis=1)),
         drawn=np.tile(poses, (count, 1, 1)),
-        field_drawn=np.asarray(jax.random.normal(key, (count, size)), np.float64),
     )
 
 
@@ -196,37 +203,12 @@ def _is_accepted(
     key: jax.Array,
     keyframes: Keyframes,
     before: NDArray[np.float32],
-    after: FieldOptimum,
+    after: GraphOptimum,
     motion: TrajectoryPrior | None,
 ) -> bool:
-    """Whether keyframes at `before` (N, 7), without distortion, go to `after`; `key` is consumed."""
-    distortion, poses = after.distortion, np.stack([before, after.poses])
-    coordinates = np.stack([0.0 * distortion.coordinates, distortion.coordinates])
-    disparities = coordinates @ distortion.factor.T - distortion.removed_per_m
-    log_densities = _log_densities(keyframes, poses, disparities, after.exponents)
-    log_densities -= 0.5 * (coordinates**2).sum(axis=1)
+    """Whether keyframes at `before` (N, 7) go to `after`; `key` is consumed."""
+    poses, none = np.stack([before, after.poses]), np.zeros((2, NODES))
+    log_densities = keyframes.log_densities(poses, none, after.exponents)
     if motion is not None:
         log_densities += [motion.log_density(matrices_of(one)) for one in poses]
     return bool(np.log(float(jax.random.uniform(key))) < log_densities[1] - log_densities[0])
-
-
-def _log_densities(
-    keyframes: Keyframes,
-    poses: NDArray[np.float32],
-    disparities_per_m: NDArray[np.float64],
-    exponents: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Tempered log densities (L,) of all overlaps at keyframes (L, N, 7) and fields (L, NODES)."""
-    total, fields = np.zeros(len(poses)), disparities_per_m.astype(np.float32)
-    for surface, samples, index, images in keyframes.batches(1):
-        padded = np.resize(images, IMAGE_BUCKET)
-        relative = _relative_by_image(poses[:, index], poses[:, padded])
-        densities = log_overlap_densities(surface, samples, relative, keyframes.noise, fields)
-        total += exponents[images] @ np.asarray(densities, np.float64)[: len(images)]
-    return total
-
-
-@jax.jit
-def _relative_by_image(origins: jax.Array, poses: jax.Array) -> jax.Array:
-    """origin_from_pose (n, L, 7) of L poses (L, 7) and of n others each (L, n, 7)."""
-    return jax.vmap(relative_to)(origins, poses).swapaxes(0, 1)

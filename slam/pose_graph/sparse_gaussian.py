@@ -112,29 +112,23 @@ def damped_step(graph: PoseGraph, damping: float) -> tuple[NDArray[np.float64], 
     return step + shared.sensitivity @ shared_step, shared_step
 
 
-def draws(key: jax.Array, graph: PoseGraph, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Displacements (count, N, 6), Gaussian with the graph's precision around zero.
+def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
+    """Displacements (count, N, 6), Gaussian with the graph's precision around zero, given what terms share.
 
     Perturb and solve: the normal equations with a right hand side whose covariance is the precision
-    (Papandreou and Yuille 2010). What the terms share (count, F) is drawn first.
+    (Papandreou and Yuille 2010).
     """
     size = 6 * graph.keyframes
-    shared_size = 0 if graph.field is None else len(graph.field.gradient)
-    sizes = (12 * len(graph), size, 0 if graph.joint is None else size, shared_size)
+    sizes = (12 * len(graph), size, 0 if graph.joint is None else size)
     noise = np.asarray(jax.random.normal(key, (count, sum(sizes))), np.float64)
-    pairwise, diagonal, jointly, shared = np.split(noise, np.cumsum(sizes)[:-1], axis=1)
+    pairwise, diagonal, jointly = np.split(noise, np.cumsum(sizes)[:-1], axis=1)
     of_terms = np.einsum("eij,kej->kei", _roots(graph.precision), pairwise.reshape(count, -1, 12))
     right = np.stack([_summed(graph, terms) for terms in of_terms])
     right += np.sqrt(STIFFNESS) * diagonal
     if graph.joint is not None:
         right += jointly @ _roots(graph.joint.precision).T
     drawn = _normal_equations(graph, STIFFNESS).solve(np.ascontiguousarray(right[:, 6:].T)).T
-    displacements = np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
-    if graph.field is not None:
-        posterior = field_posterior(graph)
-        shared = shared @ _roots(posterior.covariance).T
-        displacements += np.einsum("nif,kf->kni", posterior.sensitivity, shared)
-    return displacements, shared
+    return np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
 
 
 def field_posterior(graph: PoseGraph) -> FieldPosterior:
@@ -156,7 +150,7 @@ def _field_posterior(graph: PoseGraph, field: FieldTerm, factor: SuperLU) -> Fie
 def conditional_marginals(graph: PoseGraph) -> NDArray[np.float64]:
     """Covariances (N, 6, 6) of the displacements under the same Gaussian, zero for the first keyframe.
 
-    Given what terms share: its part S C S^T is that of the `FieldPosterior`.
+    Given what terms share: its part is S C S^T with the sensitivity S of the `FieldPosterior`.
     """
     solve = _normal_equations(graph, STIFFNESS).solve
     size = 6 * (graph.keyframes - 1)

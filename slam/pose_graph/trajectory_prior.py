@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import single_precision_poses
 from slam.config import SlamConfig
-from slam.filter.map_update import CAPACITY_STEP
+from slam.filter.map_update import capacity_for
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion, velocity_ratio
 from slam.filter.state import FilterState
 from slam.pose_graph.sparse_gaussian import JointTerm
@@ -103,7 +103,7 @@ class TrajectoryPrior:
     ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
         """Minus log p(poses, pivot), gradient (6 N + 3,) and curvature in displacements and the pivot."""
         count = len(poses)
-        index = np.minimum(np.arange(-(-count // CAPACITY_STEP) * CAPACITY_STEP), count - 1)
+        index = np.minimum(np.arange(capacity_for(count)), count - 1)
         placed, trio = single_precision_poses(poses), np.maximum(index[:, None] - np.asarray([2, 1, 0]), 0)
         ratios = np.zeros(len(index), np.float32)
         for at in range(2, count):

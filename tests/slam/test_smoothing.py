@@ -23,16 +23,14 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
     """As by autodiff, the distortion field's included; keyframes that nothing holds stay as they were."""
     rng = np.random.default_rng(seed)
     factor, of_keyframe, of_frame = rng.normal(size=(6, 6)), rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
-    field_covariance = np.diag([0.5, 1.0, 2.0])
     placed = RefinedKeyframes(
         mode=jnp.zeros(2, jnp.int32),
         poses=jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR])[None],
         covariances=jnp.asarray(np.stack([0 * factor, *[factor @ factor.T] * 2])[None], jnp.float32),
         held=jnp.asarray([[True, True, False]]),
         factor=jnp.zeros((63, 3)),
-        field=jnp.zeros((1, 3)),
-        field_covariance=jnp.asarray(field_covariance[None], jnp.float32),
-        field_draws=jnp.zeros((2, 3)),
+        disparity_per_m=jnp.zeros((1, 63)),
+        sd_per_m=jnp.ones((1, 63)),
         sensitivity=jnp.asarray(np.stack([0 * of_keyframe, of_keyframe, of_keyframe])[None], jnp.float32),
     )
     own = jnp.eye(6)
@@ -55,8 +53,8 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
     jacobian = np.asarray(jax.jacfwd(moved)(jnp.full(6, 1e-4)))
     following = of_frame + jacobian @ of_keyframe
     expected = np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T
-    expected = expected + following @ field_covariance @ following.T
-    alone = np.eye(6) + of_frame @ field_covariance @ of_frame.T
+    expected = expected + following @ following.T
+    alone = np.eye(6) + of_frame @ of_frame.T
     np.testing.assert_allclose(known[0, 0], ANCHOR)
     np.testing.assert_allclose(spread[0, 0], expected, rtol=0.01, atol=0.02)
     np.testing.assert_array_equal(known[:, 1], DRAWN[None].repeat(2, 0))
