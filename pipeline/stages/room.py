@@ -26,7 +26,13 @@ def room_stage(session: Session, trajectory: Committed[SlamResult]) -> Committed
     def compute() -> RoomView:
         recording, poses = session.recording, trajectory.value.mean
         with session.common.progress("room", "frames") as progress:
-            return view_room(recording, recording.intrinsics, poses, progress, **_camera_frame(recording))
+
+            def on_frame(done: int, total: int) -> None:
+                progress(done, total)
+                if done == total:
+                    progress.phase("fusing the cloud")
+
+            return view_room(recording, recording.intrinsics, poses, on_frame, **_camera_frame(recording))
 
     return session.stage("room", RoomView.load, compute, {}, uses=[trajectory], sources=SOURCES)
 
