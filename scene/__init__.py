@@ -4,6 +4,6 @@ Call `scene.parsing.parse_scene`. A frame is segmented (observation), searched a
 Gaussians are fitted round the poses found (search) and chains begin there (mcmc); samples become a result
 (summary).
 
-Imports run downward: parsing; summary, initialisation; mcmc, verification; search; likelihood; observation,
+Imports run downward: parsing; summary, initialisation; mcmc; search; likelihood; observation,
 diagnostics (agreement of chains); model, objects, result, config; execution (use of cores, for all of them).
 """

@@ -53,7 +53,8 @@ class ParseConfig:
             shape for certain.
         chains: Markov chains.
         sweeps: of each chain, a move for every object; the first third teaches the proposals and is dropped.
-        pixel_weight: effective over actual number of pixels in the likelihood (their errors are alike).
+        pixel_weight: effective over actual number of pixels in the likelihood of chains (their errors are
+            alike; the density of the search knows that).
         model_error_m: error of shapes and calibration, added in quadrature to the sensor's.
         search_error_m: the same during the search, where poses are coarse.
         outlier_probability: share of pixels that show what nobody models.

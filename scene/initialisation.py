@@ -1,15 +1,14 @@
 """Stage K of the supplement: a search for the most probable scene, which gives chains their start.
 
-Rounds of search (`scene.search.search_round`) add hypotheses for what the scene leaves unexplained. Scenes of
-about equal density are refined before they are compared. Detections that verification rejects are searched
-once more, since what took another object's place hid it. The result is a maximum and a set of hypotheses,
-never samples (docs/model.md, section K).
+Rounds of search (`scene.search.search_round`) add hypotheses for what the scene leaves unexplained, and go on
+for missing objects while they find any. Scenes of about equal density are refined before they are compared.
+One density of the image (`scene.likelihood.pixel_density`) decides at every step. The result is a maximum and
+a set of hypotheses, never samples (docs/model.md, section K).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import jax
 import numpy as np
@@ -22,35 +21,12 @@ from scene.likelihood.object_renderer import ObjectRenderer
 from scene.objects.scene_object import SceneObject
 from scene.observation.frame_data import SceneData
 from scene.search.assignment import choose
-from scene.search.competing_scenes import PAIRED, RIVALS, best_of, decided, polished_rivals
+from scene.search.competing_scenes import PAIRED, RIVALS, best_of, decided, polished_rivals, rivals_of
 from scene.search.hypotheses import PosePools
 from scene.search.residual import unexplained_by_others
 from scene.search.scene_edits import best_scene, rivals
 from scene.search.search_result import Initialisation
 from scene.search.search_round import COLD, HOT, PARTICLES, SWEEPS, SearchRound, log_gains
-from scene.verification.reassignment import CONVINCING, convincing, without_lookalikes
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class VerifiedScene:
-    """A scene whose detections were verified.
-
-    Attributes:
-        pools: of poses.
-        scene: (N,) index of each object's pose.
-        log_odds: (N,) of each object being there.
-        rejected: whether verification removed a detection.
-    """
-
-    pools: PosePools
-    scene: NDArray[np.integer]
-    log_odds: NDArray[np.float64]
-    rejected: bool
-
-    @property
-    def found(self) -> NDArray[np.bool_]:
-        """(N,) objects that are in the scene."""
-        return self.scene < self.pools.absent
 
 
 def initialise(
@@ -82,13 +58,13 @@ def initialise(
         for index, round_key in enumerate(keys):
             pools, scene = search_round(round_key, pools, scene, masks, index)
             masks = unexplained_by_others(pools, scene)
-    verified = verify(*compare_refined(last_key, pools, scene, noise), noise)
-    verified = search_rejected(again_key, search_round, verified, noise)
-    pools, scene = verified.pools, verified.scene
+        pools, scene = compare_refined(last_key, pools, scene, noise)
+        pools, scene = search_missing(again_key, search_round, pools, scene, noise)
+    _, log_odds = rivals_of(pools, scene)
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
-        found=verified.found,
-        log_odds=verified.log_odds,
+        found=scene < pools.absent,
+        log_odds=log_odds.astype(np.float64),
         pools=pools.poses.astype(np.float64),
         log_gains=np.asarray(log_gains(pools.layers, scene), np.float64),
         atoms=search_round.boltzmann_atoms(pools),
@@ -105,41 +81,24 @@ def compare_refined(
     return decided(key, pools, best_of(pools, scene), last, noise)
 
 
-def verify(pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise) -> VerifiedScene:
-    """A scene (N,) without the detections that verification rejects."""
-    left, log_odds = without_lookalikes(pools, scene, noise)
-    rejected = (scene < pools.absent) & (left == pools.absent)
-    return VerifiedScene(pools=pools, scene=left, log_odds=log_odds, rejected=bool(rejected.any()))
-
-
-def search_rejected(
-    key: jax.Array, search_round: SearchRound, best: VerifiedScene, noise: DepthNoise
-) -> VerifiedScene:
-    """The scene after further rounds for missing objects where detections were rejected, while these add any.
-
-    An object that only such a round finds must pass the appearance test.
-
-    Args:
-        key: random key.
-        search_round: a round of the search.
-        best: the scene so far.
-        noise: of the sensor.
-    """
-    last_round = best.pools.config.rounds
-    while best.rejected:
+def search_missing(
+    key: jax.Array,
+    search_round: SearchRound,
+    pools: PosePools,
+    scene: NDArray[np.integer],
+    noise: DepthNoise,
+) -> tuple[PosePools, NDArray[np.integer]]:
+    """The scene (N,) after further rounds for what it lacks, while these find more."""
+    while (scene == pools.absent).any():
         key, round_key, last_key = jax.random.split(key, 3)
-        unexplained = unexplained_by_others(best.pools, best.scene)
-        masks = {one: mask for one, mask in unexplained.items() if not best.found[one]}
-        searched = search_round(round_key, best.pools, best.scene, masks, last_round)
-        pools, scene = compare_refined(last_key, *searched, noise)
-        if not (convincing(pools, scene, noise) & ~best.found).any():
+        unexplained = unexplained_by_others(pools, scene)
+        masks = {one: mask for one, mask in unexplained.items() if scene[one] == pools.absent}
+        searched = search_round(round_key, pools, scene, masks, pools.config.rounds)
+        more_pools, more = compare_refined(last_key, *searched, noise)
+        if (more < pools.absent).sum() <= (scene < pools.absent).sum():
             break
-        other = verify(pools, scene, noise)
-        unsure = other.found & ~best.found & (other.log_odds < CONVINCING)
-        if other.found.sum() <= best.found.sum() or unsure.any():
-            break
-        best = other
-    return best
+        pools, scene = more_pools, more
+    return pools, scene
 
 
 def _kernels(pools: PosePools) -> list[Callable[[], object]]:

@@ -107,7 +107,6 @@ def _round_the_circle(mean: jax.Array, covariance: jax.Array, axis: jax.Array) -
 def pose_proposals(
     start: Initialisation,
     refined: Refinement,
-    pixel_weight: float,
     world_from_camera: jax.Array,
     axes: jax.Array,
 ) -> PoseMixture:
@@ -116,7 +115,6 @@ def pose_proposals(
     Args:
         start: with the pools.
         refined: Gaussians on their modes.
-        pixel_weight: the likelihood's exponent.
         world_from_camera: (7,).
         axes: (C,) the box axis about which each body is round, or -1.
     """
@@ -124,7 +122,7 @@ def pose_proposals(
     gains = start.log_gains[:, : start.pools.shape[1]]
     best = np.argsort(-gains, axis=1)[:, :OTHERS]
     others = np.take_along_axis(start.pools, best[..., None], axis=1)
-    log_others = pixel_weight * np.take_along_axis(gains, best, axis=1)
+    log_others = np.take_along_axis(gains, best, axis=1)
     log_others = log_others - np.logaddexp.reduce(log_others, axis=1, keepdims=True)
 
     def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -103,7 +103,7 @@ def sample_posterior(
     bodies = len(model.bodies.movable)
     axes = jax.device_put(np.array([round_axis(one) for one in objects] + [-1] * (bodies - len(objects))))
     kernel = scene_kernel(
-        pose_proposals(start, refined, config.pixel_weight, world, axes),
+        pose_proposals(start, refined, world, axes),
         prior_share=PRIOR_SHARE,
         translation_m=jax.device_put(np.full(bodies, WALK_M)),
         rotation_rad=jax.device_put(np.full(bodies, WALK_RAD)),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.model.presence import log_prior_odds
+from scene.model.presence import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
@@ -24,8 +24,6 @@ from scene.search.support_prior import Gravity, log_not_buried
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosePools:
     """K poses of each of N objects; a scene (N,) takes one of each, or `absent`.
-
-    Log densities have the likelihood's exponent 1, priors are raised to the inverse of the configured one.
 
     Attributes:
         data: the frame.
@@ -57,7 +55,7 @@ class PosePools:
         rng: np.random.Generator,
     ) -> PosePools:
         """Pools of `size` poses out of sight."""
-        log_odds = log_prior_odds(config.presence) / config.pixel_weight
+        log_odds = log_prior_odds(config.presence)
         pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds, rng)
         return cls(
             data=data,
@@ -96,7 +94,8 @@ class PosePools:
         first: int,
     ) -> PoseLayers:
         config, table = self.config, self.data.table
-        log_prior = log_not_buried(table, self.objects, found, config.loose_sigma_m) / config.pixel_weight
+        spins = np.where([one.spin_line.any() for one in self.objects], LOG_SPINS, 0.0)
+        log_prior = spins[:, None] + log_not_buried(table, self.objects, found, config.loose_sigma_m)
         layers = self.pixels.with_layers(self.layers, depth_m, log_prior, first)
         gravity = Gravity(
             contact_sigma_m=config.contact_sigma_m,
@@ -105,9 +104,7 @@ class PosePools:
             floating_weight=config.floating_weight,
         )
         below = table if config.graph == "infer" else None
-        return replace(
-            layers, rests=gravity.rests(self.data.view, below, self.objects, poses, 1 / config.pixel_weight)
-        )
+        return replace(layers, rests=gravity.rests(self.data.view, below, self.objects, poses, 1.0))
 
     def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
         """The chosen poses (N, 7) of a scene (N,), of the absent ones any."""

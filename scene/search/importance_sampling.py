@@ -129,7 +129,7 @@ def refine(
     count = len(start.poses)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     spins = _better_spins(data, renderer, numbers, start, noise, lines)
-    fits = _first(start, spins, pixel_weight)
+    fits = _first(start, spins)
     visible = np.zeros(count)
     for turn in range(TURNS):
         heaviest = np.array([_heaviest(fits, one) for one in range(count)])
@@ -172,14 +172,14 @@ def _better_spins(
     return spins
 
 
-def _first(start: Initialisation, spins: list[NDArray[np.float64]], pixel_weight: float) -> _Fits:
+def _first(start: Initialisation, spins: list[NDArray[np.float64]]) -> _Fits:
     """Wide Gaussians round the best poses, in order, round spins that look better, and round others.
 
     Those are of the pools, and as good.
     """
     owners, means = list(range(len(start.poses))), list(start.poses)
     for one in np.flatnonzero(start.found).tolist():
-        gains = pixel_weight * start.log_gains[one, : start.pools.shape[1]]
+        gains = start.log_gains[one, : start.pools.shape[1]]
         seen = np.concatenate([start.poses[one][None], spins[one]])
         for place in np.argsort(-gains):
             if gains[place] < -WORSE or len(seen) == SOUGHT:

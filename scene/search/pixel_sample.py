@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -12,18 +12,13 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.execution import FAST_COMPILE
-from scene.likelihood.clutter import log_density_without_objects
+from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.frame_data import SceneData
+from scene.observation.segmentation import support_depth
 from scene.search.assignment import PoseLayers
 from scene.search.support_table import SupportTable
-from shapes import depth_noise
 
 FOREGROUND_PIXELS = 2048
-
-LOWEST_LOG_DENSITY = -20.0
-
-RIM_MISSED = 0.5
-"""Probability that a pixel at an object's outline shows what is beside it: cameras shift outlines."""
 
 
 @jax.tree_util.register_dataclass
@@ -32,26 +27,20 @@ class ComparedPixels:
     """At most FOREGROUND_PIXELS pixels of the foreground, weighted; poses meet the others one by one.
 
     Attributes:
-        noise: of the sensor.
-        surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
+        density: of all the pixels.
         log_odds: of an object in one pose against its absence, before the image is seen.
-        observed_m: (pixels,) of the window.
-        rest_m: (pixels,) of the background.
+        rest_m: (H, W) of the supports.
         uncontested: (pixels,) bool, where no object is seen: a pose that covers them has to pay.
         places: (X,) the compared ones among the pixels.
         weight: (X,) how many pixels each of them stands for.
-        shape: (H, W) of the window.
     """
 
-    noise: DepthNoise
-    surface_sigma_m: jax.Array
+    density: PixelDensity
     log_odds: jax.Array
-    observed_m: jax.Array
     rest_m: jax.Array
     uncontested: jax.Array
     places: jax.Array
     weight: jax.Array
-    shape: tuple[int, int] = field(metadata={"static": True})
 
     @classmethod
     def of(
@@ -62,22 +51,30 @@ class ComparedPixels:
         log_odds: float,
         rng: np.random.Generator,
     ) -> ComparedPixels:
-        """Pixels of a frame, drawn at random where there are too many."""
+        """Pixels of a frame, drawn at random where there are too many.
+
+        Args:
+            data: the frame.
+            noise: of the sensor.
+            surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
+            log_odds: of an object in one pose against its absence, before the image is seen.
+            rng: random numbers.
+        """
         near, inside = data.window_foreground.ravel(), data.window.inside.ravel()
         places = rng.permutation(np.flatnonzero(near & inside))
         share = min(FOREGROUND_PIXELS / max(len(places), 1), 1.0)
         weight = np.zeros(FOREGROUND_PIXELS, np.float32)
         weight[: len(places)] = 1 / share
+        window = data.window
+        density = PixelDensity.of(window.depth_m, noise, surface_sigma_m, window.stride)
         numbers = (
-            np.float32(surface_sigma_m),
             np.float32(log_odds),
-            data.window.depth_m.ravel(),
-            data.rest_m.ravel(),
+            support_depth(data.supports, window, data.intrinsics),
             inside & ~near,
             np.resize(places, FOREGROUND_PIXELS).astype(np.int32),
             weight,
         )
-        return cls(noise, *map(jax.device_put, numbers), shape=data.window.inside.shape)
+        return cls(density, *map(jax.device_put, numbers))
 
     def no_layers(self, objects: int, poses: int) -> PoseLayers:
         """Layers of `poses` poses an object of which none shows anything, and of the absent object, last."""
@@ -112,7 +109,8 @@ class ComparedPixels:
 @jax.jit
 def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
     """Depth and log density (X,) of the background."""
-    return pixels.rest_m[pixels.places], _without_objects(pixels)[pixels.places] * pixels.weight
+    log_rest = pixels.density.of_rest(pixels.rest_m).ravel()
+    return pixels.rest_m.ravel()[pixels.places], log_rest[pixels.places] * pixels.weight
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
@@ -124,12 +122,14 @@ def _with_layers(
     first: jax.Array,
 ) -> PoseLayers:
     """The layers with depth (N, n, pixels) and priors (N, n) put in from `first` on."""
-    rest = _without_objects(pixels)
+    rest_m = pixels.rest_m.ravel()
+    log_rest = pixels.density.of_rest(pixels.rest_m).ravel()
 
     def shown(layer_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        density = _log_density(pixels, layer_m, rest)
-        seen = pixels.uncontested & (layer_m < pixels.rest_m)
-        alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - rest, 0.0))
+        parts = pixels.density.of_object(layer_m.reshape(pixels.rest_m.shape), pixels.rest_m)
+        density, layer_m = (part.ravel() for part in parts)
+        seen = pixels.uncontested & (layer_m < rest_m)
+        alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - log_rest, 0.0))
         return layer_m[pixels.places], density[pixels.places] * pixels.weight, alone
 
     count, poses, size = depth_m.shape
@@ -144,25 +144,3 @@ def _with_layers(
         rest_m=layers.rest_m,
         rest_log_density=layers.rest_log_density,
     )
-
-
-def _without_objects(pixels: ComparedPixels) -> jax.Array:
-    """Log density (pixels,) where no object is."""
-    density = log_density_without_objects(
-        pixels.noise,
-        pixels.observed_m,
-        pixels.rest_m,
-        ~pixels.uncontested,
-        pixels.surface_sigma_m,
-    )
-    return jnp.maximum(density, LOWEST_LOG_DENSITY)
-
-
-def _log_density(pixels: ComparedPixels, layer_m: jax.Array, rest: jax.Array) -> jax.Array:
-    """Log density (pixels,) where one layer is what they show, which its rim may miss."""
-    density = depth_noise.log_density(pixels.noise, pixels.observed_m, layer_m, pixels.surface_sigma_m)
-    density = jnp.maximum(density, LOWEST_LOG_DENSITY)
-    uncovered = ~jnp.isfinite(layer_m.reshape(pixels.shape))
-    beside = jax.lax.reduce_window(uncovered, False, jax.lax.bitwise_or, (3, 3), (1, 1), "SAME").ravel()
-    missed = jnp.logaddexp(jnp.log1p(-RIM_MISSED) + density, jnp.log(RIM_MISSED) + rest)
-    return jnp.where(beside, missed, density)

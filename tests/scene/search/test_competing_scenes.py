@@ -24,7 +24,7 @@ OFF_M = 0.0075
 
 
 def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Array, seed: int) -> None:
-    """The image shows the wide box. The narrow one, in its middle, agrees better until both are refined."""
+    """The image shows the wide box. It is not taken where the search placed it, and is after refinement."""
     slab = trimesh.creation.box((1.0, 1.0, 0.02))
     wide, narrow = (trimesh.creation.box((edge, edge, HEIGHT_M)) for edge in (WIDE_M, NARROW_M))
     middle = trimesh.transformations.translation_matrix((0, 0, HEIGHT_M / 2))
@@ -49,7 +49,7 @@ def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Arra
         of_search = best_of(pools, np.array([absent, 0]))
         pools, scene = decided(key, pools, of_search, 1, noise)
 
-    assert of_search.tolist() == [absent, 0]
+    assert of_search[0] == absent
     assert scene[0] < absent
     assert scene[1] == absent
     off_m = pools.placed(scene)[0, 4:] - poses_of(camera_from_world @ middle)[4:]

@@ -11,36 +11,31 @@ import trimesh
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene import parsing
 from scene.config import ParseConfig
+from scene.likelihood.pixel_density import UNKNOWN, PixelDensity
 from scene.objects.scene_object import SceneObject, scene_object
-from scene.search.pixel_sample import FOREGROUND_PIXELS, ComparedPixels
 
 NOISE = DepthNoise(none_hit_probability=0.11, none_miss_probability=0.83)
 
 
+NOTHING_HERE = (1 - UNKNOWN) * 0.83 + UNKNOWN * 0.11
+"""Rate of no return where no surface of the scene is and no pixel before tells of anything unknown."""
+
+
 @pytest.mark.parametrize(
-    ("rest_m", "cost"), [(np.inf, np.log(0.11 / 0.83)), (0.9, 0.0)], ids=["nothing behind", "a wall behind"]
+    ("rest_m", "cost"),
+    [(np.inf, np.log(0.11 / NOTHING_HERE)), (0.9, 0.0)],
+    ids=["nothing behind", "a wall behind"],
 )
 def test_a_pose_pays_for_pixels_without_return_where_nothing_is_behind(rest_m: float, cost: float) -> None:
-    """Away from its rim by the ratio of the rates, at its rim by half; nothing before a wall."""
-    shape = 12, 16
-    observed, rest = np.full(shape, NO_RETURN, np.float32), np.full(shape, rest_m, np.float32)
-    pixels = ComparedPixels(
-        NOISE,
-        jnp.float32(0.003),
-        jnp.float32(-50.0),
-        jnp.asarray(observed.ravel()),
-        jnp.asarray(rest.ravel()),
-        jnp.ones(rest.size, bool),
-        jnp.zeros(FOREGROUND_PIXELS, jnp.int32),
-        jnp.zeros(FOREGROUND_PIXELS, jnp.float32),
-        shape,
-    )
-    depth = np.full((1, *shape), np.inf, np.float32)
-    depth[0, 3:8, 4:12] = 0.6
-    layers = pixels.with_layers(pixels.no_layers(1, 1), depth, np.zeros((1, 1)), 0)
-    inner, rim = 3 * 6, 5 * 8 - 3 * 6
-    expected = -50.0 + inner * cost + rim * np.log((1 + np.exp(cost)) / 2)
-    np.testing.assert_allclose(float(layers.log_alone[0, 0]), expected, rtol=1e-5)
+    """Inside its outline by the ratio of the rates; nothing before a wall."""
+    observed, rest = np.full((12, 16), NO_RETURN, np.float32), np.full((12, 16), rest_m, np.float32)
+    layer = np.full((12, 16), np.inf, np.float32)
+    layer[3:8, 4:12] = 0.6
+    with jax.enable_x64(False):  # as the program starts it
+        density = PixelDensity.of(observed, NOISE, 0.003, 1)
+        shown, _ = density.of_object(jnp.asarray(layer), jnp.asarray(rest))
+        inside = np.asarray(shown - density.of_rest(jnp.asarray(rest)))[4:7, 5:11]
+    np.testing.assert_allclose(inside, cost, atol=1e-5)
 
 
 class SearchedError(Exception):

@@ -1,5 +1,6 @@
 """A thing that nobody asked for is not taken for a shape that is like it, and the shape itself is."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -11,7 +12,6 @@ from scene.likelihood.pixel_density import PixelDensity
 from scene.model.presence import LOG_SHARE_OF_POSES
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_data, support_depth
-from scene.verification.evidence import log_gain
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
 NOISE, SHAPE_SIGMA_M = DepthNoise(), 0.003
@@ -71,8 +71,10 @@ def evidence(data: SceneData, shape: str) -> float:
     whole_m, window = seen(shape), data.window
     alone_m = np.where(whole_m < seen() - 1e-4, whole_m, np.inf).astype(np.float32)
     density = PixelDensity.of(window.depth_m, NOISE, SHAPE_SIGMA_M, window.stride)
-    rest_m = support_depth(data.supports, window, INTRINSICS)
-    return float(log_gain(density, window.of(alone_m), rest_m, window.inside))
+    rest_m = jnp.asarray(support_depth(data.supports, window, INTRINSICS))
+    shown, depth_m = density.of_object(jnp.asarray(window.of(alone_m)), rest_m)
+    gain = np.where(window.inside & np.isfinite(depth_m), shown - density.of_rest(rest_m), 0.0)
+    return float(gain.sum())
 
 
 @pytest.mark.parametrize("shape", sorted(SHAPES))
