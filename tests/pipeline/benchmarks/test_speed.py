@@ -33,6 +33,7 @@ def test_it_calls_what_parse_calls() -> None:
     assert scene.parsing.refine is scene.search.importance_sampling.refine
 
 
+@pytest.mark.slow
 def test_the_rooflines_follow_from_the_rates(task: Problem) -> None:
     """One look-up and one density a covered pixel; by sphere tracing, several looks a pixel cast."""
     roof = measure_roofline(task, np.random.default_rng(15))

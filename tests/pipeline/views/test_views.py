@@ -150,7 +150,7 @@ def test_the_report_tells_the_figures(values: RunValues) -> None:
 
     assert "6 frames over" in text
     assert "none lost" in text
-    assert "position +- 1.7 mm (median), 1.7 mm in frame 0, if only sensor noise errs" in text
+    assert "position +- 1.7 mm (median), 1.7 mm in frame 0, if only noise and distortion" in text
     assert "| mug | 5 x 5 x 5 | 5 | 0% | 14% | 86% |" in text
 
 

@@ -131,6 +131,7 @@ def test_one_hidden_object(
     assert_frequencies([behind.sum(), (~behind).sum()], [share, 1 - share])
 
 
+@pytest.mark.slow
 def test_two_hidden_objects_hide_each_other(
     seed: int, places_m: np.ndarray, observed_m: np.ndarray, images: DepthImages
 ) -> None:
