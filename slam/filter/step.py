@@ -77,11 +77,13 @@ def step(
     known = len(state.keyframe_map)
     moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
     doubt = CERTAIN
-    if not lost:
+    if not lost and config.second_motion:
         best = found[0]
         anchor = int(best.indices[0]), best.local_map.poses[0]
         rival, doubt = doubt_of_frame(state.rival, view, state.calibration, best.optimum.pose, *anchor)
-        moved = with_frame(replace(moved, rival=rival), view, found, doubt)
+        moved = replace(moved, rival=rival)
+    if not lost:
+        moved = with_frame(moved, view, found, doubt)
     report = frame_info(moved, known, view, info, proposed, components, found, lost, unexpected, doubt)
     turned = state.steps_were_wide or turns_wide(*last_motion(population))
     return replace(moved, steps_were_wide=turned), report
