@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from pipeline.benchmarks.paired_intervals import compared
 from pipeline.benchmarks.pose_images import ImageKey
@@ -138,7 +139,14 @@ def _bins(judged: Iterable[Judged]) -> dict[str, list[Judged]]:
 
 
 def _errors(rows: Sequence[Judged]) -> dict[str, Any]:
-    return {"objects": len(rows), **error_figures([one.error_m for one in rows])}
+    """Errors, and Wilson's 95% interval of the share that is right, as if objects erred independently."""
+    right = sum(one.error_m < RIGHT_M for one in rows)
+    interval = binomtest(right, len(rows)).proportion_ci(method="wilson")
+    return {
+        "objects": len(rows),
+        **error_figures([one.error_m for one in rows]),
+        "right_interval": [float(interval.low), float(interval.high)],
+    }
 
 
 def _edges(judged: Iterable[Judged]) -> dict[str, Any]:

@@ -63,11 +63,14 @@ def _title(method: str, figures: Mapping[str, Any]) -> str:
 def _table(rows: Sequence[Mapping[str, Any]], group: str, heading: str) -> list[str]:
     width = max(len(row["method"]) for row in rows)
     first = max(len(heading), *(len(row[group]) for row in rows))
-    lines = [f"{heading:<{first}}  {'':<{width}}  objects   <5 mm  <10 mm  <20 mm     AUC  median mm"]
+    columns = "objects   <5 mm  <10 mm    95% Wilson  <20 mm     AUC  median mm"
+    lines = [f"{heading:<{first}}  {'':<{width}}  {columns}"]
     for row in rows:
-        shares = "  ".join(f"{share:>6.1%}" for share in row["accuracy"].values())
+        shares = [f"{share:>6.1%}" for share in row["accuracy"].values()]
+        low, high = row["right_interval"]
+        shares.insert(2, f"{low:>4.0%} to {high:>4.0%}")
         lines.append(
-            f"{row[group]:<{first}}  {row['method']:<{width}}  {row['objects']:>7}  {shares}"
+            f"{row[group]:<{first}}  {row['method']:<{width}}  {row['objects']:>7}  {'  '.join(shares)}"
             f"  {row['auc_0_10cm']:>6.1%}  {1000 * row['median_m']:>9.1f}"
         )
     return lines

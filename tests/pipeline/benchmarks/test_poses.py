@@ -178,6 +178,9 @@ def test_rows(judged: list[Judged], tmp_path: Path) -> None:
     assert document["images"] == 2
     figures = document["methods"]["ours"]
     assert figures["rows"]["all"]["accuracy"]["0.01"] == pytest.approx(1 / 3)
+    z2, share = 1.959964**2, 1 / 3  # Wilson (1927): roots of (p - share)^2 = z^2 p (1 - p) / 3
+    ends = np.roots([1 + z2 / 3, -(2 * share + z2 / 3), share**2])
+    np.testing.assert_allclose(figures["rows"]["all"]["right_interval"], np.sort(ends), atol=1e-5)
     assert figures["rows"]["stacked on tables"]["objects"] == 2
     assert figures["edges"]["flush"] == {"rests": 2, "right": 0.5}
     assert figures["edges"]["other"] == {"rests": 0, "right": None}
