@@ -23,17 +23,12 @@ from scene.observation.depth_view import PooledView, pooled_view, unproject
 from scene.observation.detection import SupportPlane, given_support, support_planes
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import DETAIL, PixelWindow, window_over
+from scene.observation.standing import HIGHEST_M, LOWEST_M, MARGIN_M, Pieces, is_over, pieces_on
 
 VIEW_WIDTH = 320
 
-LOWEST_M = 0.006
-
-HIGHEST_M = 0.5
-
 WARP_M, STEP_M, LEVEL_COSINE, SMOOTHED_PX = 0.02, 0.004, 0.9, 5
 """A table may be warped so far; steps this high and slopes are the sides of things on it."""
-
-TABLE_MARGIN_M = 0.05
 
 BEHIND_M = 0.03
 """What is measured so far behind a support's plane, which may be warped, is seen past its edge."""
@@ -85,7 +80,7 @@ def scene_data(
     if support:
         supports = [given_support(np.array(support[:3]), np.array(support[3:]), near)]
     else:
-        supports = support_planes(near, seed, partial(_is_seen, view))
+        supports = _busiest_first(support_planes(near, seed, partial(_is_seen, view)), view)
     supports = [_continued(one, near, view) for one in supports]
     data = _data_over(supports, depth_m, points, view, intrinsics, region)
     if region and not data.near.any():
@@ -136,7 +131,7 @@ def support_depth(
     nearest_m = np.full(window.depth_m.shape, np.inf)
     rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
     for support in supports:
-        plane_m = _plane_depth(support, rays, TABLE_MARGIN_M)
+        plane_m = _plane_depth(support, rays, MARGIN_M)
         nearest_m = np.where(window.depth_m > plane_m + BEHIND_M, nearest_m, np.minimum(nearest_m, plane_m))
     return nearest_m.astype(np.float32)
 
@@ -157,9 +152,10 @@ def _data_over(
         low, high = np.reshape(region, (2, 3))
         foreground &= ((in_first >= low) & (in_first <= high)).all(axis=-1)
     if supports:
-        foreground &= np.any([_is_over(one, points) for one in supports], axis=0)
-        for one in supports:
-            foreground &= ~_enlarged(_surface_of(one, view), factor, foreground.shape)
+        surface = _surface_of_any(supports, view)
+        elsewhere = _pieces(supports, view, surface).things_on(range(1, len(supports)))
+        foreground &= is_over(supports[0], points) | _enlarged(elsewhere, factor, foreground.shape)
+        foreground &= ~_enlarged(surface, factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
     seen = _in_company(foreground)
     window = window_over(seen, depth_m, intrinsics)
@@ -231,12 +227,20 @@ def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: PooledV
     return table.spanning(np.minimum(feet.min(axis=0), -half), np.maximum(feet.max(axis=0), half))
 
 
-def _is_over(support: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points (H, W, 3) are above a support, as high as things on it."""
-    inside = support.in_table_frame(points_m)
-    beside = np.abs(inside[..., :2]) - support.half_size_m
-    heights = support.heights(points_m)
-    return (beside < TABLE_MARGIN_M).all(axis=-1) & (heights > LOWEST_M) & (heights < HIGHEST_M)
+def _busiest_first(supports: list[SupportPlane], view: PooledView) -> list[SupportPlane]:
+    """The supports, that on which most stands first: not the floor for what stands on a table over it."""
+    if len(supports) < 2:
+        return supports
+    carried = _pieces(supports, view, _surface_of_any(supports, view)).carried(len(supports))
+    return [supports[number] for number in np.argsort(-carried, kind="stable")]
+
+
+def _pieces(supports: Sequence[SupportPlane], view: PooledView, surface: NDArray[np.bool_]) -> Pieces:
+    return pieces_on(supports, unproject(np.asarray(view.depth_m), view.camera), surface)
+
+
+def _surface_of_any(supports: Sequence[SupportPlane], view: PooledView) -> NDArray[np.bool_]:
+    return np.any([_surface_of(one, view) for one in supports], axis=0)
 
 
 def _surface_of(table: SupportPlane, view: PooledView) -> NDArray[np.bool_]:
