@@ -15,10 +15,14 @@ from pipeline.errors import PipelineError
 
 
 @contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """A temporary path of the same suffix; it takes the place of `path` when the block ends well.
 
     Its name is its own: of several writers to one path, the last whole file stays.
+
+    Args:
+        path: the file.
+        durable: whether it survives a power cut; waiting for the disk takes milliseconds.
 
     Raises:
         PipelineError: the file cannot be written.
@@ -26,10 +30,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield partial
-        with partial.open("rb+") as file:
-            os.fsync(file.fileno())
+        if durable:
+            with partial.open("rb+") as file:
+                os.fsync(file.fileno())
         partial.replace(path)
-        _sync(path.parent)
+        if durable:
+            _sync(path.parent)
     except OSError as error:
         raise PipelineError(f"cannot write {path}: {error.strerror or error}") from error
     finally:

@@ -8,15 +8,22 @@ import warnings
 from pathlib import Path
 
 
-def keep_compiled_kernels() -> None:
+def keep_compiled_kernels(name: str = "jax") -> None:
     """Switch JAX's persistent compilation cache on, for the shortest kernels too.
 
     `JAX_COMPILATION_CACHE_DIR` decides the folder where it is set. Without platformdirs, or where the
-    folder cannot be made, kernels are compiled in every process, and so is one whose file there is damaged.
+    folder cannot be made, kernels are compiled in every process.
+
+    Args:
+        name: of the folder among those that the program keeps in the user's cache.
     """
     import jax
+    from jax._src import compilation_cache  # what keeps its entries cannot be chosen otherwise
+
+    from pipeline.kernel_cache import KernelCache
 
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
+    compilation_cache.get_file_cache = lambda path: (KernelCache(Path(path)), path)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
@@ -24,7 +31,7 @@ def keep_compiled_kernels() -> None:
     try:
         from platformdirs import user_cache_path
 
-        folder = user_cache_path("voxscene", appauthor=False) / "jax"
+        folder = user_cache_path("voxscene", appauthor=False) / name
         Path(folder).mkdir(parents=True, exist_ok=True)
     except (ImportError, OSError):
         return

@@ -12,17 +12,14 @@ os.environ.setdefault("CI", "1")  # silences Rerun's usage statistics
 
 import jax
 import pytest
-from platformdirs import user_cache_path
 
-from pipeline.jax_setup import trace_without_pauses
+from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
 
 ROOT = Path(__file__).parent.parent
 
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-# Kernels are compiled once a machine, not once a checkout: that is half of the time of the tests.
-jax.config.update("jax_compilation_cache_dir", str(user_cache_path("voxscene", appauthor=False) / "tests"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+keep_compiled_kernels("tests")  # once a machine, not once a checkout: that is half of the time of the tests
 trace_without_pauses()
 
 

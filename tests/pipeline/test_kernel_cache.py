@@ -1,0 +1,78 @@
+"""Compiled kernels on disk: what is damaged there is compiled anew, told in one line, and mended."""
+
+import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.kernel_cache import SUFFIX, KernelCache
+from pipeline.logs import show_on_stderr
+
+PROGRAM = """
+from pipeline.jax_setup import keep_compiled_kernels
+from pipeline.logs import show_on_stderr
+keep_compiled_kernels()
+show_on_stderr(0)
+import jax
+print(float(jax.jit(lambda x: (x * x).sum())(jax.numpy.arange(64.0))))
+"""
+
+
+def damaged(content: bytes, how: str, rng: np.random.Generator) -> bytes:
+    """An entry cut, emptied, of other bytes, or with one bit turned."""
+    if how == "bit":
+        turned = bytearray(content)
+        turned[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
+        return bytes(turned)
+    return {"cut": content[: len(content) // 2], "empty": b"", "other": rng.bytes(len(content))}[how]
+
+
+@pytest.mark.parametrize("how", ["cut", "empty", "other", "bit"])
+def test_a_damaged_entry_is_dropped_and_told_once(
+    how: str, tmp_path: Path, seed: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of two entries, anywhere in them."""
+    show_on_stderr(logging.WARNING)
+    cache, rng = KernelCache(tmp_path), np.random.default_rng(seed)
+    for key in ("a", "b"):
+        cache.put(key, b"kernel" * 50)
+        path = tmp_path / f"{key}{SUFFIX}"
+        path.write_bytes(damaged(path.read_bytes(), how, rng))
+        assert cache.get(key) is None
+        cache.put(key, b"new" * 50)
+        assert cache.get(key) == b"new" * 50
+    assert capsys.readouterr().err.count("compiled anew") == 1
+
+
+def test_a_full_disk_keeps_nothing(tmp_path: Path, limited_files) -> None:
+    """And is no error."""
+    cache = KernelCache(tmp_path)
+    with limited_files(100):
+        cache.put("a", b"kernel" * 50)
+
+    assert cache.get("a") is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_jax_keeps_its_kernels_there_and_mends_them(tmp_path: Path) -> None:
+    """The whole program: three runs, before the second of which half of every entry is lost."""
+    said, results = [], []
+    for run in range(3):
+        environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path), "JAX_PLATFORMS": "cpu"}
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
+        )
+        said.append(done.stderr)
+        results.append(done.stdout)
+        entries = list(tmp_path.iterdir())
+        assert entries
+        assert all(path.name.endswith(SUFFIX) for path in entries)
+        if run == 0:
+            for path in entries:
+                path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert [text.count("compiled anew") for text in said] == [0, 1, 0]
+    assert results == ["85344.0\n"] * 3
