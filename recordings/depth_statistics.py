@@ -64,6 +64,11 @@ class DepthStatistics:
                 self.first_step_back_s = (last_ns - first_ns) / _SECOND_NS
         self._stamps_ns = first_ns, time_ns
 
+    def add_log_steps_back(self, seconds: Sequence[float]) -> None:
+        """When the log time steps back in the file: by it messages are sorted, so that no stamp tells."""
+        if seconds and not self.stamp_steps_back:
+            self.stamp_steps_back, self.first_step_back_s = len(seconds), seconds[0]
+
     def add_message(self, data: bytes) -> None:
         """A selected message in the order of stamps."""
         self.frames += 1

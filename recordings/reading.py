@@ -230,6 +230,7 @@ class McapRecording:
             found.add_message(message.data if isinstance(message, DepthMessage) else b"")
             if number % (1 << max(0, number.bit_length() - 3)) == 0:
                 self._add_frame(found, message, stamp_ns)
+        found.add_log_steps_back(self.decoded.bag.log_steps_back_s(self.depth_topic))
         found.camera_changes = [(start - (first_ns or 0)) / _SECOND_NS for start in starts_ns]
         return found
 

@@ -68,6 +68,10 @@ class Bag:
         ]
         return damaged + [f"{part.path.name}: the file is missing" for part in self._missing]
 
+    def log_steps_back_s(self, topic: str) -> list[float]:
+        """Where a topic's log time steps back within a file, in seconds after its first block there."""
+        return [seconds for file in self.files for seconds in file.log_steps_back_s(topic)]
+
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of the named topics, or of all."""
         for file in self.files:

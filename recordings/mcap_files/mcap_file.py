@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from recordings.mcap_files.recovery import rebuild_index
 from recordings.mcap_files.sources import Source, open_source
 from recordings.mcap_files.summary import index_of_summary, read_summary
 
+SECOND_NS = 1_000_000_000
 _MAGIC_BYTES_THAT_MAY_BE_WRONG = 2
 
 
@@ -129,6 +131,21 @@ class McapFile:
                         offset=block.offset, reason=str(error), messages=counted
                     )
         self._compare_counts(wanted, counts)
+
+    def log_steps_back_s(self, topic: str) -> list[float]:
+        """Where, in seconds after its first block, a topic's log time steps back from block to block.
+
+        Recorders write a topic in the order in which it came: their clock was set back there.
+        """
+        ids = {id_ for id_, known in self._topics.items() if known.name == topic}
+        starts_ns = [
+            block.start_time_ns
+            for block in sorted(self.index.blocks, key=lambda block: block.offset)
+            if block.channel_ids is None or not ids.isdisjoint(block.channel_ids)
+        ]
+        return [
+            (before - starts_ns[0]) / SECOND_NS for before, start in pairwise(starts_ns) if start < before
+        ]
 
     def _compare_counts(self, wanted: set[int], counts: Counter[int]) -> None:
         """Hold what a complete pass gave against what the file says it holds."""

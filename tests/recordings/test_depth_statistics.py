@@ -18,14 +18,18 @@ def room_mm(rng: np.random.Generator) -> np.ndarray:
     return (depth * (rng.random(depth.shape) > 0.1)).astype(np.uint16)
 
 
-def recorded(path, images, stamps_s=None, encoding="16UC1", options=AS_RECORDED, **fields):
+def recorded(
+    path, images, stamps_s=None, encoding="16UC1", options=AS_RECORDED, *, logged_by_stamp=False, **fields
+):
     """A recording of these images, a tenth of a second apart unless stamped otherwise; opened."""
     stamps_s = np.arange(1, len(images) + 1) / 10 + 1 if stamps_s is None else stamps_s
     with Scribe(path) as scribe:
-        scribe.ros2("/camera/depth/camera_info", camera_info(1, SIZE, (70.0, 72.0, 39.0, 30.0)), 1)
+        first = round(stamps_s[0] * SECOND_NS) if logged_by_stamp else 1
+        scribe.ros2("/camera/depth/camera_info", camera_info(1, SIZE, (70.0, 72.0, 39.0, 30.0)), first)
         for number, (pixels, seconds) in enumerate(zip(images, stamps_s, strict=True)):
             stamp = round(seconds * SECOND_NS)
-            scribe.ros2("/camera/depth/image_rect_raw", image(stamp, encoding, pixels, **fields), number + 1)
+            log_time = stamp if logged_by_stamp else number + 1
+            scribe.ros2("/camera/depth/image_rect_raw", image(stamp, encoding, pixels, **fields), log_time)
     return open_recording(path, options)
 
 
@@ -80,10 +84,11 @@ def test_frames_that_repeat_are_counted(recording_path, images):
     assert "8 of 12 depth frames repeat" in found.warnings(recording.size)[0]
 
 
-def test_a_clock_that_steps_back_is_told(recording_path, images):
-    """With how often, and when first."""
+@pytest.mark.parametrize("logged_by_stamp", [False, True])
+def test_a_clock_that_steps_back_is_told(recording_path, images, logged_by_stamp):
+    """With how often, and when first; also where it is the recorder's own, by which messages are sorted."""
     stamps = np.concatenate([np.arange(6), np.arange(6) - 7]) / 10 + 5
-    recording = recorded(recording_path, images, stamps)
+    recording = recorded(recording_path, images, stamps, logged_by_stamp=logged_by_stamp)
     found = recording.statistics()
 
     assert found.stamp_steps_back == 1
