@@ -13,14 +13,15 @@ they are those of its sensor, at the distance from one compared pixel to the nex
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
-from numpy.typing import NDArray
+from jax.lax import erf
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.depth_noise import standard_deviation
@@ -36,10 +37,22 @@ FIRST_SCALES = (1.2, 1.2, 4.0, 4.0, 12.0)
 ITERATIONS = 20
 LEAST_WEIGHT, LEAST_SCALE = 1e-3, 0.3
 """A mixture that is learned keeps so much of each part: an image of one wall knows no edge."""
+NO_EDGE, EDGES = 0, 5
+"""Edges that run towards a pixel: none, one along the row, along the column, both; the last where a pixel
+before is not measured."""
+KINDS = 2 * EDGES
+"""Of weights: first those of calm pixels, then those where a pixel before was badly foretold."""
+SURPRISE = 3.0
+"""Standard deviations of the sensor that a prediction errs by in one of a hundred or so calm pixels."""
+LIKE_ALL = 20.0
+"""Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
 USES_LEFT, USES_ABOVE = (1, 1, 1, 0, 1), (1, 1, 0, 1, 1)
 """Which predictions look at the pixel to the left and at that above."""
 ROWS_BEFORE, COLUMNS_BESIDE = 2, 2
 """The pixels before one to which planes are fitted: so many rows above, so many columns to either side."""
+WIDE_PX, NEAR_SIGMAS = 6, 4.0
+"""A surface's slopes are those of its pixels up to so many rows above and columns beside, so far from the
+plane through those near by, in standard deviations of the sensor."""
 STIFFNESS, LEAST_COUNT = 0.5, 1e-3
 """Added to the normal equations of slopes, in pixels squared, and the least weight of all: few pixels tell
 of no slope."""
@@ -51,7 +64,7 @@ class UnknownWeights:
     """What is learned of a sensor.
 
     Attributes:
-        weights: (K + 1,) that sum to 1; the last is w_0.
+        weights: (KINDS, K + 1) that sum to 1; the last is w_0.
         scales: (K,) standard deviations of predictions over that of the sensor there.
         reach_m: R.
     """
@@ -62,21 +75,32 @@ class UnknownWeights:
 
     @classmethod
     def learned(cls, depth_m: NDArray[np.float32], noise: DepthNoise) -> UnknownWeights:
-        """Those under which an image (H, W) is most probable, by expectation maximisation."""
-        means_m, known = (np.asarray(part, np.float64) for part in _predictions(jnp.asarray(depth_m)))
+        """Those under which an image (H, W) is most probable, by expectation maximisation.
+
+        Of an edge's course only as far as the image has edges: else what is learned of all pixels counts.
+        """
+        image = jnp.asarray(depth_m)
+        predictions = _predictions(image, noise)
+        kinds = np.asarray(_kinds(image, *predictions, noise))
+        means_m, known = (np.asarray(part, np.float64) for part in predictions)
         told = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (known > 0).any(axis=0)
         there, sensor_m = known[:, told] > 0, np.asarray(standard_deviation(noise, means_m))[:, told]
         errors = (depth_m - means_m)[:, told] / sensor_m
-        seldom = np.append(there.sum(axis=1), told.sum()).clip(1)
+        of_kind = np.eye(KINDS)[kinds[told]]
+        possible = np.concatenate([there, np.ones((1, told.sum()))])
         scales = np.array(FIRST_SCALES)
-        weights = np.full(len(scales) + 1, 1 / (len(scales) + 1))
+        weights = np.full((KINDS, len(scales) + 1), 1 / (len(scales) + 1))
         for _ in range(ITERATIONS if told.any() else 0):
             wide = scales[:, None]
             parts = there * np.exp(-0.5 * (errors / wide) ** 2) / (np.sqrt(2 * np.pi) * wide * sensor_m)
-            joint = weights[:, None] * np.concatenate([parts, np.full((1, told.sum()), 1 / REACH_M)])
+            joint = (of_kind @ weights).T * np.concatenate([parts, np.full((1, told.sum()), 1 / REACH_M)])
             shares = joint / joint.sum(axis=0)
-            weights = np.maximum(shares.sum(axis=1) / seldom, LEAST_WEIGHT)
-            weights /= weights.sum()
+            anywhere = shares.sum(axis=1) / possible.sum(axis=1).clip(1)
+            anywhere = np.maximum(anywhere, LEAST_WEIGHT)
+            anywhere /= anywhere.sum()
+            weights = (of_kind.T @ shares.T + LIKE_ALL * anywhere) / (of_kind.T @ possible.T + LIKE_ALL)
+            weights = np.maximum(weights, LEAST_WEIGHT)
+            weights /= weights.sum(axis=1, keepdims=True)
             squares = (shares[:-1] * errors**2).sum(axis=1) / shares[:-1].sum(axis=1).clip(1e-9)
             scales = np.sqrt(squares).clip(LEAST_SCALE)
         return cls(*(jax.device_put(part.astype(np.float32)) for part in (weights, scales)))
@@ -102,10 +126,9 @@ class UnknownSurfaces:
     @classmethod
     def of(cls, depth_m: jax.Array, noise: DepthNoise, learned: UnknownWeights) -> UnknownSurfaces:
         """The mixtures of an image (H, W)."""
-        means_m, known = _predictions(depth_m)
-        parts = learned.weights[:-1, None, None] * known
-        begins = jnp.broadcast_to(learned.weights[-1], depth_m.shape)[None]
-        shares = jnp.concatenate([parts, begins])
+        means_m, known = _predictions(depth_m, noise)
+        weights = jnp.moveaxis(learned.weights[_kinds(depth_m, means_m, known, noise)], -1, 0)
+        shares = weights * jnp.concatenate([known, jnp.ones_like(known[:1])])
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
         return cls(means_m, sigmas_m, shares / jnp.sum(shares, axis=0, keepdims=True), learned.reach_m)
 
@@ -129,27 +152,60 @@ class UnknownSurfaces:
 
     def share_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
         """Probability (H, W) that the surface is nearer than another one, known to `sigma_m`."""
-        by_part = ndtr((depth_m[None] - self.means_m) / jnp.hypot(self.sigmas_m, sigma_m[None]))
+        by_part = normal_distribution(
+            (depth_m[None] - self.means_m) / jnp.hypot(self.sigmas_m, sigma_m[None])
+        )
         # the mean of Phi((d - z) / s) over 0 <= z <= R
         low, high = (_ramp((depth_m - end) / sigma_m) for end in (0.0, self.reach_m))
         new = sigma_m / self.reach_m * (low - high)
         return jnp.sum(self.weights[:-1] * by_part, axis=0) + self.weights[-1] * new
 
 
-def _predictions(depth_m: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: DepthNoise) -> jax.Array:
+    """Which weights each pixel (H, W) has: by the edge that runs towards it, and by surprise before it.
+
+    Where the pixel to the left differs from that above it, an edge runs along the rows, and is likely to go
+    on; so is a crease, at which predictions fail.
+    """
+    left, above, corner = shifted(depth_m, 0, 1), shifted(depth_m, 1, 0), shifted(depth_m, 1, 1)
+    along_row, along_column = (jnp.abs(near - corner) >= JOINED_M for near in (left, above))
+    measured = (left != NO_RETURN) & (above != NO_RETURN) & (corner != NO_RETURN)
+    edge = jnp.where(measured, NO_EDGE + along_row + 2 * along_column, EDGES - 1)
+    told = (depth_m != NO_RETURN) & (known[-1] > 0)
+    error_m = jnp.where(told, depth_m - means_m[-1], 0.0)
+    return edge + EDGES * surprised(error_m, standard_deviation(noise, means_m[-1])).astype(jnp.int32)
+
+
+def surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
+    """Whether the pixel to the left of each (H, W) or that above was badly foretold.
+
+    Args:
+        error_m: (H, W) depth less its prediction, 0 where there is none.
+        sensor_m: (H, W) the sensor's standard deviation.
+    """
+    large = (jnp.abs(error_m) > SURPRISE * sensor_m).astype(error_m.dtype)
+    return (shifted(large, 0, 1) > 0) | (shifted(large, 1, 0) > 0)
+
+
+def _predictions(depth_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:
     """Predicted depths (K, H, W), and 1 where there are such (K, H, W)."""
     left, above = shifted(depth_m, 0, 1), shifted(depth_m, 1, 0)
-    on_left, on_above = _plane(depth_m, left), _plane(depth_m, above)
+    on_left, (rise, _) = _plane(depth_m, left, noise)
+    on_above, (_, fall) = _plane(depth_m, above, noise)
     either = jnp.where(left != NO_RETURN, on_left, on_above)
-    means_m = jnp.stack([on_left, on_above, left, above, either])
+    means_m = jnp.stack([on_left, on_above, _farther(left, rise), _farther(above, fall), either])
     known = means_m != NO_RETURN
     return jnp.where(known, means_m, 1.0), known.astype(depth_m.dtype)
 
 
-def _plane(depth_m: jax.Array, base_m: jax.Array) -> jax.Array:
+def _plane(
+    depth_m: jax.Array, base_m: jax.Array, noise: DepthNoise
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """Depth (H, W) of the plane through the pixels before each that lie on the surface of `base_m` (H, W).
 
-    `NO_RETURN` where that was not measured.
+    `NO_RETURN` where that was not measured. The plane errs from a wider one as a surface of the scene errs
+    from its shape, so that a plane of which much was seen is known as well as that shape; the wider one's
+    slopes in inverse depth (2) (H, W) along row and column.
     """
     known = base_m != NO_RETURN
     base = 1 / jnp.where(known, base_m, 1.0)
@@ -159,47 +215,116 @@ def _plane(depth_m: jax.Array, base_m: jax.Array) -> jax.Array:
         use = measured & (jnp.abs(near_m - base_m) < JOINED_M)
         return 1 / jnp.where(measured, near_m, 1.0) - base, use.astype(depth_m.dtype)
 
-    here = base + extrapolated(lambda down, across: rise(shifted(depth_m, down, across)))
-    return jnp.where(known & (here > 1 / FARTHEST_M), 1 / jnp.maximum(here, 1 / FARTHEST_M), NO_RETURN)
+    near = shifts(depth_m)
+    first = fitted(lambda *by: rise(near(*by)))
+    wide_x, wide_y = _wide_slopes(depth_m, base, first, standard_deviation(noise, base_m) * base**2)
+
+    def beside(down: int, across: int) -> tuple[jax.Array, jax.Array]:
+        value, use = rise(near(down, across))
+        return value + across * wide_x + down * wide_y, use
+
+    here = base + fitted(beside)[0]
+    return _depth(here, known), (wide_x, wide_y)
 
 
-def extrapolated(before: Callable[[int, int], tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Value (H, W) at every pixel of the least-squares plane through those before it; 0 without any.
+def _wide_slopes(
+    depth_m: jax.Array, base: jax.Array, first: tuple[jax.Array, ...], sigma: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Slopes (H, W) in inverse depth of the plane through all pixels before that lie near a first one.
+
+    Args:
+        depth_m: (H, W).
+        base: (H, W) inverse depth from which planes rise.
+        first: (3) (H, W) what the first plane has here, and its slopes.
+        sigma: (H, W) standard deviation of inverse depths.
+    """
+    size = depth_m.shape
+    rows, columns = (min(WIDE_PX, length - 1) for length in size)
+    wide = jnp.pad(depth_m, ((rows, 0), (columns, columns)), constant_values=NO_RETURN)
+    down, across = np.divmod(np.arange((rows + 1) * (2 * columns + 1)), 2 * columns + 1)
+    before = np.stack([down, columns - across], axis=1).astype(np.int32)
+    places = jnp.asarray(before[(before[:, 0] > 0) | (before[:, 1] > 0)])
+
+    def add(number: jax.Array, sums: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        down, across = places[number]
+        near_m = jax.lax.dynamic_slice(wide, (rows - down, columns - across), size)
+        measured = near_m != NO_RETURN
+        value = 1 / jnp.where(measured, near_m, 1.0) - base
+        away = value - (first[0] - across * first[1] - down * first[2])
+        use = measured & (jnp.abs(away) < NEAR_SIGMAS * sigma)
+        return _added(sums, value, use.astype(depth_m.dtype), down, across)
+
+    sums = jax.lax.fori_loop(0, len(places), add, (jnp.zeros_like(depth_m),) * 9)
+    _, slope_x, slope_y = _solved(sums)
+    return slope_x, slope_y
+
+
+def _farther(near_m: jax.Array, slope: jax.Array) -> jax.Array:
+    """Depth (H, W) one pixel on from depths (H, W), `NO_RETURN` where these are."""
+    known = near_m != NO_RETURN
+    return _depth(1 / jnp.where(known, near_m, 1.0) + slope, known)
+
+
+def _depth(inverse: jax.Array, known: jax.Array) -> jax.Array:
+    """Depth (H, W) of inverse depths, `NO_RETURN` where they are not known or no camera sees."""
+    return jnp.where(known & (inverse > 1 / FARTHEST_M), 1 / jnp.maximum(inverse, 1 / FARTHEST_M), NO_RETURN)
+
+
+def fitted(before: Callable[[int, int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, ...]:
+    """The least-squares plane through the pixels before each: value (H, W) there, slopes right and down.
 
     Args:
         before: values and weights (H, W) of the pixels so many rows above and columns to the left of each.
     """
-    sums = [jnp.zeros(())] * 9
+    sums = (jnp.zeros(()),) * 9
     for down in range(ROWS_BEFORE + 1):
         for across in range(1 if down == 0 else -COLUMNS_BESIDE, COLUMNS_BESIDE + 1):
-            value, use = before(down, across)
-            terms = (
-                1.0,
-                -across,
-                -down,
-                across**2,
-                across * down,
-                down**2,
-                value,
-                -across * value,
-                -down * value,
-            )
-            sums = [total + use * term for total, term in zip(sums, terms, strict=True)]
+            sums = _added(sums, *before(down, across), down, across)
+    return _solved(sums)
+
+
+def _added(
+    sums: tuple[jax.Array, ...], value: jax.Array, use: jax.Array, down: ArrayLike, across: ArrayLike
+) -> tuple[jax.Array, ...]:
+    """The sums of the normal equations with one more pixel of each."""
+    x, y = -jnp.asarray(across, value.dtype), -jnp.asarray(down, value.dtype)
+    terms = (1.0, x, y, x * x, x * y, y * y, value, x * value, y * value)
+    return tuple(total + use * term for total, term in zip(sums, terms, strict=True))
+
+
+def _solved(sums: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Value and slopes of planes from the sums of their normal equations; 0 without any pixel."""
     count, x, y, xx, xy, yy, d, xd, yd = sums
     n = jnp.maximum(count, LEAST_COUNT)
     xx, xy, yy = xx - x * x / n + STIFFNESS, xy - x * y / n, yy - y * y / n + STIFFNESS
     xd, yd = xd - x * d / n, yd - y * d / n
     determinant = xx * yy - xy**2
     slope_x, slope_y = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
-    return (d - slope_x * x - slope_y * y) / n
+    return (d - slope_x * x - slope_y * y) / n, slope_x, slope_y
 
 
 def shifted(image: jax.Array, down: int, across: int) -> jax.Array:
     """The pixel so far above and to the left (or right) of each, `NO_RETURN` beyond the border."""
+    return shifts(image)(down, across)
+
+
+def shifts(image: jax.Array) -> Callable[[int, int], jax.Array]:
+    """The pixels (H, W) so many rows above each and columns to its left, `NO_RETURN` beyond the border."""
     height, width = image.shape
-    right = max(-across, 0)
-    wide = jnp.pad(image, ((down, 0), (max(across, 0), right)), constant_values=NO_RETURN)
-    return wide[:height, right : right + width]
+    sides = (COLUMNS_BESIDE, COLUMNS_BESIDE)
+    wide = jnp.pad(image, ((ROWS_BEFORE, 0), sides), constant_values=NO_RETURN)
+    wide = jax.lax.optimization_barrier(wide)  # else every use pads anew, pixel by pixel
+
+    def at(down: int, across: int) -> jax.Array:
+        row, column = ROWS_BEFORE - down, COLUMNS_BESIDE - across
+        return wide[row : row + height, column : column + width]
+
+    return at
+
+
+def normal_distribution(x: jax.Array) -> jax.Array:
+    """Phi, to rounding of 1: `ndtr` minds the tails, and takes five times as long."""
+    return 0.5 * (1 + erf(x * math.sqrt(0.5)))
 
 
 def _normal(value: jax.Array, mean: jax.Array, sigma: jax.Array) -> jax.Array:
@@ -208,4 +333,4 @@ def _normal(value: jax.Array, mean: jax.Array, sigma: jax.Array) -> jax.Array:
 
 def _ramp(x: jax.Array) -> jax.Array:
     """The integral of Phi up to x."""
-    return x * ndtr(x) + jnp.exp(-0.5 * x**2) / jnp.sqrt(2 * jnp.pi)
+    return x * normal_distribution(x) + jnp.exp(-0.5 * x**2) / jnp.sqrt(2 * jnp.pi)

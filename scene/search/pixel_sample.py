@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.execution import FAST_COMPILE
+from scene.likelihood.object_density import object_density
 from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import support_depth
@@ -126,7 +127,7 @@ def _with_layers(
     log_rest = pixels.density.of_rest(pixels.rest_m).ravel()
 
     def shown(layer_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        parts = pixels.density.of_object(layer_m.reshape(pixels.rest_m.shape), pixels.rest_m)
+        parts = object_density(pixels.density, layer_m.reshape(pixels.rest_m.shape), pixels.rest_m)
         density, layer_m = (part.ravel() for part in parts)
         seen = pixels.uncontested & (layer_m < rest_m)
         alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - log_rest, 0.0))
