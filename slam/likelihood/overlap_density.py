@@ -215,12 +215,12 @@ def _gaps(
     back = jnp.where(meets, gap / jnp.where(meets, along, 1.0), 0.0)
     away = jnp.where(meets, 1.0 / jnp.where(meets, length * surface_along, 1.0), 0.0)
     of_image = jnp.where(meets, along * (measured / shrink - back) ** 2, 0.0)
+    of_image, of_surface, pixel = jax.lax.optimization_barrier((of_image, surface_along * away**2, pixel))
     return replace(
         gaps,
         points=points - ray * back[None],
         gap_m=gap * shrink**2,
-        field=of_image[None] * sample.node_weights()
-        - (surface_along * away**2)[None] * surface.nodes.at(pixel),
+        field=of_image[None] * sample.node_weights() - of_surface[None] * surface.nodes.at(pixel),
     )
 
 
@@ -277,8 +277,9 @@ def overlap_terms(
         blocks = gradients.reshape(12, BLOCKS, -1).sum(2)
         field = None
         if gaps.field is not None:
-            weighted = gaps.field * weight[None]
-            field = FieldTerms(weighted @ gaps.field.T, weighted @ gaps.gap_m, jacobian @ weighted.T)
+            jacobian, weight, of_nodes = jax.lax.optimization_barrier((jacobian, weight, gaps.field))
+            weighted = jax.lax.optimization_barrier(of_nodes * weight[None])
+            field = FieldTerms(weighted @ of_nodes.T, weighted @ gaps.gap_m, jacobian @ weighted.T)
         return OverlapTerms(
             precision=(jacobian * weight[None]) @ jacobian.T,
             gradient=blocks @ jnp.ones(BLOCKS, blocks.dtype),

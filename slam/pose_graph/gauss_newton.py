@@ -191,14 +191,16 @@ def optimise_with_distortion(
     start: GraphOptimum,
     distortion: Distortion,
     motion: TrajectoryPrior | None = None,
+    inflations: Sequence[float] = FIELD_INFLATIONS,
 ) -> FieldOptimum | None:
     """The optimum over poses and the sensor's distortion field, from one without it.
 
-    Terms are tempered in every step, for the field's prior is to be worth as much as they.
+    Terms are tempered in every step, for the field's prior is to be worth as much as they. `inflations` as
+    `FIELD_INFLATIONS`; none where the start is an optimum already.
     """
-    poses, rounds = start.poses, len(FIELD_INFLATIONS) + MOST_STEPS
+    poses, rounds = start.poses, len(inflations) + MOST_STEPS
     for round_ in range(rounds):
-        inflation = FIELD_INFLATIONS[round_] if round_ < len(FIELD_INFLATIONS) else 1.0
+        inflation = inflations[round_] if round_ < len(inflations) else 1.0
         linearised = _linearised(keyframes, poses, inflation, start.astray, distortion)
         if linearised is None:
             return None
@@ -260,7 +262,7 @@ def _linearised(
     distortion: Distortion | None = None,
 ) -> _Linearised | None:
     """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
-    stride = 1 if inflation == 1.0 or distortion else THINNED
+    stride = 1 if inflation == 1.0 else THINNED
     disparity = None if distortion is None else distortion.disparity_per_m.astype(np.float32)
     overlaps, parts = [], []
     for surface, samples, index, images in keyframes.batches(stride):
