@@ -71,7 +71,8 @@ class History:
                 conditional[:, index] = info.component_covariances[info.component[lineage]]
             lineage = info.ancestors[lineage]
         anchors = particles.keyframe_poses[:, np.asarray(anchor_of)]
-        following = np.stack([info.field_sensitivity for info in self.frames]) @ np.asarray(placed.factor)
+        of_nodes = np.stack([info.field_sensitivity for info in self.frames])
+        following = np.einsum("tin,gnf->gtif", of_nodes, np.asarray(placed.factor))
         known, spread = _with_placed(
             anchors,
             jnp.asarray(means),
@@ -137,7 +138,7 @@ def _with_placed(
 
     A displacement of an anchor in its own chart is one of the camera: R^T (xi_t + xi_r x t) and R^T xi_r in
     the camera's, anchor_from_camera (K, T, 7) being R, t. Camera and anchor follow one distortion field, the
-    camera by (T, 6, F) itself.
+    camera by (G, T, 6, F) itself.
     """
 
     def to_camera(relative: jax.Array) -> jax.Array:
@@ -153,7 +154,7 @@ def _with_placed(
         jacobian = jax.vmap(to_camera)(relative)
         held = placed.held[mode, anchor_of][:, None, None]
         spread = jacobian @ placed.covariances[mode, anchor_of] @ jacobian.mT
-        total = following + jnp.where(held, jacobian @ placed.sensitivity[mode, anchor_of], 0.0)
+        total = following[mode] + jnp.where(held, jacobian @ placed.sensitivity[mode, anchor_of], 0.0)
         shared = total @ total.mT
         poses = jnp.where(held[:, 0], placed.poses[mode, anchor_of], anchors)
         return poses, jnp.where(held, spread, 0.0) + shared

@@ -19,6 +19,7 @@ from slam.filter.step import step
 from slam.keyframes.depth_view import FINE_CANVAS, CanvasView, view_of_frame
 from slam.map_hypotheses.mode_jump import are_sparse_views, choose_map
 from slam.odometry import KissOdometry
+from slam.pose_graph.distortion_scale import SCALES
 from slam.pose_graph.overlaps import KeyframeDetail, keyframe_detail
 from slam.pose_graph.refinement import refine_keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
@@ -107,8 +108,10 @@ def track(
         prior = TrajectoryPrior.of(state, config)
         details = [detail.with_plane_segments(full_detail_noise) for detail in details]
     state = choose_map(look_key, state, config, details, full_detail_noise, prior)
-    sd = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M) if sensor is None else sensor.sd_per_m
-    state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, sd, prior)
+    sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
+    if sensor is not None:
+        sd, scales = sensor.sd_per_m, (1.0,)
+    state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, sd, prior, scales)
     result = history.result(state, placed, intrinsics)
     if sensor is None:
         return result

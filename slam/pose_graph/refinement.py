@@ -10,7 +10,8 @@ their displacement from the graph's Gaussian, the Laplace approximation of the s
 section J). Reported spreads are that Gaussian's (`RefinedKeyframes`), since a few dozen weighted draws have
 no spread in most directions. The sensor's distortion field is an error that all frames share, which no number
 of them averages out: poses follow it, and its prior is in what is told of them (a consider parameter; Schmidt
-1966). It is estimated jointly with the poses for the sensor's profile, by which frames may be corrected.
+1966), scaled to what the recording tells of it (`slam.pose_graph.distortion_scale`). It is estimated jointly
+with the poses for the sensor's profile, by which frames may be corrected.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from slam.filter.state import CameraParticles, FilterState
 from slam.likelihood.distortion import NODES, node_factor
 from slam.pose_graph import gauss_newton, sparse_gaussian
 from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
+from slam.pose_graph.distortion_scale import ScaledField, scaled_field, unseen_field
 from slam.pose_graph.gauss_newton import (
     Distortion,
     GraphOptimum,
@@ -53,7 +55,7 @@ class RefinedKeyframes:
         covariances: (G, N, 6, 6) in the charts there, given the field.
         held: (G, N) keyframes that overlaps tie to the first; the others are where the particles had them.
         sensitivity: (G, N, 6, F) how keyframes follow the field's coordinates.
-        factor: (NODES, F).
+        factor: (G, NODES, F), as strong as the recording tells.
         disparity_per_m: (G, NODES) the field's mean, as it is estimated jointly with the poses.
         sd_per_m: (G, NODES) its standard deviations.
     """
@@ -76,6 +78,7 @@ class _Mode:
     covariances: NDArray[np.float64]
     held: NDArray[np.bool_]
     sensitivity: NDArray[np.float64]
+    factor: NDArray[np.float64]
     disparity_per_m: NDArray[np.float64]
     sd_per_m: NDArray[np.float64]
     drawn: NDArray[np.float32]
@@ -88,6 +91,7 @@ def refine_keyframes(
     noise: DepthNoise,
     sd_per_m: NDArray[np.float64],
     motion: TrajectoryPrior | None = None,
+    scales: Sequence[float] = (1.0,),
 ) -> tuple[FilterState, RefinedKeyframes]:
     """The state with every particle's keyframes after one Metropolis-Hastings step, and where that led.
 
@@ -98,6 +102,7 @@ def refine_keyframes(
         noise: the sensor at that detail.
         sd_per_m: (rows, columns) deviations of the distortion field's nodes, a priori.
         motion: prior of the keyframes' poses, where it is to have a say.
+        scales: factors of `sd_per_m`, equally likely.
     """
     particles: CameraParticles = state.population.particles
     used = len(state.keyframe_map)
@@ -112,7 +117,7 @@ def refine_keyframes(
         filtered = np.asarray(mean_keyframes(particles.keyframe_poses, share))[:used]
         images = KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=noise)
         group_key = jax.random.fold_in(key, group)
-        mode = _refined(group_key, images, filtered, unknown, motion, len(groups))
+        mode = _refined(group_key, images, filtered, unknown, scales, motion, len(groups))
         poses[:, :used] = np.where((members[:, None] & mode.held)[..., None], mode.drawn, poses[:, :used])
         modes.append(mode)
     moved = replace(particles, keyframe_poses=jnp.asarray(poses))
@@ -121,10 +126,9 @@ def refine_keyframes(
         leaves = np.stack([getattr(mode, name) for mode in modes])
         return jnp.asarray(leaves, bool if name == "held" else jnp.float32)
 
-    told = ("poses", "covariances", "held", "sensitivity", "disparity_per_m", "sd_per_m")
+    told = ("poses", "covariances", "held", "sensitivity", "factor", "disparity_per_m", "sd_per_m")
     return replace(state, population=replace(state.population, particles=moved)), RefinedKeyframes(
         mode=jnp.asarray(groups, jnp.int32),
-        factor=jnp.asarray(unknown.factor, jnp.float32),
         **{name: stacked(name) for name in told},
     )
 
@@ -134,6 +138,7 @@ def _refined(
     images: KeyframeImages,
     filtered: NDArray[np.float32],
     unknown: Distortion,
+    scales: Sequence[float],
     motion: TrajectoryPrior | None,
     count: int,
 ) -> _Mode:
@@ -148,15 +153,14 @@ def _refined(
         found = replace(found, poses=filtered)
     graph = found and with_distortion(keyframes, found, unknown, motion)
     if found is None or graph is None:
-        return _unrefined(filtered, unknown, count)
-    disparity, sd = _estimated_field(images, keyframes, found, unknown, motion)
+        return _unrefined(filtered, unknown, scales, count)
+    field = _estimated_field(images, keyframes, found, unknown, scales, motion)
     return _Mode(
         poses=found.poses,
         covariances=sparse_gaussian.conditional_marginals(graph),
         held=sparse_gaussian.connected_to_first(graph),
-        sensitivity=sparse_gaussian.field_posterior(graph).sensitivity,
-        disparity_per_m=disparity,
-        sd_per_m=sd,
+        sensitivity=field.scale * sparse_gaussian.field_posterior(graph).sensitivity,
+        **_told_of(field, unknown.factor),
         drawn=gauss_newton.draw_poses(found.poses, sparse_gaussian.draws(draw_key, graph, count)),
     )
 
@@ -166,9 +170,10 @@ def _estimated_field(
     keyframes: Keyframes,
     start: GraphOptimum,
     unknown: Distortion,
+    scales: Sequence[float],
     motion: TrajectoryPrior | None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The field's nodes (NODES,) at the joint optimum with the poses, and their standard deviations.
+) -> ScaledField:
+    """The field at the joint optimum with the poses.
 
     Twice: planes that were fitted to distorted depths do not bend with the field.
     """
@@ -176,25 +181,31 @@ def _estimated_field(
     if found is not None:
         disparity = jnp.asarray(found.distortion.disparity_per_m, jnp.float32)
         corrected, removed = keyframes.of(images.corrected(disparity)), found.distortion.removed()
-        found = optimise_with_distortion(corrected, found, removed, motion)
-    factor = unknown.factor
+        found = optimise_with_distortion(corrected, found, removed, motion, inflations=())
     if found is None:
-        return np.zeros(len(factor)), np.sqrt((factor**2).sum(axis=1))
-    covariance = sparse_gaussian.field_posterior(found.graph).covariance
-    variance = np.einsum("nf,fg,ng->n", factor, covariance, factor)
-    return factor @ found.distortion.coordinates, np.sqrt(variance)
+        return unseen_field(unknown.factor.shape[1], scales)
+    return scaled_field(sparse_gaussian.field_posterior(found.graph), found.distortion.coordinates, scales)
 
 
-def _unrefined(poses: NDArray[np.float32], unknown: Distortion, count: int) -> _Mode:
+def _told_of(field: ScaledField, factor: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """The field's prior, as strong as it turned out, and its nodes (NODES,), by names of a `_Mode`."""
+    variance = np.einsum("nf,fg,ng->n", factor, field.covariance, factor)
+    return {
+        "factor": field.scale * factor,
+        "disparity_per_m": factor @ field.mean,
+        "sd_per_m": np.sqrt(variance),
+    }
+
+
+def _unrefined(poses: NDArray[np.float32], unknown: Distortion, scales: Sequence[float], count: int) -> _Mode:
     """A mode (N, 7) whose keyframes nothing ties to the first: the field is what it was a priori."""
-    used, factor = len(poses), unknown.factor
+    used, size = len(poses), unknown.factor.shape[1]
     return _Mode(
         poses=poses,
         covariances=np.zeros((used, 6, 6)),
         held=np.arange(used) == 0,
-        sensitivity=np.zeros((used, 6, factor.shape[1])),
-        disparity_per_m=np.zeros(len(factor)),
-        sd_per_m=np.sqrt((factor**2).sum(axis=1)),
+        sensitivity=np.zeros((used, 6, size)),
+        **_told_of(unseen_field(size, scales), unknown.factor),
         drawn=np.tile(poses, (count, 1, 1)),
     )
 

@@ -28,7 +28,7 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
         poses=jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR])[None],
         covariances=jnp.asarray(np.stack([0 * factor, *[factor @ factor.T] * 2])[None], jnp.float32),
         held=jnp.asarray([[True, True, False]]),
-        factor=jnp.zeros((63, 3)),
+        factor=jnp.zeros((1, 63, 3)),
         disparity_per_m=jnp.zeros((1, 63)),
         sd_per_m=jnp.ones((1, 63)),
         sensitivity=jnp.asarray(np.stack([0 * of_keyframe, of_keyframe, of_keyframe])[None], jnp.float32),
@@ -42,7 +42,7 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
         jnp.tile(own, (2, 2, 1, 1)),
         placed,
         jnp.asarray([1, 2], jnp.int32),
-        jnp.asarray(np.stack([of_frame, of_frame]), jnp.float32),
+        jnp.asarray(np.stack([of_frame, of_frame])[None], jnp.float32),
     )
 
     def moved(xi: jax.Array) -> jax.Array:
