@@ -20,11 +20,11 @@ from slam.pose_graph.refinement import RefinedKeyframes
 from slam.result import SlamResult
 
 UNDERSTATED, DEGREES_OF_FREEDOM = 1.5, 13.0
-"""By how much the curvature, tempered as the spread of the blocks' scores says, understates the variance of
-poses in all directions, and how surely that is known: blocks differ from image to image and room to room, and
-a Gaussian whose scale is only known to a chi-square is a Student-t. The F distribution of greatest likelihood
-for the squared distances of all frames of 411 short walks (`bench slam --only coverage`; docs/model.md,
-development films)."""
+"""By how much the curvature, tempered as the spread of the blocks' scores says, understates the variance that
+noise gives poses in all directions, and how surely that is known: blocks differ from image to image and room
+to room, and a Gaussian whose scale is only known to a chi-square is a Student-t. The F distribution of
+greatest likelihood for the squared distances of all frames of 411 short walks without a distortion field
+(`bench slam --only coverage`; docs/model.md, development films)."""
 
 
 @dataclass(kw_only=True)
@@ -46,7 +46,7 @@ class History:
 
         A particle's trajectory follows its own ancestors. The marginal of a frame mixes the particles'
         conditional Gaussians, those of its keyframe and of itself, so that it keeps its spread where few
-        ancestors survive, and is widened to a Student-t by what was learnt to be `UNDERSTATED`. Where two
+        ancestors survive, and is a Student-t, widened by what was learnt to be `UNDERSTATED`. Where two
         motions compete it reaches to the other one. The particles themselves are not spread, and are those
         of the images as they are. Frames follow the sensor's distortion field, which is unknown. A frame
         whose keyframe nothing ties to the first is lost.
@@ -94,7 +94,7 @@ class History:
             trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
             log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
-            covariance=UNDERSTATED * np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
+            covariance=np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
             + displaced @ displaced.transpose(0, 2, 1),
             degrees_of_freedom=np.asarray(DEGREES_OF_FREEDOM),
             ess=np.asarray([info.ess for info in self.frames]),
@@ -136,6 +136,7 @@ def _with_placed(
 ) -> tuple[jax.Array, jax.Array]:
     """Anchors (K, T, 7) before particles drew them, and their spread added to the conditional (K, T, 6, 6).
 
+    What noise gives is widened by `UNDERSTATED`; what the distortion field gives is not.
     A displacement of an anchor in its own chart is one of the camera: R^T (xi_t + xi_r x t) and R^T xi_r in
     the camera's, anchor_from_camera (K, T, 7) being R, t. Camera and anchor follow one distortion field, the
     camera by (G, T, 6, F) itself.
@@ -157,10 +158,10 @@ def _with_placed(
         total = following[mode] + jnp.where(held, jacobian @ placed.sensitivity[mode, anchor_of], 0.0)
         shared = total @ total.mT
         poses = jnp.where(held[:, 0], placed.poses[mode, anchor_of], anchors)
-        return poses, jnp.where(held, spread, 0.0) + shared
+        return poses, jnp.where(held, UNDERSTATED * spread, 0.0) + shared
 
     known, spread = jax.lax.map(of_particle, (placed.mode, anchors, relative))
-    return known, conditional + spread
+    return known, UNDERSTATED * conditional + spread
 
 
 @jax.jit

@@ -159,10 +159,20 @@ def _padded(columns: NDArray[np.floating]) -> jax.Array:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class _FieldSlopes:
+    """How gaps (n,) follow the field at the image's pixels and at the surface's, which these (n,) are."""
+
+    of_image: jax.Array
+    of_surface: jax.Array
+    pixel: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class _Gaps:
     """Per sampled pixel (n,): its point and plane normal in the surface's frame (3, n), gap and variance.
 
-    Where a distortion field is given also `field` (NODES, n): how the gap follows its nodes. The gap then
+    Where a distortion field is given also how the gap follows it. The gap then
     counts in metres as they were measured: in corrected ones it, and all that it costs, would shrink with the
     scene, which the field shrinks at will. For the same reason the point is where the pixel's ray meets the
     plane: slopes at the noisy point would go with the gap itself.
@@ -173,7 +183,7 @@ class _Gaps:
     gap_m: jax.Array
     variance_m2: jax.Array
     meets: jax.Array
-    field: jax.Array | None = None
+    field: _FieldSlopes | None = None
 
 
 def _gaps(
@@ -215,12 +225,11 @@ def _gaps(
     back = jnp.where(meets, gap / jnp.where(meets, along, 1.0), 0.0)
     away = jnp.where(meets, 1.0 / jnp.where(meets, length * surface_along, 1.0), 0.0)
     of_image = jnp.where(meets, along * (measured / shrink - back) ** 2, 0.0)
-    of_image, of_surface, pixel = jax.lax.optimization_barrier((of_image, surface_along * away**2, pixel))
     return replace(
         gaps,
         points=points - ray * back[None],
         gap_m=gap * shrink**2,
-        field=of_image[None] * sample.node_weights() - of_surface[None] * surface.nodes.at(pixel),
+        field=_FieldSlopes(of_image, surface_along * away**2, pixel),
     )
 
 
@@ -261,7 +270,7 @@ def overlap_terms(
         disparity_per_m: (NODES,) the distortion field, where terms are to tell of it.
     """
 
-    def one(pair: tuple[PointSample, jax.Array]) -> OverlapTerms:
+    def one(pair: tuple[PointSample, jax.Array]) -> tuple[OverlapTerms, _WeighedGaps | None]:
         sample, pose = pair
         gaps = _gaps(surface, sample, pose, noise, disparity_per_m)
         variance = inflation**2 * gaps.variance_m2
@@ -275,20 +284,48 @@ def overlap_terms(
         jacobian = jnp.concatenate([*of_image, *of_surface])
         gradients = jacobian * (weight * gaps.gap_m)[None]
         blocks = gradients.reshape(12, BLOCKS, -1).sum(2)
-        field = None
-        if gaps.field is not None:
-            jacobian, weight, of_nodes = jax.lax.optimization_barrier((jacobian, weight, gaps.field))
-            weighted = jax.lax.optimization_barrier(of_nodes * weight[None])
-            field = FieldTerms(weighted @ of_nodes.T, weighted @ gaps.gap_m, jacobian @ weighted.T)
-        return OverlapTerms(
+        terms = OverlapTerms(
             precision=(jacobian * weight[None]) @ jacobian.T,
             gradient=blocks @ jnp.ones(BLOCKS, blocks.dtype),
             score_variance=blocks @ blocks.T,
             inliers=inlier.sum(),
-            field=field,
+            field=None,
         )
+        weighed = gaps.field and _WeighedGaps(gaps.gap_m, weight, jacobian, gaps.field)
+        return terms, weighed
 
-    return jax.lax.map(one, (samples, surface_from_images))
+    terms, weighed = jax.lax.map(one, (samples, surface_from_images))
+    if weighed is None:
+        return terms
+    return replace(terms, field=_field_terms(surface, samples, weighed))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _WeighedGaps:
+    """Gaps (n,), their weights (n,), and how they follow displacements (12, n) and the field."""
+
+    gap_m: jax.Array
+    weight: jax.Array
+    jacobian: jax.Array
+    field: _FieldSlopes
+
+
+def _field_terms(surface: PlaneImage, samples: PointSample, weighed: _WeighedGaps) -> FieldTerms:
+    """Of B overlaps, leaves stacked (B, ...).
+
+    A loop of its own: within that of the gaps, these are computed anew for every node (measured, XLA's CPU
+    backend).
+    """
+
+    def one(pair: tuple[PointSample, _WeighedGaps]) -> FieldTerms:
+        sample, gaps = pair
+        of_surface = gaps.field.of_surface[None] * surface.nodes.at(gaps.field.pixel)
+        of_nodes = gaps.field.of_image[None] * sample.node_weights() - of_surface
+        weighted = of_nodes * gaps.weight[None]
+        return FieldTerms(weighted @ of_nodes.T, weighted @ gaps.gap_m, gaps.jacobian @ weighted.T)
+
+    return jax.lax.map(one, (samples, weighed))
 
 
 @jax.jit

@@ -8,7 +8,7 @@ import numpy as np
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
 from slam.pose_graph.refinement import RefinedKeyframes
-from slam.smoothing import _with_placed
+from slam.smoothing import UNDERSTATED, _with_placed
 
 
 def _pose(*tangent: float) -> jax.Array:
@@ -52,9 +52,9 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
 
     jacobian = np.asarray(jax.jacfwd(moved)(jnp.full(6, 1e-4)))
     following = of_frame + jacobian @ of_keyframe
-    expected = np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T
+    expected = UNDERSTATED * (np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T)
     expected = expected + following @ following.T
-    alone = np.eye(6) + of_frame @ of_frame.T
+    alone = UNDERSTATED * np.eye(6) + of_frame @ of_frame.T
     np.testing.assert_allclose(known[0, 0], ANCHOR)
     np.testing.assert_allclose(spread[0, 0], expected, rtol=0.01, atol=0.02)
     np.testing.assert_array_equal(known[:, 1], DRAWN[None].repeat(2, 0))
