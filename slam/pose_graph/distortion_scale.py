@@ -49,7 +49,7 @@ def scaled_field(
     variances = squared / (1.0 + squared * values)
     log_evidence = 0.5 * (pull**2 * variances - np.log1p(squared * values)).sum(axis=1)
     shares, means = softmax(log_evidence), pull * variances
-    mean = shares @ means
+    mean = (shares @ means).astype(np.float64)
     spread = np.diag(shares @ variances) + (means * shares[:, None]).T @ means - np.outer(mean, mean)
     return ScaledField(
         scale=float(np.sqrt(shares @ squared[:, 0])),
