@@ -31,7 +31,7 @@ class SlamConfig:
         noise: the sensor; None calibrates its sigma on the recording.
         effective_pixel_share: tempering exponent of the image density; None calibrates it.
         second_motion: look in every frame for a second rigid motion, where things move before the camera or
-            along with it. Off by default: in films round an object at rest it is found by mistake.
+            along with it.
 
     Raises:
         ValueError: a value is out of its range.
@@ -45,7 +45,7 @@ class SlamConfig:
     keyframes_compared: int = 4
     noise: DepthNoise | None = None
     effective_pixel_share: float | None = None
-    second_motion: bool = False
+    second_motion: bool = True
 
     def __post_init__(self) -> None:
         check_finite(self)

@@ -15,7 +15,6 @@ from pipeline.benchmarks.slam_cases import TARGET_M, Case, Row, filmed_in_furnis
 from pipeline.synthesis.paths import PathConfig, camera_path
 from pipeline.synthesis.sensor import DepthSensor
 from recordings.types import NO_RETURN, Frame
-from slam.config import SlamConfig
 
 CROSSING_SHARES = (0.2, 0.4, 0.55, 0.8)
 ATTACHED_SHARES = (0.15, 0.5)
@@ -33,14 +32,13 @@ SIGMA_M, SIGMA_GROWTH_PER_M = 0.0012, 0.0019
 
 
 def moving_rows() -> list[Row]:
-    """A row for each share of the view, tracked with a second motion looked for."""
-    told = {"voxscene": SlamConfig(second_motion=True)}
+    """A row for each share of the view."""
     crossings = [
-        Row(name=f"moving: {share:.0%} crosses, camera at rest", case=partial(crossing, share), configs=told)
+        Row(name=f"moving: {share:.0%} crosses, camera at rest", case=partial(crossing, share))
         for share in CROSSING_SHARES
     ]
     bodies = [
-        Row(name=f"moving: {share:.0%} fixed to the camera", case=partial(attached, share), configs=told)
+        Row(name=f"moving: {share:.0%} fixed to the camera", case=partial(attached, share))
         for share in ATTACHED_SHARES
     ]
     return [*crossings, *bodies]

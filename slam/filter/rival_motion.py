@@ -22,14 +22,13 @@ from shapes.geometry.pose_sets import IDENTITY
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.noise_calibration import NoiseCalibration
-from slam.registration.alignment import ModelImage
 from slam.registration.second_motion import two_motions
 
 LEAST_EXPLAINED = 0.5
 """Of the returns, what an earlier view must explain by either motion to say anything of a frame: most."""
 
-LEAST_RIVAL = 0.1
-"""Of the returns, what a second motion must explain alone: less leaves the first one in the 95% region."""
+LEAST_RIVAL = 0.05
+"""Of the returns, what a second motion must explain alone: less leaves the first one with 95%."""
 
 BENT = 0.25
 """Standard deviation of a displacement in all directions, relative to its size: what moves is not quite
@@ -74,7 +73,7 @@ class RivalMotion:
         of_keyframes: (6, 8) for each keyframe the displacements of `Doubt`.
     """
 
-    reference: ModelImage
+    reference: SurfelImage
     pose: jax.Array
     of_reference: NDArray[np.float32]
     second: jax.Array
@@ -85,7 +84,7 @@ class RivalMotion:
         """The first keyframe is in its place by definition."""
         here = jnp.asarray(IDENTITY, jnp.float32)
         doubt = CERTAIN.displacements
-        return cls(_reference(surface), here, doubt, here, (doubt,))
+        return cls(surface, here, doubt, here, (doubt,))
 
     def with_keyframe(self, surface: SurfelImage, pose: jax.Array, doubt: Doubt) -> RivalMotion:
         """A new keyframe, found at (7,); the next frames are compared with it unless it is in doubt."""
@@ -93,11 +92,7 @@ class RivalMotion:
         if doubt.rival_share > 0:
             return replace(self, of_keyframes=of_keyframes)
         here = jnp.asarray(IDENTITY, jnp.float32)
-        return RivalMotion(_reference(surface), pose, doubt.displacements, here, of_keyframes)
-
-
-def _reference(surface: SurfelImage) -> ModelImage:
-    return ModelImage(surface.planes, surface.variance_m2, surface.camera)
+        return RivalMotion(surface, pose, doubt.displacements, here, of_keyframes)
 
 
 def doubt_of_frame(
@@ -134,7 +129,7 @@ def doubt_of_frame(
 
 @jax.jit
 def _judged(
-    reference: ModelImage,
+    reference: SurfelImage,
     reference_pose: jax.Array,
     second: jax.Array,
     view: CanvasView,

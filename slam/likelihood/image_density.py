@@ -196,7 +196,14 @@ def rendered_depth(pixels: ScoredPixels, keyframes_from_camera: jax.Array) -> tu
 def log_image_density(
     pixels: ScoredPixels, keyframes_from_camera: jax.Array, noise: DepthNoise, exponent: jax.Array | float
 ) -> jax.Array:
-    """Tempered log density of the image from the pose that sees the map's keyframes at (M, 7).
+    """Tempered log density of the image from the pose that sees the map's keyframes at (M, 7)."""
+    return exponent * log_pixel_factors(pixels, keyframes_from_camera, noise)[0].sum()
+
+
+def log_pixel_factors(
+    pixels: ScoredPixels, keyframes_from_camera: jax.Array, noise: DepthNoise
+) -> tuple[jax.Array, jax.Array]:
+    """Log densities (P,) of the pixels from that pose, and (P,) were the map empty.
 
     A pixel that sees an element in the nearby rendering is held against it: from a pose where that turns its
     back the rendering no longer holds, and must not make the known unknown.
@@ -212,6 +219,10 @@ def log_image_density(
     log_hit = jnp.where(hit, log_hit, jnp.log(noise.outlier_probability / noise.max_range_m))
     ends = jnp.where(pixels.border, ENDS_BEFORE, 0.0)
     log_shown = jnp.logaddexp(jnp.log1p(-ends) + log_hit, jnp.log(ends) + log_unknown)
-    log_return = jnp.log1p(-pixels.foreseen.none) + jnp.where(seen, log_shown, log_unknown)
-    log_factors = jnp.where(returned, log_return, jnp.log(pixels.foreseen.none))
-    return exponent * jnp.where(pixels.measured, log_factors, 0.0).sum()
+
+    def factors(log_depth: jax.Array) -> jax.Array:
+        log_return = jnp.log1p(-pixels.foreseen.none) + log_depth
+        log_factors = jnp.where(returned, log_return, jnp.log(pixels.foreseen.none))
+        return jnp.where(pixels.measured, log_factors, 0.0)
+
+    return factors(jnp.where(seen, log_shown, log_unknown)), factors(log_unknown)

@@ -4,8 +4,10 @@ A frame is compared with one earlier view of the same camera. Blocks of its pixe
 motions: a mixture, fitted by EM. Where it explains the frame better than one motion does, by the Bayesian
 information criterion, two things move against each other, and geometry does not say which is the room.
 
-What the view did not see is as probable as its neighbours make it (`slam.likelihood.unmapped_depth`):
-surfaces that come out of hiding are no motion.
+Either motion has the density of the image in the map (`slam.likelihood.image_density`), that view being all
+of the map. The odds count those pixels alone of which one motion says what they must show: what comes out of
+hiding is open, and that another motion would explain it (a can looks the same from all sides, as if it went
+along with a camera that goes round it) speaks for no motion.
 """
 
 from __future__ import annotations
@@ -20,9 +22,10 @@ import numpy as np
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.geometry import pose_gaussian
 from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, CanvasView
-from slam.likelihood.image_density import STRIDE_PX
+from slam.keyframes.rendering import ONE_SURFACE_BAND, render
+from slam.keyframes.surfels import SurfelImage
+from slam.likelihood.image_density import STRIDE_PX, log_pixel_factors, rendered_depth, scored_pixels
 from slam.likelihood.noise_calibration import EXPONENT_RANGE
-from slam.likelihood.unmapped_depth import log_density_of_unknown, predict_from_neighbours
 from slam.registration.alignment import STIFFNESS, ModelImage, PixelTerms, associate, pixel_terms
 
 COMPARED_STRIDE_PX = 4
@@ -41,20 +44,14 @@ of its pixels."""
 
 PRIOR_LOG_ODDS = -24.0
 """That something moves against the room. Half a nat for each of 48 blocks: by so much their densities are off
-where surfaces come out of hiding, on 24 short walks (docs/model.md, development films)."""
+on 24 short walks (docs/model.md, development films). Blocks that together contradict the first motion by less
+cannot pay for a second one."""
 
 PARAMETERS = 7
 """A second motion adds a pose and a share."""
 
-ALL_EXPLAINED = 0.985
-"""Share of what the earlier view covers that the first motion explains where no other is looked for."""
-
 LEAST_SHARE = 0.02
 """Of blocks, one in 48: what is less is no motion."""
-
-
-NEW = 0.5
-"""Probability that a pixel within the earlier view shows what that did not: open."""
 
 DECISIVE = 3.0
 """Nats by which a block must prefer a motion to count for it, 20 to 1: along a wall motions look alike."""
@@ -82,48 +79,58 @@ class TwoMotions:
 
 @dataclass(frozen=True)
 class _Comparison:
-    """A frame against the reference, at any pose."""
+    """A frame against the reference, at any pose (7,) of its camera there."""
 
-    reference: ModelImage
+    reference: SurfelImage
     view: CanvasView
     noise: DepthNoise
-    log_unknown: jax.Array
 
-    @classmethod
-    def of(cls, reference: ModelImage, view: CanvasView, noise: DepthNoise) -> _Comparison:
-        lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
-        every = COMPARED_STRIDE_PX // STRIDE_PX
-        log_unknown = log_density_of_unknown(lattice, predict_from_neighbours(lattice, noise), noise)
-        return cls(reference, view, noise, log_unknown[::every, ::every].ravel())
+    def log_factors(self, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Of pixels (P,), over that of the unknown, not tempered; and which of them show a known surface.
 
-    def log_blocks(self, terms: PixelTerms) -> jax.Array:
-        """Log densities (B,) of the blocks over that of everything being new, not tempered."""
-        noise, eps = self.noise, float(jnp.finfo(jnp.float32).eps)
-        inlier = jnp.clip(terms.inlier, eps**4, 1.0 - eps)
-        outlier = noise.outlier_probability / noise.max_range_m
-        log_surface = (
-            jnp.log(inlier) - jnp.log1p(-inlier) + jnp.log(outlier) - jnp.log1p(-noise.outlier_probability)
-        )
-        log_known = jnp.log1p(-NEW) + log_surface - self.log_unknown
-        log_factor = jnp.logaddexp(log_known, jnp.log(NEW))
-        return jnp.where(self.returned & _in_view(terms), log_factor, 0.0) @ BLOCKS
+        Not at outlines: how elements were rounded decides which of two surfaces a pixel sees there.
+        """
+        surfaces, present = jax.tree.map(lambda leaf: leaf[None], self.reference), jnp.ones(1, bool)
+        image = render(surfaces, present, pose[None], self.view.rays, self.view.camera)
+        pixels = scored_pixels(self.view, image, surfaces, present, pose[None], self.noise)
+        log_density, log_unknown = log_pixel_factors(pixels, pose[None], self.noise)
+        shown = _within_a_surface(rendered_depth(pixels, pose[None])[0]) & self.returned(STRIDE_PX)
+        return _thinned(jnp.where(shown, log_density - log_unknown, 0.0)), _thinned(shown)
+
+    def log_blocks(self, pose: jax.Array, counted: jax.Array) -> jax.Array:
+        """The same of blocks (B,), the pixels (P,) that are `counted`."""
+        return jnp.where(counted, self.log_factors(pose)[0], 0.0) @ BLOCKS
 
     def terms(self, pose: jax.Array, inflation: jax.Array | float) -> tuple[PixelTerms, jax.Array]:
         """Of pixels at a pose (7,), and tempered log densities (B,) of the blocks over that of outliers."""
-        planes, variance, observed, rays = associate(self.reference, self.view, pose, COMPARED_STRIDE_PX)
+        model = ModelImage(self.reference.planes, self.reference.variance_m2, self.reference.camera)
+        planes, variance, observed, rays = associate(model, self.view, pose, COMPARED_STRIDE_PX)
         terms = pixel_terms(planes, variance, observed, rays, pose, self.noise, inflation)
         log_ratio = -jnp.log1p(-jnp.minimum(terms.inlier, 1.0 - jnp.finfo(jnp.float32).eps))
         return terms, ASSIGNING_EXPONENT * (log_ratio @ BLOCKS)
 
-    @property
-    def returned(self) -> jax.Array:
-        """Which of the compared pixels (P,) have a depth."""
-        return self.view.depth_m[::COMPARED_STRIDE_PX, ::COMPARED_STRIDE_PX].ravel() > NO_RETURN
+    def returned(self, stride_px: int = COMPARED_STRIDE_PX) -> jax.Array:
+        """Which of the pixels (P,) of a lattice have a depth."""
+        return self.view.depth_m[::stride_px, ::stride_px].ravel() > NO_RETURN
 
 
-def _in_view(terms: PixelTerms) -> jax.Array:
-    """Which of the pixels (P,) fall on a surface of the reference."""
-    return (terms.jacobian != 0.0).any(axis=0)
+def _within_a_surface(depth_m: jax.Array) -> jax.Array:
+    """Which pixels (P,) of the density's lattice are not beside a step in depth (P,), +inf where unknown.
+
+    Along a plane inverse depth is affine.
+    """
+    inverse = 1.0 / depth_m.reshape(CANVAS_HEIGHT // STRIDE_PX, -1)
+    padded = jnp.pad(inverse, 1, mode="edge")
+    down = padded[2:, 1:-1] + padded[:-2, 1:-1] - 2.0 * inverse
+    right = padded[1:-1, 2:] + padded[1:-1, :-2] - 2.0 * inverse
+    step = jnp.maximum(jnp.abs(down), jnp.abs(right))
+    return ((inverse > 0) & (step < ONE_SURFACE_BAND * inverse)).ravel()
+
+
+def _thinned(values: jax.Array) -> jax.Array:
+    """Those of the image density's lattice that are compared."""
+    every = COMPARED_STRIDE_PX // STRIDE_PX
+    return values.reshape(CANVAS_HEIGHT // STRIDE_PX, -1)[::every, ::every].ravel()
 
 
 def _moved(pose: jax.Array, terms: PixelTerms, belongs: jax.Array) -> jax.Array:
@@ -148,7 +155,7 @@ BLOCKS = _block_membership()
 
 @jax.jit
 def two_motions(
-    reference: ModelImage,
+    reference: SurfelImage,
     view: CanvasView,
     noise: DepthNoise,
     first: jax.Array,
@@ -156,8 +163,8 @@ def two_motions(
 ) -> TwoMotions:
     """The pair of motions that explains a frame best, of those to which EM leads from two starts.
 
-    Beside `second` this is where those blocks lead that fit `first` worst. Where the first motion explains
-    the frame there is nothing to find.
+    Beside `second` this is where those blocks lead that fit `first` worst. Where nothing contradicts the
+    first motion there is nothing to find.
 
     Args:
         reference: an earlier view, in its camera's frame.
@@ -166,33 +173,32 @@ def two_motions(
         first: (7,) reference_from_camera, where the frame was found.
         second: (7,) where else it may be.
     """
-    compared = _Comparison.of(reference, view, noise)
-    terms, log_blocks = compared.terms(first, 1.0)
-    explained = terms.inlier.sum() / jnp.maximum((_in_view(terms) & compared.returned).sum(), 1)
+    compared = _Comparison(reference, view, noise)
+    log_factors, shown = compared.log_factors(first)
+    count = jnp.maximum(compared.returned().sum(), 1)
 
     def search() -> TwoMotions:
-        seconds = jnp.stack([second, _led_by_the_worst(compared, first, log_blocks)])
-        log_one = jax.vmap(partial(_one_motion, compared))(jnp.stack([first, second])).max()
-        log_odds, pairs = jax.vmap(partial(_pair, compared, log_one, first))(seconds)
+        seconds = jnp.stack([second, _led_by_the_worst(compared, first, log_factors)])
+        log_one, counted = _one_motion(compared, first, second, log_factors, shown)
+        log_odds, pairs = jax.vmap(partial(_pair, compared, counted, log_one, first))(seconds)
         log_odds = jnp.where(jnp.isfinite(log_odds), log_odds, -jnp.inf)
         best = jnp.argmax(log_odds)
         poses, covariances, shares, either = (leaf[best] for leaf in pairs)
         return TwoMotions(poses, covariances, shares, either, log_odds[best])
 
     def none() -> TwoMotions:
-        pose = jnp.stack([first, first])
         never = jnp.asarray(-jnp.inf, first.dtype)
-        return TwoMotions(
-            pose, jnp.zeros((2, 6, 6), first.dtype), jnp.zeros(2, first.dtype), explained, never
-        )
+        spreads, shares = jnp.zeros((2, 6, 6), first.dtype), jnp.zeros(2, first.dtype)
+        return TwoMotions(jnp.stack([first, first]), spreads, shares, shown.sum() / count, never)
 
-    return jax.lax.cond(explained > ALL_EXPLAINED, none, search)
+    contradiction = -jnp.minimum(log_factors @ BLOCKS, 0.0).sum()
+    return jax.lax.cond(contradiction < -PRIOR_LOG_ODDS, none, search)
 
 
-def _led_by_the_worst(compared: _Comparison, first: jax.Array, log_blocks: jax.Array) -> jax.Array:
-    """The pose (7,) to which the half of the blocks (B,) that fits `first` worst leads from there."""
-    count = compared.returned.astype(jnp.float32) @ BLOCKS
-    fit = jnp.where(count > 0, log_blocks / jnp.maximum(count, 1.0), jnp.inf)
+def _led_by_the_worst(compared: _Comparison, first: jax.Array, log_factors: jax.Array) -> jax.Array:
+    """The pose (7,) to which the half of the blocks leads whose pixels (P,) fit `first` worst."""
+    count = compared.returned().astype(jnp.float32) @ BLOCKS
+    fit = jnp.where(count > 0, log_factors @ BLOCKS / jnp.maximum(count, 1.0), jnp.inf)
     worst = (fit <= jnp.median(fit)).astype(jnp.float32)
 
     def further(pose: jax.Array, inflation: jax.Array) -> tuple[jax.Array, None]:
@@ -201,22 +207,33 @@ def _led_by_the_worst(compared: _Comparison, first: jax.Array, log_blocks: jax.A
     return jax.lax.scan(further, first, jnp.asarray(INFLATIONS[:3], first.dtype))[0]
 
 
-def _one_motion(compared: _Comparison, start: jax.Array) -> jax.Array:
-    """Log density of the frame at the optimum near `start` (7,), not tempered."""
-    everything = jnp.ones(BLOCKS.shape[1], start.dtype)
+def _one_motion(
+    compared: _Comparison, first: jax.Array, second: jax.Array, log_factors: jax.Array, shown: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Log density of the frame by one motion, not tempered, and the pixels (P,) of which that says anything.
 
-    def further(pose: jax.Array, inflation: jax.Array) -> tuple[jax.Array, None]:
-        return _moved(pose, compared.terms(pose, inflation)[0], everything), None
+    The best of `first`, whose `log_factors` (P,) and pixels `shown` are given, and the optima near both.
+    """
+    everything = jnp.ones(BLOCKS.shape[1], first.dtype)
 
-    pose, _ = jax.lax.scan(further, start, jnp.asarray(INFLATIONS, start.dtype))
-    log_density = compared.log_blocks(compared.terms(pose, 1.0)[0]).sum()
-    return jnp.where(jnp.isfinite(log_density), log_density, -jnp.inf)
+    def optimum(start: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def further(pose: jax.Array, inflation: jax.Array) -> tuple[jax.Array, None]:
+            return _moved(pose, compared.terms(pose, inflation)[0], everything), None
+
+        pose, _ = jax.lax.scan(further, start, jnp.asarray(INFLATIONS, start.dtype))
+        return compared.log_factors(pose)
+
+    optima, shown_there = jax.vmap(optimum)(jnp.stack([first, second]))
+    log_densities = jnp.concatenate([log_factors[None], optima]).sum(axis=1)
+    log_densities = jnp.where(jnp.isfinite(log_densities), log_densities, -jnp.inf)
+    best = jnp.argmax(log_densities)
+    return log_densities[best], jnp.concatenate([shown[None], shown_there])[best]
 
 
 def _pair(
-    compared: _Comparison, log_one: jax.Array, first: jax.Array, second: jax.Array
+    compared: _Comparison, counted: jax.Array, log_one: jax.Array, first: jax.Array, second: jax.Array
 ) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-    """EM from two poses (7,): log odds against one motion, and the other fields of `TwoMotions`.
+    """EM from two poses (7,): log odds against one motion on pixels (P,), and the fields of `TwoMotions`.
 
     In the end pixels are tempered as the scores of the blocks ask for, each with its own motion: where
     something moves, the exponent that the filter learns from all blocks as one is too small by far.
@@ -238,9 +255,9 @@ def _pair(
     belongs = jax.nn.softmax(jnp.log(shares)[:, None] + log_assigned, axis=0)
     covariances, inflations = jax.vmap(_covariance)(terms, belongs)
     exponent = jnp.clip(1.0 / (belongs.mean(axis=1) @ inflations), *EXPONENT_RANGE)
-    log_blocks = exponent * jax.vmap(compared.log_blocks)(terms)
+    log_blocks = exponent * jax.vmap(partial(compared.log_blocks, counted=counted))(poses)
     log_two = jax.nn.logsumexp(jnp.log(shares)[:, None] + log_blocks, axis=0).sum()
-    count = jnp.maximum(compared.returned.sum(), 1)
+    count = jnp.maximum(compared.returned().sum(), 1)
     penalty = 0.5 * PARAMETERS * jnp.log(jnp.maximum(exponent * count, 1.0))
     alone = (log_blocks - log_blocks[::-1] > DECISIVE).astype(jnp.float32)
     alone = (terms.inlier * (alone @ BLOCKS.T)).sum(axis=1) / count

@@ -10,7 +10,6 @@ from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.poses import single_precision_poses
 from slam.keyframes.depth_view import CanvasView, view_of_frame
 from slam.keyframes.surfels import surfel_image
-from slam.registration.alignment import ModelImage
 from slam.registration.second_motion import TwoMotions, two_motions
 from tests.slam import box_room
 
@@ -40,9 +39,8 @@ def _compared(
 ) -> TwoMotions:
     """The frame against an earlier one."""
     surface = surfel_image(_view(before), NOISE)
-    reference = ModelImage(surface.planes, surface.variance_m2, surface.camera)
     first = single_precision_poses(np.linalg.inv(ORIGIN) @ found)
-    return two_motions(reference, _view(depth), NOISE, first, HERE)
+    return two_motions(surface, _view(depth), NOISE, first, HERE)
 
 
 @pytest.mark.parametrize("follows", ["room", "body"])
