@@ -16,13 +16,12 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.noise_calibration import NoiseCalibration
-from slam.registration.second_motion import two_motions
+from slam.registration.second_motion import TwoMotions, two_motions
 
 LEAST_EXPLAINED = 0.5
 """Of the returns, what an earlier view must explain by either motion to say anything of a frame: most."""
@@ -113,36 +112,34 @@ def doubt_of_frame(
         anchor: the keyframe next to it, whose doubt it shares where nothing moves.
         anchor_pose: (7,) of that keyframe.
     """
-    displacements, share, second = _judged(
-        rival.reference,
-        rival.pose,
-        rival.second,
-        view,
-        calibration.noise,
-        found,
-        jnp.asarray(rival.of_reference),
-        jnp.asarray(rival.of_keyframes[anchor]),
-        anchor_pose,
-    )
-    return replace(rival, second=second), Doubt(np.asarray(displacements), float(share))
+    first = _relative(rival.pose, found)
+    of_anchor = jnp.asarray(rival.of_keyframes[anchor])
+    two = two_motions(rival.reference, view, calibration.noise, first, rival.second)
+    if two is not None:
+        displacements, share, second = _judged(two, first, jnp.asarray(rival.of_reference))
+        if float(share) > 0:
+            return replace(rival, second=second), Doubt(np.asarray(displacements), float(share))
+    seen_here = _adjoint(_relative(anchor_pose, found)) @ of_anchor
+    return replace(rival, second=jnp.asarray(IDENTITY, jnp.float32)), Doubt(np.asarray(seen_here), 0.0)
+
+
+@jax.jit
+def _relative(origin: jax.Array, pose: jax.Array) -> jax.Array:
+    """origin_from_pose (7,) of poses (7,)."""
+    return (jaxlie.SE3(origin).inverse() @ jaxlie.SE3(pose)).wxyz_xyz
+
+
+@jax.jit
+def _adjoint(pose: jax.Array) -> jax.Array:
+    """(6, 6) that takes displacements in the chart of an origin to that of a pose (7,) there."""
+    return jaxlie.SE3(pose).inverse().adjoint()
 
 
 @jax.jit
 def _judged(
-    reference: SurfelImage,
-    reference_pose: jax.Array,
-    second: jax.Array,
-    view: CanvasView,
-    noise: DepthNoise,
-    found: jax.Array,
-    of_reference: jax.Array,
-    of_anchor: jax.Array,
-    anchor_pose: jax.Array,
+    two: TwoMotions, first: jax.Array, of_reference: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Displacements (6, 8), share of the second motion, and that motion (7,)."""
-    camera = jaxlie.SE3(found)
-    first = (jaxlie.SE3(reference_pose).inverse() @ camera).wxyz_xyz
-    two = two_motions(reference, view, noise, first, second)
+    """Displacements (6, 8), share of the second motion, 0 where there is none, and that motion (7,)."""
     away = jax.vmap(lambda pose: pose_gaussian.coordinates(first, pose))(two.poses)
     other = jnp.argmax((away**2).sum(axis=1))
     probabilities = two.shares / jnp.maximum(two.shares.sum(), 1e-6)
@@ -153,10 +150,5 @@ def _judged(
     )
     is_two = (two.log_odds > 0) & (two.explained > LEAST_EXPLAINED) & (two.shares[other] > LEAST_RIVAL)
     is_two &= jnp.isfinite(moved).all()
-    of_reference = jaxlie.SE3(first).inverse().adjoint() @ of_reference
-    of_anchor = (jaxlie.SE3(anchor_pose).inverse() @ camera).inverse().adjoint() @ of_anchor
-    return (
-        jnp.where(is_two, of_reference + moved, of_anchor),
-        jnp.where(is_two, two.shares[other], 0.0),
-        jnp.where(is_two, two.poses[other], jnp.asarray(IDENTITY, first.dtype)),
-    )
+    displacements = _adjoint(first) @ of_reference + moved
+    return displacements, jnp.where(is_two, two.shares[other], 0.0), two.poses[other]

@@ -17,30 +17,17 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from recordings.types import NO_RETURN, DepthNoise
+from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
-from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, CanvasView
-from slam.keyframes.rendering import ONE_SURFACE_BAND, render
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.surfels import SurfelImage
-from slam.likelihood.image_density import STRIDE_PX, log_pixel_factors, rendered_depth, scored_pixels
 from slam.likelihood.noise_calibration import EXPONENT_RANGE
-from slam.registration.alignment import STIFFNESS, ModelImage, PixelTerms, associate, pixel_terms
-
-COMPARED_STRIDE_PX = 4
-"""Search effort: one pixel in 16."""
-
-BLOCK_SIDE_PX = 20
-"""Side of the blocks that move as one: as those whose scores count as independent
-(`slam.registration.local_search.BLOCK_SIDE`)."""
+from slam.registration.alignment import STIFFNESS, PixelTerms
+from slam.registration.view_comparison import BLOCKS, ViewComparison
 
 INFLATIONS = (8.0, 4.0, 2.0, 1.0, 1.0)
 """Of sigma, from iteration to iteration."""
-
-ASSIGNING_EXPONENT = 0.4
-"""Tempering while blocks are assigned: what the filter begins with (`NoiseCalibration.initial`), on a quarter
-of its pixels."""
 
 PRIOR_LOG_ODDS = -24.0
 """That something moves against the room. Half a nat for each of 48 blocks: by so much their densities are off
@@ -77,62 +64,6 @@ class TwoMotions:
     log_odds: jax.Array
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """A frame against the reference, at any pose (7,) of its camera there."""
-
-    reference: SurfelImage
-    view: CanvasView
-    noise: DepthNoise
-
-    def log_factors(self, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Of pixels (P,), over that of the unknown, not tempered; and which of them show a known surface.
-
-        Not at outlines: how elements were rounded decides which of two surfaces a pixel sees there.
-        """
-        surfaces, present = jax.tree.map(lambda leaf: leaf[None], self.reference), jnp.ones(1, bool)
-        image = render(surfaces, present, pose[None], self.view.rays, self.view.camera)
-        pixels = scored_pixels(self.view, image, surfaces, present, pose[None], self.noise)
-        log_density, log_unknown = log_pixel_factors(pixels, pose[None], self.noise)
-        shown = _within_a_surface(rendered_depth(pixels, pose[None])[0]) & self.returned(STRIDE_PX)
-        return _thinned(jnp.where(shown, log_density - log_unknown, 0.0)), _thinned(shown)
-
-    def log_blocks(self, pose: jax.Array, counted: jax.Array) -> jax.Array:
-        """The same of blocks (B,), the pixels (P,) that are `counted`."""
-        return jnp.where(counted, self.log_factors(pose)[0], 0.0) @ BLOCKS
-
-    def terms(self, pose: jax.Array, inflation: jax.Array | float) -> tuple[PixelTerms, jax.Array]:
-        """Of pixels at a pose (7,), and tempered log densities (B,) of the blocks over that of outliers."""
-        model = ModelImage(self.reference.planes, self.reference.variance_m2, self.reference.camera)
-        planes, variance, observed, rays = associate(model, self.view, pose, COMPARED_STRIDE_PX)
-        terms = pixel_terms(planes, variance, observed, rays, pose, self.noise, inflation)
-        log_ratio = -jnp.log1p(-jnp.minimum(terms.inlier, 1.0 - jnp.finfo(jnp.float32).eps))
-        return terms, ASSIGNING_EXPONENT * (log_ratio @ BLOCKS)
-
-    def returned(self, stride_px: int = COMPARED_STRIDE_PX) -> jax.Array:
-        """Which of the pixels (P,) of a lattice have a depth."""
-        return self.view.depth_m[::stride_px, ::stride_px].ravel() > NO_RETURN
-
-
-def _within_a_surface(depth_m: jax.Array) -> jax.Array:
-    """Which pixels (P,) of the density's lattice are not beside a step in depth (P,), +inf where unknown.
-
-    Along a plane inverse depth is affine.
-    """
-    inverse = 1.0 / depth_m.reshape(CANVAS_HEIGHT // STRIDE_PX, -1)
-    padded = jnp.pad(inverse, 1, mode="edge")
-    down = padded[2:, 1:-1] + padded[:-2, 1:-1] - 2.0 * inverse
-    right = padded[1:-1, 2:] + padded[1:-1, :-2] - 2.0 * inverse
-    step = jnp.maximum(jnp.abs(down), jnp.abs(right))
-    return ((inverse > 0) & (step < ONE_SURFACE_BAND * inverse)).ravel()
-
-
-def _thinned(values: jax.Array) -> jax.Array:
-    """Those of the image density's lattice that are compared."""
-    every = COMPARED_STRIDE_PX // STRIDE_PX
-    return values.reshape(CANVAS_HEIGHT // STRIDE_PX, -1)[::every, ::every].ravel()
-
-
 def _moved(pose: jax.Array, terms: PixelTerms, belongs: jax.Array) -> jax.Array:
     """A Gauss-Newton step of a pose (7,) on blocks that belong to it with probabilities (B,)."""
     weight = terms.weight * (BLOCKS @ belongs)
@@ -142,29 +73,35 @@ def _moved(pose: jax.Array, terms: PixelTerms, belongs: jax.Array) -> jax.Array:
     return pose_gaussian.displace(pose, step)
 
 
-def _block_membership() -> np.ndarray:
-    """Which block each pixel of the lattice is in, one-hot (P, B)."""
-    rows, columns = (np.arange(0, size, COMPARED_STRIDE_PX) for size in (CANVAS_HEIGHT, CANVAS_WIDTH))
-    block = rows[:, None] // BLOCK_SIDE_PX * (CANVAS_WIDTH // BLOCK_SIDE_PX) + columns // BLOCK_SIDE_PX
-    return np.eye(block.max() + 1, dtype=np.float32)[block.ravel()]
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Pairs:
+    """Pairs of motions (n, 2) to which EM led, blocks being independent.
+
+    Attributes:
+        poses: (n, 2, 7).
+        covariances: (n, 2, 6, 6) of these.
+        shares: (n, 2) of the blocks, that belong to either.
+        belongs: (n, 2, B) with which probabilities they do.
+        inlier: (n, 2, P) probability that a pixel lies on either's surface.
+        exponent: (n,) tempering of pixels as the scores of the blocks ask for, each with its own motion.
+            Where something moves, the one that the filter learns from all blocks as one is far too small.
+    """
+
+    poses: jax.Array
+    covariances: jax.Array
+    shares: jax.Array
+    belongs: jax.Array
+    inlier: jax.Array
+    exponent: jax.Array
 
 
-BLOCKS = _block_membership()
-"""Which block each compared pixel is in, one-hot (P, B)."""
-
-
-@jax.jit
 def two_motions(
-    reference: SurfelImage,
-    view: CanvasView,
-    noise: DepthNoise,
-    first: jax.Array,
-    second: jax.Array,
-) -> TwoMotions:
+    reference: SurfelImage, view: CanvasView, noise: DepthNoise, first: jax.Array, second: jax.Array
+) -> TwoMotions | None:
     """The pair of motions that explains a frame best, of those to which EM leads from two starts.
 
-    Beside `second` this is where those blocks lead that fit `first` worst. Where nothing contradicts the
-    first motion there is nothing to find.
+    Beside `second` this is where those blocks lead that fit `first` worst.
 
     Args:
         reference: an earlier view, in its camera's frame.
@@ -172,97 +109,119 @@ def two_motions(
         noise: the sensor.
         first: (7,) reference_from_camera, where the frame was found.
         second: (7,) where else it may be.
+
+    Returns:
+        None where so little contradicts the first motion that there is nothing to find.
     """
-    compared = _Comparison(reference, view, noise)
-    log_factors, shown = compared.log_factors(first)
-    count = jnp.maximum(compared.returned().sum(), 1)
-
-    def search() -> TwoMotions:
-        seconds = jnp.stack([second, _led_by_the_worst(compared, first, log_factors)])
-        log_one, counted = _one_motion(compared, first, second, log_factors, shown)
-        log_odds, pairs = jax.vmap(partial(_pair, compared, counted, log_one, first))(seconds)
-        log_odds = jnp.where(jnp.isfinite(log_odds), log_odds, -jnp.inf)
-        best = jnp.argmax(log_odds)
-        poses, covariances, shares, either = (leaf[best] for leaf in pairs)
-        return TwoMotions(poses, covariances, shares, either, log_odds[best])
-
-    def none() -> TwoMotions:
-        never = jnp.asarray(-jnp.inf, first.dtype)
-        spreads, shares = jnp.zeros((2, 6, 6), first.dtype), jnp.zeros(2, first.dtype)
-        return TwoMotions(jnp.stack([first, first]), spreads, shares, shown.sum() / count, never)
-
-    contradiction = -jnp.minimum(log_factors @ BLOCKS, 0.0).sum()
-    return jax.lax.cond(contradiction < -PRIOR_LOG_ODDS, none, search)
+    compared = ViewComparison(reference, view, noise)
+    here = _log_factors(compared, first)
+    if float(_contradiction(here[0])) < -PRIOR_LOG_ODDS:
+        return None
+    optima, pairs = _fitted(compared, first, second, here[0])
+    alone = [here, *(_log_factors(compared, pose) for pose in optima)]
+    paired = [_log_factors(compared, pose)[0] for pose in pairs.poses.reshape(-1, 7)]
+    return _weighed(compared, tuple(alone), tuple(paired), pairs)
 
 
-def _led_by_the_worst(compared: _Comparison, first: jax.Array, log_factors: jax.Array) -> jax.Array:
-    """The pose (7,) to which the half of the blocks leads whose pixels (P,) fit `first` worst."""
+@jax.jit
+def _log_factors(compared: ViewComparison, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """As `ViewComparison.log_factors`: compiled once for all poses."""
+    return compared.log_factors(pose)
+
+
+@jax.jit
+def _contradiction(log_factors: jax.Array) -> jax.Array:
+    """By how much all blocks of pixels (P,) together are less probable than were nothing known of them."""
+    return -jnp.minimum(log_factors @ BLOCKS, 0.0).sum()
+
+
+@jax.jit
+def _fitted(
+    compared: ViewComparison, first: jax.Array, second: jax.Array, log_factors: jax.Array
+) -> tuple[jax.Array, _Pairs]:
+    """The optima (2, 7) of one motion near both starts, and the pairs of `two_motions`.
+
+    `log_factors` (P,) are those of `first`.
+    """
     count = compared.returned().astype(jnp.float32) @ BLOCKS
     fit = jnp.where(count > 0, log_factors @ BLOCKS / jnp.maximum(count, 1.0), jnp.inf)
     worst = (fit <= jnp.median(fit)).astype(jnp.float32)
+    led = _moved_on(compared, first, worst, INFLATIONS[:3])
+    everything = jnp.ones_like(worst)
+    optima = jax.vmap(lambda start: _moved_on(compared, start, everything, INFLATIONS))(
+        jnp.stack([first, second])
+    )
+    return optima, jax.vmap(partial(_pair, compared, first))(jnp.stack([second, led]))
+
+
+def _moved_on(
+    compared: ViewComparison, start: jax.Array, belongs: jax.Array, inflations: tuple[float, ...]
+) -> jax.Array:
+    """Where blocks of these weights (B,) lead from a pose (7,)."""
 
     def further(pose: jax.Array, inflation: jax.Array) -> tuple[jax.Array, None]:
-        return _moved(pose, compared.terms(pose, inflation)[0], worst), None
+        return _moved(pose, compared.terms(pose, inflation)[0], belongs), None
 
-    return jax.lax.scan(further, first, jnp.asarray(INFLATIONS[:3], first.dtype))[0]
-
-
-def _one_motion(
-    compared: _Comparison, first: jax.Array, second: jax.Array, log_factors: jax.Array, shown: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Log density of the frame by one motion, not tempered, and the pixels (P,) of which that says anything.
-
-    The best of `first`, whose `log_factors` (P,) and pixels `shown` are given, and the optima near both.
-    """
-    everything = jnp.ones(BLOCKS.shape[1], first.dtype)
-
-    def optimum(start: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def further(pose: jax.Array, inflation: jax.Array) -> tuple[jax.Array, None]:
-            return _moved(pose, compared.terms(pose, inflation)[0], everything), None
-
-        pose, _ = jax.lax.scan(further, start, jnp.asarray(INFLATIONS, start.dtype))
-        return compared.log_factors(pose)
-
-    optima, shown_there = jax.vmap(optimum)(jnp.stack([first, second]))
-    log_densities = jnp.concatenate([log_factors[None], optima]).sum(axis=1)
-    log_densities = jnp.where(jnp.isfinite(log_densities), log_densities, -jnp.inf)
-    best = jnp.argmax(log_densities)
-    return log_densities[best], jnp.concatenate([shown[None], shown_there])[best]
+    return jax.lax.scan(further, start, jnp.asarray(inflations, start.dtype))[0]
 
 
-def _pair(
-    compared: _Comparison, counted: jax.Array, log_one: jax.Array, first: jax.Array, second: jax.Array
-) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-    """EM from two poses (7,): log odds against one motion on pixels (P,), and the fields of `TwoMotions`.
+def _pair(compared: ViewComparison, first: jax.Array, second: jax.Array) -> _Pairs:
+    """EM from two poses (7,)."""
 
-    In the end pixels are tempered as the scores of the blocks ask for, each with its own motion: where
-    something moves, the exponent that the filter learns from all blocks as one is too small by far.
-    """
+    def assigned(poses: jax.Array, shares: jax.Array) -> tuple[PixelTerms, jax.Array]:
+        terms, log_blocks = jax.vmap(partial(compared.terms, inflation=1.0))(poses)
+        return terms, jax.nn.softmax(jnp.log(shares)[:, None] + log_blocks, axis=0)
 
     def iteration(
         state: tuple[jax.Array, jax.Array], inflation: jax.Array
     ) -> tuple[tuple[jax.Array, jax.Array], None]:
         poses, shares = state
-        _, log_blocks = jax.vmap(partial(compared.terms, inflation=1.0))(poses)
+        _, belongs = assigned(poses, shares)
         terms, _ = jax.vmap(partial(compared.terms, inflation=inflation))(poses)
-        belongs = jax.nn.softmax(jnp.log(shares)[:, None] + log_blocks, axis=0)
         shares = jnp.clip(belongs.mean(axis=1), LEAST_SHARE, 1.0 - LEAST_SHARE)
         return (jax.vmap(_moved)(poses, terms, belongs), shares), None
 
     start = (jnp.stack([first, second]), jnp.full(2, 0.5, first.dtype))
     (poses, shares), _ = jax.lax.scan(iteration, start, jnp.asarray(INFLATIONS, first.dtype))
-    terms, log_assigned = jax.vmap(partial(compared.terms, inflation=1.0))(poses)
-    belongs = jax.nn.softmax(jnp.log(shares)[:, None] + log_assigned, axis=0)
+    terms, belongs = assigned(poses, shares)
     covariances, inflations = jax.vmap(_covariance)(terms, belongs)
     exponent = jnp.clip(1.0 / (belongs.mean(axis=1) @ inflations), *EXPONENT_RANGE)
-    log_blocks = exponent * jax.vmap(partial(compared.log_blocks, counted=counted))(poses)
-    log_two = jax.nn.logsumexp(jnp.log(shares)[:, None] + log_blocks, axis=0).sum()
+    return _Pairs(poses, covariances, shares, belongs, terms.inlier, exponent)
+
+
+@jax.jit
+def _weighed(
+    compared: ViewComparison,
+    alone: tuple[tuple[jax.Array, jax.Array], ...],
+    paired: tuple[jax.Array, ...],
+    pairs: _Pairs,
+) -> TwoMotions:
+    """The best pair, against the best single motion, on the pixels of which that says anything.
+
+    Args:
+        compared: the frame.
+        alone: log factors (P,) of single motions and which pixels they show.
+        paired: log factors (P,) of both motions of every pair.
+        pairs: these.
+    """
+    factors = jnp.stack([log_factors for log_factors, _ in alone])
+    log_ones = jnp.where(jnp.isfinite(factors).all(axis=1), factors.sum(axis=1), -jnp.inf)
+    best = jnp.argmax(log_ones)
+    counted = jnp.stack([shown for _, shown in alone])[best]
+    log_blocks = jnp.where(counted, jnp.stack(paired), 0.0) @ BLOCKS
+    log_blocks = pairs.exponent[:, None, None] * log_blocks.reshape(*pairs.poses.shape[:2], -1)
+    log_two = jax.nn.logsumexp(jnp.log(pairs.shares)[:, :, None] + log_blocks, axis=1).sum(axis=1)
     count = jnp.maximum(compared.returned().sum(), 1)
-    penalty = 0.5 * PARAMETERS * jnp.log(jnp.maximum(exponent * count, 1.0))
-    alone = (log_blocks - log_blocks[::-1] > DECISIVE).astype(jnp.float32)
-    alone = (terms.inlier * (alone @ BLOCKS.T)).sum(axis=1) / count
-    explained = (terms.inlier * (belongs @ BLOCKS.T)).sum() / count
-    return PRIOR_LOG_ODDS + log_two - exponent * log_one - penalty, (poses, covariances, alone, explained)
+    penalty = 0.5 * PARAMETERS * jnp.log(jnp.maximum(pairs.exponent * count, 1.0))
+    log_odds = PRIOR_LOG_ODDS + log_two - pairs.exponent * log_ones[best] - penalty
+    log_odds = jnp.where(jnp.isfinite(log_odds), log_odds, -jnp.inf)
+    own = (log_blocks - log_blocks[:, ::-1] > DECISIVE).astype(jnp.float32)
+    own_shares = (pairs.inlier * (own @ BLOCKS.T)).sum(axis=2) / count
+    explained = (pairs.inlier * (pairs.belongs @ BLOCKS.T)).sum(axis=(1, 2)) / count
+    best = jnp.argmax(log_odds)
+    return TwoMotions(
+        pairs.poses[best], pairs.covariances[best], own_shares[best], explained[best], log_odds[best]
+    )
 
 
 def _covariance(terms: PixelTerms, belongs: jax.Array) -> tuple[jax.Array, jax.Array]:
