@@ -56,9 +56,9 @@ def _load_mesh(path: Path, scale: float) -> trimesh.Trimesh:
         raise PipelineError(f"{path} holds no triangles")
     if not np.isfinite(mesh.vertices).all():
         raise PipelineError(f"{path} holds a vertex that is not finite")
+    check_size(path, scale * float(np.ptp(mesh.vertices, axis=0).max()))
     rgb = _colours(path, mesh)
     mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, vertex_colors=rgb, process=True)
-    check_size(path, float(mesh.extents.max()))
     spread = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0), compute_uv=False)
     if spread[-1] < FLAT * spread[0]:
         raise PipelineError(f"{path} is flat: an object that can be seen from all sides has a volume")
@@ -98,6 +98,8 @@ def check_size(path: Path, extent_m: float) -> None:
     """
     if not extent_m <= LARGEST_M:
         raise PipelineError(f"{path} is {extent_m:.4g} m large; looks like millimetres, use --units mm")
+    if extent_m == 0:
+        raise PipelineError(f"all vertices of {path} are the same point")
     if extent_m < SMALLEST_M:
         raise PipelineError(f"{path} is {extent_m:.4g} m large; looks like metres, use --units m")
 

@@ -65,6 +65,15 @@ def test_what_holds_no_mesh_is_refused(tmp_path: Path) -> None:
         load_meshes(tmp_path)
 
 
+@pytest.mark.parametrize(("side_m", "told"), [(0.0, "the same point"), (1e30, r"1e\+30 m large")])
+def test_a_mesh_of_no_size_that_things_have_is_refused(tmp_path: Path, side_m: float, told: str) -> None:
+    """Nothing overflows on the way."""
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    trimesh.Trimesh(box.vertices * (10 * side_m), box.faces, process=False).export(tmp_path / "box.ply")
+    with pytest.raises(PipelineError, match=told):
+        load_meshes(tmp_path)
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
 def test_colours_of_vertices_are_kept(tmp_path: Path, suffix: str) -> None:
     """At the vertices that had them, whatever order the file brings."""
