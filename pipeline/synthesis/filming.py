@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import PipelineError
 from pipeline.synthesis.colours import muted_colour, shape_colour
 from pipeline.synthesis.furniture import clutter_piece, pedestal, table
+from pipeline.synthesis.paint import painted, pattern_of
 from pipeline.synthesis.paths import camera_path
 from pipeline.synthesis.placement import Table, rest_on_table
 from pipeline.synthesis.recording import SyntheticRecording
@@ -110,7 +111,8 @@ def film_along(
     """
     poses = trajectory.reference_from_camera
     reach = np.linalg.norm(poses[:, :2, 3], axis=1).max()
-    parts = [*parts, *room_parts(scene.room, float(reach), rng)]
+    dressed = [_dressed(part, one, scene, seed) for part, one in zip(parts, objects, strict=False)]
+    parts = [*dressed, *parts[len(dressed) :], *room_parts(scene.room, float(reach), rng)]
     intrinsics = scene.camera.intrinsics
     shown = RayCaster(parts).view(intrinsics, poses[0]).part
     visible = [
@@ -174,6 +176,15 @@ def object_part(resting: RestingObject) -> Part:
         world_from_part=resting.world_from_object,
         colour=shape_colour(resting.shape),
     )
+
+
+def _dressed(part: Part, one: TrueObject, scene: SyntheticScene, seed: int) -> Part:
+    """An object's surface in the colours that the scene asks for."""
+    if scene.colours == "random":
+        return replace(part, colour=shape_colour(f"{one.name} {seed}"))
+    if scene.colours == "painted":
+        return replace(part, mesh=painted(one.shape, part.mesh, pattern_of(one.shape)))
+    return part
 
 
 def true_object(resting: RestingObject) -> TrueObject:

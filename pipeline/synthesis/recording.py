@@ -45,7 +45,6 @@ class SyntheticRecording:
         self.trajectory = trajectory
         self.truth = truth
         self._caster = RayCaster(parts)
-        self._palette = np.array([part.colour for part in parts] + [(0, 0, 0)], np.float32)
         self.sensor = sensor
         self._key = jax.random.key(seed)
         camera_key = jax.random.fold_in(self._key, CAMERA)
@@ -68,7 +67,7 @@ class SyntheticRecording:
             depth_m=self.sensor.measure(
                 jax.random.fold_in(self._key, index),
                 view,
-                self._brightness(view),
+                view.rgb.mean(axis=-1) / 255,
                 self._depth_scale,
                 self.disparity_per_m,
             ),
@@ -83,11 +82,7 @@ class SyntheticRecording:
         """Distance of world points (N, 3) from the nearest true surface."""
         return self._caster.clearance_m(points_m)
 
-    def _brightness(self, view: View) -> NDArray[np.float32]:
-        """Mean colour (H, W) of the surfaces as shares of white."""
-        return self._palette.mean(axis=1)[view.part] / 255
-
     def _shaded(self, view: View) -> NDArray[np.uint8]:
-        """Flat colours (H, W, 3) under a lamp at the camera."""
+        """Colours (H, W, 3) under a lamp at the camera."""
         light = np.where(view.part == NOTHING, 0.0, 0.35 + 0.65 * view.cos_incidence)
-        return (self._palette[view.part] * light[..., None]).astype(np.uint8)
+        return (view.rgb * light[..., None]).astype(np.uint8)

@@ -63,11 +63,13 @@ class SyntheticScene:
         camera: image size and lens.
         sensor: noise, and what does not return.
         room: what surrounds the scene.
+        colours: of objects: `plain` or `painted`, by their names and the same in every film, or `random`.
     """
 
     camera: CameraConfig = field(default_factory=CameraConfig)
     sensor: DepthSensor = field(default_factory=DepthSensor)
     room: RoomConfig = field(default_factory=RoomConfig)
+    colours: Literal["plain", "painted", "random"] = "plain"
 
 
 @dataclass(frozen=True, kw_only=True)

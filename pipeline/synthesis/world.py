@@ -10,6 +10,7 @@ import open3d as o3d
 import trimesh
 from numpy.typing import NDArray
 
+from pipeline.meshes import vertex_rgb
 from recordings.types import CameraIntrinsics
 
 NOTHING = -1
@@ -26,7 +27,7 @@ class Part:
         name: what it is; an object of interest, a piece of furniture, the room's shell.
         mesh: its surface in metres in its own frame.
         world_from_part: (4, 4) rigid transform.
-        colour: flat RGB in 0..255.
+        colour: flat RGB in 0..255, where the mesh has no colours of vertices.
     """
 
     name: str
@@ -43,11 +44,15 @@ class Hits:
         distance: (...) float32 in lengths of the ray's direction, infinite where nothing was met.
         normal: (..., 3) float32 unit normal of the surface in the world frame.
         part: (...) int32 index of the part, or `NOTHING`.
+        face: (...) int64 row of the part's faces; without meaning where nothing was met.
+        corners: (..., 2) float32 weights of the face's second and third vertex.
     """
 
     distance: NDArray[np.float32]
     normal: NDArray[np.float32]
     part: NDArray[np.int32]
+    face: NDArray[np.int64]
+    corners: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,11 +63,13 @@ class View:
         depth_m: (H, W) float32 along the optical axis, infinite where nothing is met.
         cos_incidence: (H, W) float32 cosine between the ray and the surface normal, in [0, 1].
         part: (H, W) int32 index of the part, or `NOTHING`.
+        rgb: (H, W, 3) float32 the surfaces' own colours, 0..255; black where nothing is met.
     """
 
     depth_m: NDArray[np.float32]
     cos_incidence: NDArray[np.float32]
     part: NDArray[np.int32]
+    rgb: NDArray[np.float32]
 
 
 class RayCaster:
@@ -89,6 +96,8 @@ class RayCaster:
             distance=answer["t_hit"].numpy(),
             normal=answer["primitive_normals"].numpy(),
             part=part.astype(np.int32),
+            face=answer["primitive_ids"].numpy().astype(np.int64),
+            corners=answer["primitive_uvs"].numpy(),
         )
 
     def view(self, intrinsics: CameraIntrinsics, world_from_camera: NDArray[np.float64]) -> View:
@@ -96,7 +105,26 @@ class RayCaster:
         directions = pixel_directions(intrinsics) @ world_from_camera[:3, :3].T
         hits = self.cast(world_from_camera[:3, 3], directions)
         cosine = np.einsum("hwc,hwc->hw", hits.normal, directions) / np.linalg.norm(directions, axis=-1)
-        return View(depth_m=hits.distance, cos_incidence=np.abs(cosine).astype(np.float32), part=hits.part)
+        return View(
+            depth_m=hits.distance,
+            cos_incidence=np.abs(cosine).astype(np.float32),
+            part=hits.part,
+            rgb=self._colours(hits),
+        )
+
+    def _colours(self, hits: Hits) -> NDArray[np.float32]:
+        """Own colours (..., 3) of the surfaces, 0..255."""
+        palette = np.array([part.colour for part in self.parts] + [(0, 0, 0)], np.float32)
+        rgb = palette[hits.part]
+        for number, part in enumerate(self.parts):
+            painted = vertex_rgb(part.mesh)
+            met = hits.part == number
+            if painted is not None and met.any():
+                second, third = hits.corners[met].T
+                weights = np.stack([1 - second - third, second, third], axis=1)
+                corners = painted[part.mesh.faces[hits.face[met]]].astype(np.float32)
+                rgb[met] = (weights[..., None] * corners).sum(axis=1)
+        return rgb
 
     def holds(self, points_m: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Whether points (N, 3) lie inside the parts, by the parity of surfaces that rays cross."""

@@ -44,6 +44,11 @@ def scene_options(scene: Callable[..., Any]) -> Any:
         ),
         click.option("--size", metavar="WIDTHxHEIGHT", help="Image size."),
         click.option("--intrinsics", type=Intrinsics(), help="Lens in pixels."),
+        click.option(
+            "--colours",
+            type=click.Choice(["plain", "painted", "random"]),
+            help="Of objects: one colour each or a texture, by name, or a new colour in each film.",
+        ),
         click.option("--noise-free", is_flag=True, default=None, help="Measure exactly."),
         click.option(
             "--distortion",
@@ -69,6 +74,7 @@ def scene_settings(
     elevations: str | None,
     size: str | None,
     intrinsics: tuple[float, float, float, float] | None,
+    colours: str | None,
     noise_free: bool | None,
     distortion: float | None,
 ) -> Mapping[str, Any]:
@@ -89,6 +95,7 @@ def scene_settings(
         "path.degrees_per_frame": step,
         "path.radius_m": radius,
         "path.elevations_deg": numbers("--elevations", elevations) if elevations else None,
+        "colours": colours,
         "sensor.noise_free": noise_free,
         "sensor.distortion_per_m": distortion,
     }

@@ -1,9 +1,13 @@
 """Filmed scenes hold their objects where the truth says, alike at each reading."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
 
+from pipeline.synthesis.colours import shape_colour
 from pipeline.synthesis.filming import film_object, film_table
 from pipeline.synthesis.objects import built_in_names, built_in_object
 from pipeline.synthesis.paths import PathConfig
@@ -113,3 +117,17 @@ def world_points(recording: SyntheticRecording, index: int, depth_m: np.ndarray)
     depth = np.where((depth_m > 0) & np.isfinite(depth_m), depth_m, 100.0).astype(np.float64)
     camera = np.stack([(u - lens.cx) * depth / lens.fx, (v - lens.cy) * depth / lens.fy, depth], axis=-1)
     return trimesh.transform_points(camera.reshape(-1, 3), recording.trajectory.reference_from_camera[index])
+
+
+def test_colours_are_those_of_names_or_of_films() -> None:
+    """Plain and painted objects look alike in every film; random colours do not, in the same scene."""
+
+    def colours(kind: Literal["plain", "painted", "random"], seed: int) -> NDArray[np.float32]:
+        scene = ObjectScene(path=PathConfig(frames=1), room=RoomConfig(kind="none"), colours=kind)
+        view = film_object("can", built_in_object("can"), scene, seed).ideal_view(0)
+        return np.unique(view.rgb[view.part == 0].round(), axis=0)
+
+    assert np.array_equal(colours("plain", 1), [shape_colour("can")])
+    assert np.array_equal(colours("plain", 1), colours("plain", 2))
+    assert len(colours("painted", 1)) > 1
+    assert not np.array_equal(colours("random", 1), colours("random", 2))

@@ -18,6 +18,7 @@ def wall(depth_m: float, cos_incidence: float = 1.0) -> View:
         depth_m=np.full(SHAPE, depth_m, np.float32),
         cos_incidence=np.full(SHAPE, cos_incidence, np.float32),
         part=np.zeros(SHAPE, np.int32),
+        rgb=np.zeros((*SHAPE, 3), np.float32),
     )
 
 

@@ -25,6 +25,7 @@ def wall(depth_m: float, shape: tuple[int, int] = SHAPE, cosine: float = 0.9) ->
         depth_m=np.full(shape, depth_m, np.float32),
         cos_incidence=np.full(shape, cosine, np.float32),
         part=np.zeros(shape, np.int32),
+        rgb=np.zeros((*SHAPE, 3), np.float32),
     )
 
 
@@ -94,4 +95,5 @@ def replace_depth(view: View, depth_m: np.ndarray) -> View:
         depth_m=np.broadcast_to(depth_m, view.depth_m.shape).astype(np.float32),
         cos_incidence=view.cos_incidence,
         part=view.part,
+        rgb=np.zeros((*SHAPE, 3), np.float32),
     )

@@ -4,6 +4,8 @@ import numpy as np
 import open3d as o3d
 import trimesh
 
+from pipeline.synthesis.colours import shape_colour
+from pipeline.synthesis.paint import COLOURS, painted
 from pipeline.synthesis.visibility import pixel_counts, silhouette
 from pipeline.synthesis.world import NOTHING, Part, RayCaster, pixel_directions
 from recordings.types import CameraIntrinsics
@@ -88,3 +90,21 @@ def test_visible_fraction_counts_what_hides_and_what_the_image_cuts_off() -> Non
     assert abs(visible((0, 0, 2), screen) - 0.5) < 0.06
     assert abs(visible(((63.5 - LENS.cx) * 2 / LENS.fx, 0, 2)) - 0.5) < 0.06
     assert visible((0, 0, -2)) == 0
+
+
+def test_painted_things_show_their_own_colours() -> None:
+    """A plate's halves are seen on their own sides, and a flat part keeps its colour; nothing is black."""
+    plate = painted("plate", trimesh.creation.box((0.4, 0.4, 0.1)), "halves")
+    behind = Part(
+        name="wall",
+        mesh=trimesh.creation.box((4, 4, 0.1)),
+        world_from_part=trimesh.transformations.translation_matrix((1.9, 0, 2)),
+        colour=(10, 20, 30),
+    )
+    view = RayCaster([part(plate, (0, 0, 1)), behind]).view(LENS, np.eye(4))
+    ground, other = (shape_colour("plate" + words) for words in COLOURS[:2])
+    assert np.allclose(view.rgb[18, 30], ground, atol=1)
+    assert np.allclose(view.rgb[34, 30], other, atol=1)
+    assert np.allclose(view.rgb[view.part == 1], (10, 20, 30))
+    assert (view.rgb[view.part == NOTHING] == 0).all()
+    assert (view.part == NOTHING).any()
