@@ -5,15 +5,17 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.stats import binomtest
 
 from pipeline.errors import PipelineError
+from pipeline.simplification import few_triangles
 from pipeline.synthesis.air import AirScene, air_scene, air_world
 from scene.colour.posterior import colour_image, log_posterior
 from scene.colour.search import FoundScene, Searcher
@@ -85,7 +87,7 @@ def measure_air(
     rows = {row.scene: row for row in read_rows(path)} if path else {}
     started = time.perf_counter()
     world = air_world(side, side)
-    searcher = Searcher.of(world)
+    searcher = Searcher.of(_searched(world))
     set_up_s = time.perf_counter() - started
     wanted = range(first, first + scenes)
     for number in wanted:
@@ -95,6 +97,16 @@ def measure_air(
                 _append(path, rows[number])
         progress(number - first + 1, scenes)
     return {"set_up_s": set_up_s, **figures([rows[number] for number in wanted])}
+
+
+def _searched(world: TableWorld) -> TableWorld:
+    """The world as `parse` searches it, of few triangles; the images show the whole meshes."""
+    kinds = []
+    for kind in world.kinds:
+        mesh = few_triangles(kind.vertices_m, kind.faces)
+        vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64)
+        kinds.append(replace(kind, vertices_m=vertices, faces=faces))
+    return replace(world, kinds=tuple(kinds))
 
 
 def _row(searcher: Searcher, scene: AirScene, number: int) -> AirRow:
@@ -147,8 +159,10 @@ def figures(rows: Sequence[AirRow]) -> dict[str, Any]:
     return {
         "scenes": len(rows),
         "count_right": _share([row.count_right for row in rows]),
+        "count_right_95": _interval([row.count_right for row in rows]),
         "scenes_all_seen": len(seen),
         "count_right_all_seen": _share([row.count_right for row in seen]),
+        "count_right_all_seen_95": _interval([row.count_right for row in seen]),
         "kinds_right_where_count_is": _share([row.true_kinds == row.found_kinds for row in counted]),
         "places": len(errors),
         "place_median_m": _quantile(errors, 0.5),
@@ -207,6 +221,14 @@ def _numbers(cells: Any) -> NDArray[np.float64]:
 
 def _share(right: Sequence[bool]) -> float | None:
     return float(np.mean(right)) if right else None
+
+
+def _interval(right: Sequence[bool]) -> tuple[float, float] | None:
+    """Wilson's of a share, 95%."""
+    if not right:
+        return None
+    interval = binomtest(sum(right), len(right)).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def _quantile(values: NDArray[np.float64], share: float) -> float | None:

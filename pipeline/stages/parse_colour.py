@@ -6,10 +6,11 @@ import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
+from pipeline.simplification import few_triangles
+from pipeline.stages.colour_input import tell_of_clipped
 from recordings.types import Frame
 
 if TYPE_CHECKING:
@@ -19,11 +20,6 @@ if TYPE_CHECKING:
     from pipeline.surfaces import SceneSurface
     from scene.config import ParseConfig
     from scene.result import SceneResult
-
-MOST_TRIANGLES = 400
-"""Of a shape that is searched for in a small image: triangles of a centimetre, under its pixels."""
-CLIPPED = 0.05
-"""Share of pixels without light or with too much of it from which the user is told."""
 
 STRANGE = 0.1
 """Share of the image that fits nothing from which the user is told; silhouettes make up some hundredths."""
@@ -44,22 +40,19 @@ def parse_colour_frame(
     """
     import jax
 
-    from scene.colour.camera_view import clipped_share
     from scene.colour_parsing import parse_colour
 
     if len(config.frames) > 1:
         raise PipelineError("--colour only reads one frame; name one with --frames N")
     number, frame = _colour_frame(session, config.frames)
     assert frame.rgb is not None
-    clipped = clipped_share(frame.rgb)
-    if clipped > CLIPPED:
-        session.warn(f"{clipped:.0%} of the pixels of frame {number} are under- or overexposed")
+    tell_of_clipped(session, number, frame)
     seed = int(jax.random.randint(session.key("parse"), (), 0, 2**31 - 1))
     with session.common.progress("parse", "") as progress:
         progress.phase("searching the colour image")
         try:
             camera_from_world = _camera_over_table(session, frame, config)
-            meshes = {name: _simplified(surface) for name, surface in shapes.items()}
+            meshes = {name: few_triangles(one.vertices_m, one.faces) for name, one in shapes.items()}
             scene, strange = parse_colour(
                 seed, frame.rgb, session.recording.intrinsics, camera_from_world, meshes, number, config
             )
@@ -115,17 +108,3 @@ def _camera_over_table(session: Session, frame: Frame, config: ParseConfig) -> N
             "stands over the table with --table HEIGHT,PITCH (metres, degrees downwards)"
         )
     return camera_over_plane(np.asarray(np.linalg.inv(recorded.reference_from_camera[found[0]]), np.float64))
-
-
-def _simplified(surface: SceneSurface) -> trimesh.Trimesh:
-    """The mesh with as many triangles as its pixels need."""
-    import open3d as o3d
-
-    mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
-    if len(mesh.faces) <= MOST_TRIANGLES:
-        return mesh
-    full = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
-    )
-    fewer = full.simplify_quadric_decimation(MOST_TRIANGLES)
-    return trimesh.Trimesh(np.asarray(fewer.vertices), np.asarray(fewer.triangles), process=False)

@@ -17,6 +17,8 @@ LARGEST_HALF_M = 0.3
 """Half the side of the largest square that is searched: its lattice has 900 places, rendered in seconds."""
 SMALLEST_HALF_M = 0.05
 """Below it the table fills a corner of the image at most."""
+CLIPPED = 0.5
+"""Share of a block's pixels from which its mean tells a bound alone."""
 HALVINGS = 20
 """Of the interval in which the square's half side lies: to a micrometre."""
 
@@ -92,7 +94,8 @@ def pooled_image(
 ) -> tuple[NDArray[np.float64], CameraIntrinsics]:
     """Image (h, w, C) in 0..1, linear in light, averaged over blocks of pixels, and its camera.
 
-    A grey image has one channel: its three would count the same noise three times.
+    A grey image has one channel: its three would count the same noise three times. Channels of blocks that
+    are clipped in more than half of their pixels are +inf or -inf.
 
     Args:
         rgb: (H, W, 3).
@@ -100,10 +103,15 @@ def pooled_image(
         gamma: exponent by which stored values become light.
     """
     is_grey = bool((rgb == rgb[..., :1]).all())
-    light = (rgb[..., : 1 if is_grey else 3] / 255.0) ** gamma
+    stored = rgb[..., : 1 if is_grey else 3]
+    light = (stored / 255.0) ** gamma
     block = -(-max(camera.width, camera.height) // LONGEST_PX)
     height, width = camera.height // block, camera.width // block
-    blocks = light[: height * block, : width * block].reshape(height, block, width, block, -1)
+
+    def means(values: NDArray) -> NDArray[np.float64]:
+        blocks = values[: height * block, : width * block].reshape(height, block, width, block, -1)
+        return blocks.mean(axis=(1, 3))
+
     pooled = CameraIntrinsics(
         width=width,
         height=height,
@@ -112,7 +120,10 @@ def pooled_image(
         cx=(camera.cx + 0.5) / block - 0.5,
         cy=(camera.cy + 0.5) / block - 0.5,
     )
-    return blocks.mean(axis=(1, 3)), pooled
+    pooled_light = means(light)
+    pooled_light[means(stored == 255) > CLIPPED] = np.inf
+    pooled_light[means(stored == 0) > CLIPPED] = -np.inf
+    return pooled_light, pooled
 
 
 def clipped_share(rgb: NDArray[np.uint8]) -> float:

@@ -4,8 +4,9 @@ A channel y of a pixel whose surface has shade s and albedo a:
 
     p(y | s, a) = (1 - p_out) Normal(y; s a, sigma) + p_out 1[0 <= y <= 1]
 
-Nothing is clipped. An object of unknown albedo has one a per channel, a ~ Normal(0.5, 0.3); channels part, so
-that integrating it out is one quadrature each, over all pixels of the object together.
+Nothing is clipped; where a camera did, the value is infinite, and counts for all that is as bright, or as
+dark. An object of unknown albedo has one a per channel, a ~ Normal(0.5, 0.3); channels part, so that
+integrating it out is one quadrature each, over all pixels of the object together.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from recordings.settings import check_finite, check_within
 
@@ -31,6 +33,8 @@ CELLS = 40
 """Cells from -BIN * 10 on: albedos above 1.5 are six times fainter in the prior than at its mean."""
 FITS = 5
 """Steps of expectation and maximisation after the vote; the last changes an albedo by under 1e-4."""
+STORED = 256
+"""Values of a channel; an outlier takes each as likely."""
 LEAST = 1e-30
 """Density of a value outside [0, 1] far from what was rendered, in place of zero."""
 
@@ -60,11 +64,19 @@ class ColourNoise:
 def log_density(
     colour: NDArray[np.floating], rendered: NDArray[np.floating], noise: ColourNoise
 ) -> NDArray[np.floating]:
-    """Log density of each channel given its rendered value; arrays that broadcast, Lebesgue measure."""
+    """Log density of each channel given its rendered value; arrays that broadcast.
+
+    Lebesgue measure, and for what was clipped, +inf or -inf, the probability of a value over 1 or below 0.
+    """
     peak = (1 - noise.outlier) / (noise.sigma * np.sqrt(2 * np.pi))
     residual = (colour - rendered) * (1 / noise.sigma)
     uniform = noise.outlier * ((colour >= 0) & (colour <= 1))
-    return np.log(np.maximum(peak * np.exp(-0.5 * residual * residual) + uniform, LEAST))
+    density = peak * np.exp(-0.5 * residual * residual) + uniform
+    clipped = np.isinf(colour)
+    if clipped.any():
+        beyond = ndtr(np.where(colour > 0, rendered - 1, -rendered) / noise.sigma)
+        density = np.where(clipped, (1 - noise.outlier) * beyond + noise.outlier / STORED, density)
+    return np.log(np.maximum(density, LEAST))
 
 
 def sample(
@@ -106,14 +118,16 @@ def fitted_albedo(segments: Segments, noise: ColourNoise) -> tuple[NDArray[np.fl
     """Most probable albedo and its precision, both (B, C): a vote, then expectation and maximisation."""
     albedo = _voted(segments, noise)
     shade, owner = segments.shade[:, None], segments.owner
+    told = np.isfinite(segments.colour)
+    colour = np.where(told, segments.colour, 0.0)
     precision = np.full_like(albedo, noise.albedo_sd**-2)
     peak = (1 - noise.outlier) / (noise.sigma * np.sqrt(2 * np.pi))
     for _ in range(FITS):
-        residual = (segments.colour - shade * albedo[owner]) * (1 / noise.sigma)
-        inlier = peak * np.exp(-0.5 * residual * residual)
+        residual = (colour - shade * albedo[owner]) * (1 / noise.sigma)
+        inlier = told * peak * np.exp(-0.5 * residual * residual)
         weight = inlier / (inlier + noise.outlier) * (shade / noise.sigma**2)
         precision = noise.albedo_sd**-2 + _sums(segments.start, weight * shade)
-        total = noise.albedo_mean * noise.albedo_sd**-2 + _sums(segments.start, weight * segments.colour)
+        total = noise.albedo_mean * noise.albedo_sd**-2 + _sums(segments.start, weight * colour)
         albedo = total / precision
     return albedo, precision
 
@@ -167,7 +181,8 @@ def _log_prior(albedo: NDArray[np.float64], noise: ColourNoise) -> NDArray[np.fl
 def _voted(segments: Segments, noise: ColourNoise) -> NDArray[np.float64]:
     """The albedo (B, C) for which most pixels vote; the prior's mean without pixels."""
     objects, channels = len(segments.start) - 1, segments.colour.shape[1]
-    ratio = segments.colour / np.maximum(segments.shade[:, None], 1e-3)
+    colour = np.nan_to_num(segments.colour, posinf=1.0, neginf=0.0)
+    ratio = colour / np.maximum(segments.shade[:, None], 1e-3)
     cell = np.clip(np.floor(ratio / BIN).astype(np.int64) + CELLS // 4, 0, CELLS - 1)
     place = (segments.owner[:, None] * channels + np.arange(channels)) * CELLS + cell
     votes = np.bincount(place.ravel(), minlength=objects * channels * CELLS)

@@ -53,7 +53,7 @@ class ColourImage:
     """An image and its density as the table alone.
 
     Attributes:
-        colour: (H * W, C) in 0..1.
+        colour: (H * W, C) in 0..1; +inf or -inf where it was clipped.
         table: (H * W,) log density of each pixel as table.
     """
 
@@ -75,7 +75,8 @@ def colour_image(
             f"{world.camera.width}x{world.camera.height}"
         )
     colour = np.asarray(image, np.float64).reshape(world.camera.width * world.camera.height, -1)
-    table = np.median(colour, axis=0) if table_colour is None else np.asarray(table_colour)
+    bounded = np.nan_to_num(colour, posinf=1.0, neginf=0.0)
+    table = np.median(bounded, axis=0) if table_colour is None else np.asarray(table_colour)
     return ColourImage(colour, log_density(colour, table, world.noise).sum(axis=1))
 
 

@@ -46,11 +46,15 @@ def _lines(document: dict[str, Any]) -> list[str]:
         value = document[name]
         return "-" if value is None else f"{scale * value:.2f} {unit}"
 
+    def interval(name: str) -> str:
+        low, high = document[f"{name}_95"] or (0.0, 1.0)
+        return f"{share(name)} ({100 * low:.1f} to {100 * high:.1f})"
+
     missed = ", ".join(map(str, document["missed_by_search"])) or "none"
     return [
         f"{document['scenes']} scenes, set up in {document['set_up_s']:.1f} s",
-        f"count right: {share('count_right')}; where every thing shows 12 pixels: "
-        f"{share('count_right_all_seen')} of {document['scenes_all_seen']}",
+        f"count right, 95% Wilson: {interval('count_right')}; where every thing shows 12 pixels: "
+        f"{interval('count_right_all_seen')} of {document['scenes_all_seen']}",
         f"kinds right where the count is: {share('kinds_right_where_count_is')}",
         f"places of {document['places']}: median {number('place_median_m', 1e3, 'mm')}, "
         f"95% {number('place_95_m', 1e3, 'mm')}",

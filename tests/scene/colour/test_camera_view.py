@@ -53,11 +53,25 @@ def test_the_square_touches_the_border_of_the_image() -> None:
 
 def test_pooled_pixels_look_where_their_blocks_do() -> None:
     """A grey image keeps one channel; a point keeps its ray; light is averaged, not stored values."""
-    rgb = np.zeros((120, 160, 3), np.uint8)
-    rgb[:, 80:] = 255
+    rgb = np.full((120, 160, 3), 60, np.uint8)
+    rgb[:, 80:] = 200
     image, camera = pooled_image(rgb, CAMERA, 2.2)
     assert image.shape == (40, 53, 1)
     np.testing.assert_allclose(camera.rays(10, 20), CAMERA.rays(10 * 3 + 1, 20 * 3 + 1), atol=1e-12)
-    assert image[0, 26, 0] == pytest.approx(1 / 3)
+    dark, bright = (60 / 255) ** 2.2, (200 / 255) ** 2.2
+    assert image[0, 26, 0] == pytest.approx((2 * dark + bright) / 3)
     coloured, _ = pooled_image(rgb * np.array([1, 0, 0], np.uint8), CAMERA, 2.2)
     assert coloured.shape[2] == 3
+
+
+def test_blocks_that_are_clipped_tell_a_bound_alone() -> None:
+    """More than half of four pixels at 255, or at 0; half of them do not."""
+    camera = CameraIntrinsics(width=144, height=96, fx=150, fy=150, cx=71.5, cy=47.5)
+    rgb = np.tile(np.array([90, 120, 150], np.uint8), (96, 144, 1))
+    rgb[:2, :2, 0] = [[255, 255], [255, 90]]
+    rgb[:2, 2:4, 1] = [[0, 0], [0, 0]]
+    rgb[:2, 4:6, 2] = [[255, 255], [90, 90]]
+    light, _ = pooled_image(rgb, camera, 1.0)
+    assert light[0, 0, 0] == np.inf
+    assert light[0, 1, 1] == -np.inf
+    assert np.isfinite(light).sum() == light.size - 2

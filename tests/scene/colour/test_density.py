@@ -28,6 +28,31 @@ def test_the_density_of_a_channel_integrates_to_one(sigma: float, outlier: float
     assert np.exp(log_density(middle, np.array(rendered), noise)) @ width == pytest.approx(1, abs=1e-6)
 
 
+@pytest.mark.parametrize("rendered", [-0.1, 0.5, 0.97, 1.2])
+def test_what_was_clipped_counts_for_all_beyond(rendered: float) -> None:
+    """Inside, and both ends, have the mass 1, but for an outlier's 2 of 256 stored values."""
+    noise = ColourNoise(sigma=0.05, outlier=0.1)
+    edges = np.linspace(0, 1, 20001)
+    inside = np.exp(log_density((edges[1:] + edges[:-1]) / 2, np.array(rendered), noise)).mean()
+    ends = np.exp(log_density(np.array([np.inf, -np.inf]), np.array(rendered), noise)).sum()
+    assert inside + ends == pytest.approx(1 + 0.1 * 2 / 256, abs=1e-6)
+
+
+def test_clipped_pixels_bound_the_albedo(seed: int) -> None:
+    """Evidence with pixels over 1 is that of the sum over 20,000 albedos."""
+    noise = ColourNoise()
+    rng = np.random.default_rng(seed)
+    shade = rng.uniform(0.6, 1.0, 40)
+    colour = 1.1 * shade[:, None] + noise.sigma * rng.standard_normal((40, 1))
+    segments = Segments(np.array([0, 40]), np.where(colour > 1, np.inf, colour), shade)
+    grid = np.linspace(noise.albedo_mean - 2.4, noise.albedo_mean + 2.4, 20_001)
+    logs = log_density(segments.colour, shade[:, None] * grid, noise).sum(axis=0)
+    logs += stats.norm.logpdf(grid, noise.albedo_mean, noise.albedo_sd)
+    expected = np.logaddexp.reduce(logs) + np.log(grid[1] - grid[0])
+    assert np.isinf(segments.colour).any()
+    assert albedo_evidence(segments, noise)[0] == pytest.approx(expected, abs=1e-6)
+
+
 def test_the_sampler_draws_from_the_density(seed: int) -> None:
     """Kolmogorov-Smirnov against the cumulated density; false alarm 1e-6."""
     noise = ColourNoise(sigma=0.05, outlier=0.3)
