@@ -100,6 +100,12 @@ class NamedFile(click.ParamType):
     help="Instead: ask for so many shapes that are not there in place of so many that are.",
 )
 @click.option(
+    "--lookalikes",
+    is_flag=True,
+    help="Instead: of two shapes that depth hardly tells apart both are asked for and one is there; by depth"
+    " alone and with --colour add.",
+)
+@click.option(
     "--proposals",
     metavar="SOURCE,...",
     help=f"Instead: where the search's poses come from ({', '.join(SOURCES)}): the best hypothesis of each"
@@ -151,6 +157,7 @@ def command(
     results: tuple[tuple[str, Path], ...],
     growth: bool,
     absent: int | None,
+    lookalikes: bool,
     proposals: str | None,
     keep: Path | None,
     csv_path: Path | None,
@@ -189,6 +196,8 @@ def command(
         _growth(common, shapes)
     elif absent:
         _presences(common, shapes, objects, numbers, absent)
+    elif lookalikes:
+        _lookalikes(common, numbers)
     else:
         if worlds is not None:
             from pipeline.benchmarks.pose_sources import Worlds
@@ -367,6 +376,20 @@ def _presences(common: Common, shapes: Any, objects: int, numbers: Sequence[int]
         _say(common, f"table {number}: {', '.join(said)}")
     figures = presence_figures(reported)
     common.report(figures, presence_lines(figures))
+
+
+def _lookalikes(common: Common, numbers: Sequence[int]) -> None:
+    from pipeline.benchmarks.lookalikes import judge_table, lookalike_figures, lookalike_lines
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    rows = []
+    with common.progress("lookalikes", "tables") as progress:
+        for done, number in enumerate(numbers, 1):
+            with stdout_to_stderr():
+                rows += judge_table(number, common.seed)
+            progress(done, len(numbers))
+    figures = lookalike_figures(rows)
+    common.report(figures, lookalike_lines(figures))
 
 
 def _say(common: Common, line: str) -> None:
