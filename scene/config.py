@@ -34,14 +34,16 @@ class ParseConfig:
         graph: `infer` samples scene graphs, `fixed` keeps every object floating, which costs nothing then
             (the ablation 3DP3*).
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
-        colour: `off` reads depth alone, `only` colour alone (`scene.colour_parsing`).
+        colour: `off` reads depth alone, `only` colour alone (`scene.colour_parsing`); `add` compares both in
+            the search.
+        colour_weight: of `add`: exponent of the colours' factor; 0 leaves it out.
         table: of `only`: height of the camera over the table in metres, its pitch downwards and its roll in
             degrees; none takes the recorded pose over the plane z = 0 or the depth.
         most: of `only`: things at most on the table; copies of one kind count.
         light: of `only`: direction of the lamp from the table, x, y, z, and share of ambient light; none
             means the most probable of a fixed set.
-        gamma: of `only`: exponent by which stored colours become light; 2.2 of photographs, 1 where they
-            are stored linearly.
+        gamma: of `only` and `add`: exponent by which stored colours become light; 2.2 of photographs, 1
+            where they are stored linearly.
         presence: prior probability that an object is there.
         proposals: where the search's poses come from before they are refined: templates matched to observed
             `points`, convolution `masks`, or `both`, half and half.
@@ -76,7 +78,8 @@ class ParseConfig:
     region: tuple[float, ...] = ()
     graph: Literal["infer", "fixed"] = "infer"
     likelihood: Literal["depth", "cloud"] = "depth"
-    colour: Literal["off", "only"] = "off"
+    colour: Literal["off", "add", "only"] = "off"
+    colour_weight: float = 1.0
     table: tuple[float, ...] = ()
     most: int = 3
     light: tuple[float, ...] = ()
@@ -136,6 +139,7 @@ class ParseConfig:
             raise ValueError(f"exact names {min(missing)!r}, which is none of the objects asked for")
         if self.exact and self.colour == "only":
             raise ValueError("exact needs depth images; it does not go with colour only")
+        check_within(self, 0.0, 1.0, ("colour_weight",))
         if not 0 < self.pixel_weight <= 1:
             raise ValueError(f"pixel_weight must lie in (0, 1], got {self.pixel_weight}")
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
@@ -149,3 +153,8 @@ class ParseConfig:
             raise ValueError(f"slack_share must lie in [0, 1), got {self.slack_share}")
         if not all(0 < share < 1 for share in (self.outlier_probability, self.cloud_outlier_probability)):
             raise ValueError("outlier_probability and cloud_outlier_probability must lie between 0 and 1")
+
+    @property
+    def adds_colour(self) -> bool:
+        """Whether the search compares colours beside depth."""
+        return self.colour == "add" and self.colour_weight > 0

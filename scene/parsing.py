@@ -17,6 +17,8 @@ from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
 from scene.initialisation import initialise
 from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.pixel_density import PixelDensity
+from scene.mcmc.colour_turns import SeenColours, with_drawn_turns
 from scene.mcmc.sampling import carrying, sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
@@ -25,6 +27,7 @@ from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import frame_data, scene_data
 from scene.result import SceneResult
+from scene.search.colour_layers import ColourLayers
 from scene.search.importance_sampling import refine
 from scene.search.search_result import Initialisation
 from scene.summary import summarise
@@ -99,6 +102,12 @@ def parse_scene(
             config,
             progress,
         )
+    if data.rgb is not None:
+        pixels = PixelDensity.of(data.window.depth_m, noise, config.search_error_m, data.window.stride)
+        colours = ColourLayers.of(data, objects, pixels, config.gamma)
+        best, rng = their_start.poses[found.present], np.random.default_rng(seed)
+        seen = SeenColours(data, colours, renderer, objects, found.indices, best)
+        samples = with_drawn_turns(rng, seen, world_from_camera, samples)
     used = carrying(data.supports, objects, start)
     scene = summarise(
         samples,
@@ -124,9 +133,15 @@ def _views(
 ) -> list[SceneData]:
     """The frames, all with the supports that the first one shows."""
     first = scene_data(frames[0].depth_m, intrinsics, seed, config.support, config.region)
-    return [first] + [
+    views = [first] + [
         frame_data(frame.depth_m, intrinsics, first, pose)
         for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)
+    ]
+    if not config.adds_colour:
+        return views
+    return [
+        replace(view, rgb=frame.rgb, rgb_known=frame.rgb_known)
+        for view, frame in zip(views, frames, strict=True)
     ]
 
 

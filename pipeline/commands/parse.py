@@ -98,8 +98,9 @@ class FrameNumbers(click.ParamType):
 )
 @click.option(
     "--colour",
-    type=click.Choice(["off", "only"]),
-    help="`only` finds what stands upright on a table in one colour image, without depth.",
+    type=click.Choice(["off", "add", "only"]),
+    help="`add` compares the shapes' colours beside depth (lookalikes, the spin of a can); `only` finds what "
+    "stands upright on a table in one colour image, without depth; off by default.",
 )
 @click.option(
     "--table",

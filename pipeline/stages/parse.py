@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import PipelineError
 from pipeline.run_folder import Committed
 from pipeline.session import Session
+from pipeline.stages.colour_input import check_colours, coloured
 from pipeline.stages.room import view_stage
 from pipeline.stages.slam import slam_stage
 from pipeline.surfaces import Surfaces
@@ -27,7 +28,13 @@ if TYPE_CHECKING:
     from recordings.reading import McapRecording
     from scene.result import SceneResult
 
-SOURCES = ("pipeline.stages.parse", "pipeline.stages.parse_colour", "scene.parsing", "scene.colour_parsing")
+SOURCES = (
+    "pipeline.stages.parse",
+    "pipeline.stages.parse_colour",
+    "pipeline.stages.colour_input",
+    "scene.parsing",
+    "scene.colour_parsing",
+)
 SURFACE_SOURCES = ("pipeline.shape_folder", "pipeline.meshes", "pipeline.surfaces", "pipeline.bop_numbers")
 
 SHAPE_DRAWS = 16
@@ -99,11 +106,16 @@ def _parse(
         session.look()
         progress.phase("detecting and searching, compiling once")
         try:
+            numbered = frames_to_parse(session.recording, config.frames)
+            if config.adds_colour:
+                check_colours(session, numbered, surfaces.by_name)
             objects = [
                 scene_object(name, one.vertices_m, one.faces, drawn)
                 for (name, one), drawn in zip(surfaces.by_name.items(), draws, strict=True)
             ]
-            numbers, frames = zip(*frames_to_parse(session.recording, config.frames), strict=True)
+            if config.adds_colour:
+                objects = coloured(objects, surfaces.by_name, config)
+            numbers, frames = zip(*numbered, strict=True)
             return parse_scene(
                 key,
                 frames,

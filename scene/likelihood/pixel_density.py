@@ -153,6 +153,16 @@ class PixelDensity:
         just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
         return mixed, jnp.where(covers, layer_m, jnp.where(touches | left | above, just_before, jnp.inf))
 
+    def shown_by(self, layer_m: jax.Array) -> jax.Array:
+        """Probability (H, W) that a pixel shows an object's layer (H, W), by its own depth; 0 beside it.
+
+        Where nothing was measured, and at its outline, which cameras shift, it is as likely as not.
+        """
+        covers = jnp.isfinite(layer_m)
+        surface = _Surface(layer_m, jnp.where(covers, self.shape_sigma_m, 0.0))
+        shows = jnp.where(self.observed_m == NO_RETURN, UNKNOWN, self._shows(surface))
+        return jnp.where(covers, shows * jnp.where(_all_beside(covers), 1.0, 0.5), 0.0)
+
     def _shifted(self, outline: jax.Array, other: jax.Array) -> jax.Array:
         """Probability (H, W) that pixels at one side of an outline show its other side; 0 elsewhere.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from scene.objects.surface_colour import SurfaceColour, surface_colour
 from scene.objects.symmetry import spin_line, symmetry_lines
 from shapes.rendering.object_library import ObjectLibrary, library_of_mesh
 
@@ -37,6 +38,7 @@ class SceneObject:
         symmetry_lines, symmetry_orders: (3, 2, 3) and (3,) as `scene.objects.symmetry`, in the box frame.
         library: its distance field, in the object's frame.
         draws: libraries of as likely shapes, as many for each object of a scene; none where it is certain.
+        colour: of its surface; None where colours are not compared.
     """
 
     name: str
@@ -50,6 +52,19 @@ class SceneObject:
     symmetry_orders: NDArray[np.int_]
     library: ObjectLibrary
     draws: tuple[ObjectLibrary, ...] = ()
+    colour: SurfaceColour | None = None
+
+    def coloured(
+        self,
+        vertices_m: NDArray[np.floating],
+        faces: NDArray[np.integer],
+        rgb: NDArray[np.uint8] | None,
+        gamma: float,
+    ) -> SceneObject:
+        """The object with the colours (V, 3) of its mesh's vertices; None: one colour that nobody knows."""
+        mesh = trimesh.Trimesh(vertices_m - self.centre_m, faces, process=False)
+        lines = self.spin_line, self.symmetry_lines, self.symmetry_orders
+        return replace(self, colour=surface_colour(mesh, rgb, gamma, lines))
 
 
 def scene_object(

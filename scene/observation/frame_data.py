@@ -30,6 +30,7 @@ class SceneData:
         intrinsics: of the image.
         depth_m: the whole image.
         near: (H, W) bool, the image's pixels that may show an object.
+        rgb, rgb_known: as `Frame`, where colours are compared too; else None.
     """
 
     view: PooledView
@@ -44,6 +45,8 @@ class SceneData:
     intrinsics: CameraIntrinsics
     depth_m: NDArray[np.float32]
     near: NDArray[np.bool_]
+    rgb: NDArray[np.uint8] | None = None
+    rgb_known: NDArray[np.bool_] | None = None
 
     @property
     def table(self) -> SupportPlane | None:

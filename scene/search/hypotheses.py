@@ -17,6 +17,7 @@ from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
 from scene.search.assignment import PoseLayers
+from scene.search.colour_layers import ColourLayers
 from scene.search.pixel_sample import ComparedPixels
 from scene.search.support_prior import Gravity, log_not_buried
 
@@ -33,6 +34,7 @@ class PosePools:
         pixels: that are compared.
         poses: (N, K, 7) camera_from_box.
         layers: what they show, and the absent object.
+        colours: of the frame and the objects, where they are compared.
     """
 
     data: SceneData
@@ -42,6 +44,7 @@ class PosePools:
     pixels: ComparedPixels
     poses: NDArray[np.float32]
     layers: PoseLayers
+    colours: ColourLayers | None = None
 
     @classmethod
     def of(
@@ -65,6 +68,9 @@ class PosePools:
             pixels=pixels,
             poses=np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), size, 1)),
             layers=pixels.no_layers(len(objects), size),
+            colours=None
+            if data.rgb is None
+            else ColourLayers.of(data, objects, pixels.density, config.gamma),
         )
 
     @property
@@ -73,12 +79,21 @@ class PosePools:
         return self.poses.shape[1]
 
     def with_poses(self, found: NDArray[np.float32], first: int) -> PosePools:
-        """The pools with poses (N, n, 7) in place of those from `first` on."""
-        poses = self.poses.copy()
-        poses[:, first : first + found.shape[1]] = found
+        """The pools with poses (N, n, 7) in place of those from `first` on.
+
+        Where colours are compared each is turned as they like it best, among turns that no depth can tell.
+        """
         numbers = np.repeat(np.arange(len(found)), found.shape[1])
         depth_m = self.renderer.layers(numbers, found.reshape(-1, 7), self.data.window)
-        return replace(self, poses=poses, layers=self._with_layers(depth_m, poses, found, first))
+        log_colour, log_shares = None, np.zeros(found.shape[:2])
+        if self.colours is not None:
+            turned, shares = self.colours.turned(self.objects, numbers, found.reshape(-1, 7), depth_m)
+            log_colour = self.config.colour_weight * self.colours.log_factors(numbers, turned, depth_m)
+            found, log_shares = turned.reshape(found.shape), shares.reshape(found.shape[:2])
+        poses = self.poses.copy()
+        poses[:, first : first + found.shape[1]] = found
+        layers = self._with_layers(depth_m, log_colour, log_shares, poses, found, first)
+        return replace(self, poses=poses, layers=layers)
 
     def without(self, one: int, places: NDArray[np.bool_]) -> PosePools:
         """The pools with some poses (K,) of an object left out."""
@@ -89,6 +104,8 @@ class PosePools:
     def _with_layers(
         self,
         depth_m: NDArray[np.float32],
+        log_colour: jax.Array | None,
+        log_shares: NDArray[np.float64],
         poses: NDArray[np.float32],
         found: NDArray[np.float32],
         first: int,
@@ -96,7 +113,8 @@ class PosePools:
         config, table = self.config, self.data.table
         spins = np.where([one.spin_line.any() for one in self.objects], LOG_SPINS, 0.0)
         log_prior = spins[:, None] + log_not_buried(table, self.objects, found, config.loose_sigma_m)
-        layers = self.pixels.with_layers(self.layers, depth_m, log_prior, first)
+        log_prior = log_prior + log_shares
+        layers = self.pixels.with_layers(self.layers, depth_m, log_prior, first, log_colour)
         gravity = Gravity(
             contact_sigma_m=config.contact_sigma_m,
             loose_sigma_m=config.loose_sigma_m,

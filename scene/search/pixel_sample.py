@@ -93,7 +93,12 @@ class ComparedPixels:
         )
 
     def with_layers(
-        self, layers: PoseLayers, depth_m: NDArray[np.float32], log_prior: NDArray[np.floating], first: int
+        self,
+        layers: PoseLayers,
+        depth_m: NDArray[np.float32],
+        log_prior: NDArray[np.floating],
+        first: int,
+        log_colour: jax.Array | None = None,
     ) -> PoseLayers:
         """Layers with poses `first`, `first` + 1, ... of every object replaced by those of the given depth.
 
@@ -102,9 +107,12 @@ class ComparedPixels:
             depth_m: (N * n, H, W) of n poses of each object, alone.
             log_prior: (N, n) of these poses, beside the odds of being there.
             first: place of the first of them.
+            log_colour: (N * n, H, W) what colours add where each is seen; None where they are not compared.
         """
         by_object = depth_m.reshape(*log_prior.shape, -1)
-        return _with_layers(self, layers, by_object, log_prior.astype(np.float32), np.int32(first))
+        return _with_layers(
+            self, layers, by_object, log_prior.astype(np.float32), np.int32(first), log_colour
+        )
 
 
 @jax.jit
@@ -121,20 +129,25 @@ def _with_layers(
     depth_m: jax.Array,
     log_prior: jax.Array,
     first: jax.Array,
+    log_colour: jax.Array | None,
 ) -> PoseLayers:
     """The layers with depth (N, n, pixels) and priors (N, n) put in from `first` on."""
     rest_m = pixels.rest_m.ravel()
     log_rest = pixels.density.of_rest(pixels.rest_m).ravel()
 
-    def shown(layer_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def shown(part: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, jax.Array, jax.Array]:
+        layer_m, colour = part
         parts = object_density(pixels.density, layer_m.reshape(pixels.rest_m.shape), pixels.rest_m)
         density, layer_m = (part.ravel() for part in parts)
+        if colour is not None:
+            density += colour
         seen = pixels.uncontested & (layer_m < rest_m)
         alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - log_rest, 0.0))
         return layer_m[pixels.places], density[pixels.places] * pixels.weight, alone
 
     count, poses, size = depth_m.shape
-    by_pose = jax.lax.map(shown, depth_m.reshape(-1, size))
+    colours = None if log_colour is None else log_colour.reshape(-1, size)
+    by_pose = jax.lax.map(shown, (depth_m.reshape(-1, size), colours))
     shown_m, density, log_alone = (leaf.reshape(count, poses, *leaf.shape[1:]) for leaf in by_pose)
     put = jax.lax.dynamic_update_slice_in_dim
     return PoseLayers(

@@ -1,6 +1,7 @@
 """`voxscene parse --colour only`: things on a table from one colour image, without depth."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,13 @@ from mcap.writer import Writer
 
 from pipeline.cli import voxscene
 from pipeline.synthesis.air import air_meshes, air_scene, air_world, write_air_scene
+from pipeline.synthesis.filming import film_table
+from pipeline.synthesis.objects import built_in_object
+from pipeline.synthesis.paths import PathConfig
+from pipeline.synthesis.rooms import RoomConfig
+from pipeline.synthesis.scenarios import TableScene
+from recordings.writer import RecordingWriter
+from scene.config import ParseConfig
 
 SEED = 7
 """Of a scene with a cube and a cylinder."""
@@ -102,3 +110,36 @@ def test_mistakes_are_told_in_one_line(photograph: Path, meshes: Path, tmp_path:
         assert result.exit_code == code, told
         assert told in result.output
         assert "Traceback" not in result.output
+
+
+def film(path: Path, *, with_colour: bool) -> Path:
+    """One depth frame of a can on a table."""
+    scene = TableScene(room=RoomConfig(kind="none"), path=PathConfig(frames=1, radius_m=0.8), objects=1)
+    table = film_table({"can": built_in_object("can")}, scene, 4)
+    with RecordingWriter(path, table.intrinsics) as writer:
+        frame = table.frame(0)
+        writer.write_depth(frame if with_colour else replace(frame, rgb=None))
+    return path
+
+
+def test_what_adding_colour_needs(tmp_path: Path) -> None:
+    """A frame without colour and shapes without any are told in a line; nothing is parsed."""
+    (tmp_path / "bare").mkdir()
+    built_in_object("can").export(tmp_path / "bare" / "can.ply")
+    for with_colour, told in (
+        (True, "none of the shapes has colours (can)"),
+        (False, "has no colour that is registered"),
+    ):
+        recording = film(tmp_path / f"{with_colour}.mcap", with_colour=with_colour)
+        more = ["--shapes", str(tmp_path / "bare"), "-o", str(tmp_path / f"run {with_colour}"), "--quiet"]
+        result = CliRunner().invoke(voxscene, ["parse", str(recording), *more, "--colour", "add"])
+        assert result.exit_code == 1, result.output
+        assert told in result.output
+        assert "Traceback" not in result.output
+
+
+def test_no_weight_is_no_colour() -> None:
+    """Then nothing of the parse looks at colours: its bytes are those of --colour off."""
+    assert ParseConfig(colour="add").adds_colour
+    assert not ParseConfig(colour="add", colour_weight=0.0).adds_colour
+    assert not ParseConfig().adds_colour

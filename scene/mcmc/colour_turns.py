@@ -1,0 +1,124 @@
+"""Turns of objects that depth cannot tell, drawn from what their colours say.
+
+A can's spin, or which way round a box lies: shape and depth are the same after each of these turns, so that
+given everything else of a sample they are independent of the depth images, and a draw from their conditional
+is a Gibbs step on the posterior with colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.mcmc.samples import Samples
+from scene.objects.scene_object import SceneObject
+from scene.objects.surface_colour import SPINS
+from scene.observation.frame_data import SceneData
+from scene.search.colour_layers import ColourLayers
+from shapes.geometry.poses import matrices_of, poses_of
+
+FINER = 5
+"""Steps of three degrees in each of a spin's: between them the angle is drawn evenly."""
+SAME_M, SAME_RAD = 0.02, 0.5
+"""Samples that differ by more from the pose in which colours were compared, turns apart, keep their turn;
+as modes of a summary."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenColours:
+    """The best scene in the frame whose colours tell.
+
+    Attributes:
+        data: the frame.
+        colours: of the frame and of all objects.
+        renderer: of all N objects.
+        objects: these.
+        numbers: (F,) which of them are found.
+        poses: (F, 7) camera_from_box of these.
+    """
+
+    data: SceneData
+    colours: ColourLayers
+    renderer: ObjectRenderer
+    objects: Sequence[SceneObject]
+    numbers: NDArray[np.integer]
+    poses: NDArray[np.floating]
+
+    def log_shares(self, found: int, turns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log probabilities (T,) of turns of one of the found objects, each as likely before."""
+        number, pose = self.numbers[found : found + 1], self.poses[found : found + 1]
+        depth_m = self.renderer.layers(number, pose, self.data.window)
+        sums = self.colours.log_factors_of_turns(int(number[0]), turns, pose, depth_m)[0]
+        return sums - np.logaddexp.reduce(sums)
+
+
+def with_drawn_turns(
+    rng: np.random.Generator, seen: SeenColours, world_from_camera: NDArray[np.float64], samples: Samples
+) -> Samples:
+    """The samples with such turns drawn anew.
+
+    Args:
+        rng: random numbers.
+        seen: the best scene, whose objects are in the samples' first slots.
+        world_from_camera: (4, 4) of its frame.
+        samples: of chains.
+    """
+    poses, log_posterior = samples.poses.copy(), samples.log_posterior.copy()
+    for slot, number in enumerate(seen.numbers.tolist()):
+        one = seen.objects[number]
+        turns = turns_of(one)
+        if len(turns) == 1:
+            continue
+        log_shares = seen.log_shares(slot, turns)
+        here = matrices_of(poses[..., slot, :])
+        best = world_from_camera @ matrices_of(np.asarray(seen.poses[slot], np.float64))
+        before, same = _turns_taken(best, here, turns)
+        drawn = rng.choice(len(turns), p=np.exp(log_shares), size=before.shape)
+        turned = here @ np.linalg.inv(turns)[before] @ turns[drawn]
+        if one.colour is not None and one.colour.spins:
+            turned = turned @ _between(rng, one, before.shape)
+        poses[..., slot, :] = np.where(same[..., None], poses_of(turned), poses[..., slot, :])
+        log_posterior += np.where(same, log_shares[drawn], 0.0)
+    return replace(samples, poses=poses, log_posterior=log_posterior)
+
+
+def turns_of(one: SceneObject) -> NDArray[np.float64]:
+    """All turns (T, 4, 4) that leave an object's shape as it is, spins in finer steps."""
+    if one.colour is None:
+        return np.eye(4)[None]
+    if not one.colour.spins:
+        return one.colour.turns
+    steps = 2 * np.pi / (SPINS * FINER) * np.arange(FINER)
+    return (one.colour.turns[:, None] @ _spins(one, steps)).reshape(-1, 4, 4)
+
+
+def _between(rng: np.random.Generator, one: SceneObject, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Turns (..., 4, 4) by angles within a step."""
+    half = np.pi / (SPINS * FINER)
+    return _spins(one, rng.uniform(-half, half, int(np.prod(shape)))).reshape(*shape, 4, 4)
+
+
+def _spins(one: SceneObject, angles: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Turns (A, 4, 4) about an object's own line."""
+    direction, point = one.spin_line
+    turns = np.tile(np.eye(4), (len(angles), 1, 1))
+    turns[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * direction).as_matrix()
+    turns[:, :3, 3] = point - turns[:, :3, :3] @ point
+    return turns
+
+
+def _turns_taken(
+    best: NDArray[np.float64], poses: NDArray[np.float64], turns: NDArray[np.float64]
+) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
+    """Which turn (...) poses (..., 4, 4) have taken from the best, and whether they are no further away."""
+    apart = np.linalg.inv(best) @ poses
+    traces = np.einsum("...ij,tij->...t", apart[..., :3, :3], turns[:, :3, :3])
+    taken = traces.argmax(axis=-1)
+    angle = np.arccos(np.clip((traces.max(axis=-1) - 1) / 2, -1, 1))
+    left = apart @ np.linalg.inv(turns)[taken]
+    return taken, (angle < SAME_RAD) & (np.linalg.norm(left[..., :3, 3], axis=-1) < SAME_M)

@@ -1,0 +1,193 @@
+"""Colour of an object's surface, and the turns after which its shape alone looks the same.
+
+Colours are logs of light in three orthonormal components, brightness and two of hue, so that a light's gain
+is added to them. They are kept in the voxels along the surface, each the mean over its part of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+DARK = 0.01
+"""Of full light, added before logs are taken: what is darker differs by noise and reflections alone."""
+COMPONENTS = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt([[3], [2], [6]])
+"""Rows: brightness, red against green, both against blue; orthonormal."""
+
+LONGEST_VOXELS = 48
+"""Along the longest edge of the box: 4 mm of 20 cm, as much as a pixel of the search's window covers."""
+SAMPLES = 60_000
+"""Of the surface: several a voxel of the largest grid."""
+MARGIN = 2
+"""Voxels round the surface that take the nearest colour: poses and shapes are that wrong in the search."""
+
+SPINS = 24
+"""About the axis of what is round: steps of 15 degrees, in which a label as wide as that still overlaps."""
+NEAR_M, ALIKE = 0.003, 0.97
+"""A turn leaves a shape as it is where so large a share of its surface comes to lie so near to it: the
+sensor's noise hides the rest. A mug's handle, a tenth of it, does not pass."""
+APART_RAD = np.radians(5.0)
+"""Turns closer than that are one."""
+MOST_TURNS = 64
+TESTED = 512
+"""Points of the surface that are turned."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceColour:
+    """Colours along a surface, in the box frame.
+
+    Attributes:
+        values: (X, Y, Z, 3) float32 as `log_colour`; zero away from the surface.
+        origin_m: (3,) corner of voxel (0, 0, 0).
+        pitch_m: edge of a voxel.
+        is_known: False where the whole surface has one colour that nobody knows.
+        turns: (T, 4, 4) after which the shape alone looks the same, the identity first.
+        spins: whether these are steps of a turn by any angle.
+    """
+
+    values: NDArray[np.float32]
+    origin_m: NDArray[np.float64]
+    pitch_m: float
+    is_known: bool
+    turns: NDArray[np.float64]
+    spins: bool
+
+
+def log_colour(rgb: ArrayLike, gamma: float) -> NDArray[np.float64]:
+    """Log light (..., 3) in `COMPONENTS` of stored colours (..., 3) in 0..255.
+
+    Args:
+        rgb: stored.
+        gamma: exponent by which stored values become light.
+    """
+    return components_of_light((np.asarray(rgb, np.float64) / 255) ** gamma)
+
+
+def components_of_light(light: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The same of light (..., 3) in 0..1."""
+    return np.log(light + DARK) @ COMPONENTS.T
+
+
+def surface_colour(
+    mesh: trimesh.Trimesh,
+    rgb: NDArray[np.uint8] | None,
+    gamma: float,
+    lines: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int_]],
+) -> SurfaceColour:
+    """The colours of a surface.
+
+    Args:
+        mesh: in the box frame.
+        rgb: (V, 3) of its vertices; None where nobody knows them.
+        gamma: exponent by which stored values become light.
+        lines: the continuous line (2, 3), the lines of order two and four (3, 2, 3), their orders (3,), as
+            `scene.objects.symmetry` finds them.
+    """
+    points, places = _sampled(mesh, SAMPLES)
+    pitch_m = float(np.ptp(mesh.bounds, axis=0).max()) / LONGEST_VOXELS
+    origin_m = mesh.bounds[0] - MARGIN * pitch_m
+    size = np.ceil(np.ptp(mesh.bounds, axis=0) / pitch_m).astype(int) + 2 * MARGIN + 1
+    values = np.zeros((*size, 3), np.float32)
+    if rgb is not None:
+        corners = mesh.faces[places]
+        weights = trimesh.triangles.points_to_barycentric(mesh.vertices[corners], points)
+        light = (rgb[corners].astype(np.float64) / 255) ** gamma
+        shown = components_of_light((weights[..., None] * light).sum(axis=1).clip(0, 1))
+        values = _along_surface(points, shown, origin_m, pitch_m, tuple(size.tolist()))
+    turns, spins = (np.eye(4)[None], False) if rgb is None else alike_turns(points, *lines)
+    return SurfaceColour(
+        values=values,
+        origin_m=origin_m,
+        pitch_m=pitch_m,
+        is_known=rgb is not None,
+        turns=turns,
+        spins=spins,
+    )
+
+
+def _sampled(mesh: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
+    drawn = trimesh.sample.sample_surface(mesh, count, seed=0)
+    return np.asarray(drawn[0]), np.asarray(drawn[1])
+
+
+def _along_surface(
+    points: NDArray[np.float64],
+    colours: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    pitch_m: float,
+    size: tuple[int, int, int],
+) -> NDArray[np.float32]:
+    """Means (X, Y, Z, 3) over points in each voxel; voxels beside them take the nearest one's."""
+    flat = np.ravel_multi_index(tuple(((points - origin_m) / pitch_m).astype(int).T), size)
+    filled, place, counts = np.unique(flat, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(place, colours[:, one]) for one in range(3)], axis=1)
+    means = sums / counts[:, None]
+    cells = np.stack(np.unravel_index(filled, size), axis=1)
+    steps = np.array(list(itertools.product(range(-MARGIN, MARGIN + 1), repeat=3)))
+    beside = (cells[:, None] + steps).reshape(-1, 3)
+    beside = np.unique(np.clip(beside, 0, np.array(size) - 1), axis=0)
+    values = np.zeros((*size, 3), np.float32)
+    values[tuple(beside.T)] = means[KDTree(cells).query(beside)[1]]
+    return values
+
+
+def alike_turns(
+    points: NDArray[np.float64],
+    spin_line: NDArray[np.float64],
+    lines: NDArray[np.float64],
+    orders: NDArray[np.int_],
+) -> tuple[NDArray[np.float64], bool]:
+    """Turns (T, 4, 4) after which a surface looks the same but for its colours, and whether any angle is one.
+
+    Args:
+        points: (P, 3) of the surface, in random order.
+        spin_line: (2, 3) direction and point; zeros without one.
+        lines: (3, 2, 3) of turns of order two and four.
+        orders: (3,) 4, 2 or 0.
+    """
+    tree = KDTree(points)
+
+    def is_alike(turn: NDArray[np.float64]) -> bool:
+        turned = points[:TESTED] @ turn[:3, :3].T + turn[:3, 3]
+        return bool((tree.query(turned)[0] < NEAR_M).mean() >= ALIKE)
+
+    spins = [turn for turn in _about(spin_line, SPINS) if spin_line.any() and is_alike(turn)]
+    spins_freely = len(spins) == SPINS
+    generators = [spins if spins_freely else [np.eye(4)]]
+    generators += [_about(line, int(order)) for line, order in zip(lines, orders, strict=True) if order]
+    chosen: list[NDArray[np.float64]] = []
+    for turn in _products(generators):
+        known = np.array([one[:3, :3] for one in chosen]).reshape(-1, 3, 3)
+        traces = np.einsum("tij,ij->t", known, turn[:3, :3])
+        if (traces > 1 + 2 * np.cos(APART_RAD)).any() or not is_alike(turn):
+            continue
+        chosen.append(turn)
+    return np.stack(chosen[:MOST_TURNS]), spins_freely
+
+
+def _about(line: NDArray[np.float64], order: int) -> list[NDArray[np.float64]]:
+    """All turns (4, 4) of an order about a line (2, 3), none first."""
+    turns = []
+    for angle in 2 * np.pi * np.arange(order) / order:
+        turn = np.eye(4)
+        turn[:3, :3] = Rotation.from_rotvec(angle * line[0]).as_matrix()
+        turn[:3, 3] = line[1] - turn[:3, :3] @ line[1]
+        turns.append(turn)
+    return turns
+
+
+def _products(generators: list[list[NDArray[np.float64]]]) -> Iterator[NDArray[np.float64]]:
+    """Every product of one turn of each list, the first list's turning fastest."""
+    for parts in itertools.product(*reversed(generators)):
+        product = np.eye(4)
+        for part in parts:
+            product = product @ part
+        yield product

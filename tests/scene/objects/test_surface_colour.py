@@ -1,0 +1,57 @@
+"""Colours along surfaces, and the turns that depth cannot tell."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.meshes import vertex_rgb
+from pipeline.synthesis.objects import built_in_object
+from pipeline.synthesis.paint import painted
+from scene.objects.scene_object import SceneObject, scene_object
+from scene.objects.surface_colour import SPINS, log_colour
+
+
+def coloured(name: str, pattern: str = "halves") -> tuple[SceneObject, trimesh.Trimesh]:
+    """A built-in object with a pattern, and its mesh."""
+    mesh = painted(name, built_in_object(name), pattern)
+    bare = built_in_object(name)
+    rgb = vertex_rgb(mesh)
+    one = scene_object(name, np.asarray(bare.vertices), np.asarray(bare.faces))
+    return one.coloured(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb, 2.2), mesh
+
+
+@pytest.mark.parametrize(
+    ("name", "turns", "spins"), [("can", SPINS, True), ("box", 4, False), ("mug", 1, False)]
+)
+def test_turns_are_those_that_leave_the_shape(name: str, turns: int, spins: bool) -> None:
+    """A can spins, a box lies four ways, a mug's handle tells; the first turn is none."""
+    colour = coloured(name)[0].colour
+    assert colour is not None
+    assert len(colour.turns) in (turns, 2 * turns if spins else turns)
+    assert colour.spins == spins
+    assert np.array_equal(colour.turns[0], np.eye(4))
+
+
+def test_colours_are_those_beside() -> None:
+    """Of points on the surface, away from where colours meet: the vertices' own, to a tenth of the light."""
+    one, mesh = coloured("box")
+    assert one.colour is not None
+    points, places = map(np.asarray, trimesh.sample.sample_surface(mesh, 500, seed=1)[:2])
+    painted_rgb = vertex_rgb(mesh)
+    assert painted_rgb is not None
+    far = np.abs(points[:, 1]) > 0.012
+    cell = ((points - one.centre_m - one.colour.origin_m) / one.colour.pitch_m).astype(int)
+    shown = one.colour.values[tuple(cell.T)]
+    rgb = painted_rgb[mesh.faces[places][:, 0]]
+    assert np.abs(shown - log_colour(rgb, 2.2))[far].max() < 0.1
+    assert far.sum() > 300
+
+
+def test_an_unknown_colour_turns_nothing() -> None:
+    """One albedo that nobody knows tells no turn from another."""
+    mesh = built_in_object("can")
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    colour = scene_object("can", vertices, faces).coloured(vertices, faces, None, 2.2).colour
+    assert colour is not None
+    assert not colour.is_known
+    assert len(colour.turns) == 1
