@@ -143,7 +143,7 @@ class PixelDensity:
         touches = jnp.isfinite(wide_m)
         one, rest = _Surface(wide_m, jnp.where(touches, self.shape_sigma_m, 0.0)), self._support(rest_m)
         mine, behind = _computed((self._shows(one), self._shows(rest)))
-        scene = _computed(jnp.where(touches, mine, behind))
+        scene = _computed(jnp.maximum(mine, behind))
         within = 1 - self._shifted(covers & ~_all_beside(covers), 1 - mine)
         shares = jnp.where(covers, within, self._shifted(touches & ~covers, mine))
         shares, own = _computed((shares, self._log_density(one, mine, scene, mine)))
@@ -258,7 +258,8 @@ class PixelDensity:
         """Probability (H, W) of something unknown, by what the pixels before show of the scene (H, W).
 
         Outlines go on as they came: where the pixel to the left shows what the one above it does, this one
-        shows what the one above does, and the same with rows and columns changed.
+        shows what the one above does, and the same with rows and columns changed. A thing begins where all
+        three show the scene with probability `CHANGES` along the row times the same along the column.
         """
         measured = self.observed_m != NO_RETURN
         (left, above), (known_left, known_above) = _left_and_above(shows), _left_and_above(measured)
@@ -267,7 +268,8 @@ class PixelDensity:
         mean = (known_left * left + known_above * above) / jnp.maximum(count, 1.0)
         goes_on = known_left & known_above & known_corner
         known = jnp.where(goes_on, jnp.clip(left + above - corner, 0.0, 1.0), mean)
-        return jnp.where(count > 0, CHANGES + (1 - 2 * CHANGES) * (1 - known), UNKNOWN)
+        begins = jnp.where(goes_on, CHANGES ** (1 + left * above * corner), CHANGES)
+        return jnp.where(count > 0, begins + (1 - begins - CHANGES) * (1 - known), UNKNOWN)
 
     def _uniform(self) -> jax.Array:
         range_m = self.noise.max_range_m
