@@ -81,8 +81,9 @@ def _moves_px(one: np.ndarray, other: np.ndarray, corner: np.ndarray) -> float:
     """By how much at most a pixel of the image lies elsewhere under another matrix."""
     if np.array_equal(one, other):
         return 0.0
-    if not (np.isfinite(one).all() and np.isfinite(other).all() and abs(np.linalg.det(one)) > 0):
-        return np.inf
     corners = np.array([[0.0, 0.0, 1.0], [corner[0], 0.0, 1.0], [0.0, corner[1], 1.0], corner]).T
-    moved = other @ np.linalg.inv(one) @ corners
-    return float(np.abs(moved[:2] - corners[:2]).max())
+    with np.errstate(all="ignore"):  # numbers of no camera overflow: it is another one
+        if not (np.isfinite(one).all() and np.isfinite(other).all() and abs(np.linalg.det(one)) > 0):
+            return np.inf
+        moved = other @ np.linalg.inv(one) @ corners
+        return float(np.abs(moved[:2] - corners[:2]).max())

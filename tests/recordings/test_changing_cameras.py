@@ -99,6 +99,20 @@ def test_a_focal_length_of_no_camera_is_refused(recording_path, focal):
         open_recording(recording_path)
 
 
+@pytest.mark.parametrize("focal", [1e-300, 1e300, 1e308])
+def test_numbers_of_no_camera_that_come_later_lose_their_frames_alone(recording_path, focal):
+    """Told, without an overflow on the way."""
+    with Scribe(recording_path) as scribe:
+        for number, fx in enumerate((FIRST[0], focal)):
+            stamp = (number + 1) * SECOND_NS
+            scribe.ros2("/camera/depth/camera_info", camera_info(stamp, SIZE, (fx, *FIRST[1:])), stamp)
+            scribe.ros2(TOPIC, image(stamp, "16UC1", plane_mm(FIRST)), stamp)
+    recording = open_recording(recording_path)
+
+    assert len(list(recording)) == 1
+    assert recording.damage.lost_messages == 1
+
+
 def test_a_distortion_that_is_lost_later_is_told_with_its_frames(recording_path):
     """The frames before it are used."""
     with Scribe(recording_path) as scribe:
