@@ -13,7 +13,7 @@ COORDINATES = 5
 
 def _posterior(design: np.ndarray, data: np.ndarray) -> tuple[FieldPosterior, np.ndarray]:
     """Of coordinates under unit Gaussians, data = design @ coordinates + unit noise; and its mode."""
-    covariance = np.linalg.inv(np.eye(COORDINATES) + design.T @ design)
+    covariance = np.asarray(np.linalg.inv(np.eye(COORDINATES) + design.T @ design), np.float64)
     none = np.zeros((1, 6, COORDINATES))
     return FieldPosterior(covariance=covariance, sensitivity=none), covariance @ design.T @ data
 
