@@ -25,7 +25,7 @@ run stands in RUN/recordings/STEM; what was learned is gathered in RUN/shapes.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -93,17 +93,40 @@ class Project:
     settings: Mapping[str, Mapping[str, Any]]
 
 
+class UnreadableEntries(ProjectError):  # noqa: N818  (an error by its base)
+    """Recordings or settings of a project are not understood.
+
+    Attributes:
+        lines: why.
+        rest: the project without them, and without what may depend on shapes that they were to learn.
+    """
+
+    def __init__(self, lines: Sequence[str], rest: Project) -> None:
+        super().__init__(lines)
+        self.lines = tuple(lines)
+        self.rest = rest
+
+
 def read_project(path: Path) -> Project:
     """Read a project file.
 
     Raises:
-        ConfigError: it cannot be read, or says something that is not understood.
+        UnreadableEntries: recordings or settings are not understood; the rest may tell what else is wrong.
+        ConfigError: it cannot be read, or says what cannot be.
     """
     content = read_toml(path)
     entries = content.pop("recording", [])
     if not isinstance(entries, list) or not entries:
         raise ConfigError(f"{path} has no [[recording]]: each needs a path and a stage")
-    recordings = _recordings(path, entries)
+    recordings, mistakes = _recordings(path, entries)
+    settings: Mapping[str, Mapping[str, Any]] = {}
+    try:
+        settings = checked_sections(content, path)
+    except ConfigError as error:
+        mistakes.append(str(error))
+    if mistakes:
+        apart = [one for one in recordings if one.stage != "parse" or one.shapes is not None]
+        raise UnreadableEntries(mistakes, Project(recordings=tuple(apart), settings=settings))
     for what, names in (
         ("recordings", [one.stem for one in recordings]),
         ("shapes", [one.shape for one in recordings if one.stage == "learn"]),
@@ -120,12 +143,12 @@ def read_project(path: Path) -> Project:
             )
     return Project(
         recordings=tuple(sorted(recordings, key=lambda one: one.stage == "parse")),
-        settings=checked_sections(content, path),
+        settings=settings,
     )
 
 
-def _recordings(path: Path, entries: list[Any]) -> list[ProjectRecording]:
-    """The recordings that the entries name, a pattern as many as it matches; mistakes are told together."""
+def _recordings(path: Path, entries: list[Any]) -> tuple[list[ProjectRecording], list[str]]:
+    """The recordings that the entries name, a pattern as many as it matches; and what is not understood."""
     found: list[ProjectRecording] = []
     mistakes: list[str] = []
     for number, entry in enumerate(entries, start=1):
@@ -134,9 +157,7 @@ def _recordings(path: Path, entries: list[Any]) -> list[ProjectRecording]:
             found += _matching(path.parent, one)
         except ConfigError as error:
             mistakes.append(str(error))
-    if mistakes:
-        raise ProjectError(mistakes)
-    return found
+    return found, mistakes
 
 
 def _matching(folder: Path, recording: ProjectRecording) -> list[ProjectRecording]:

@@ -68,12 +68,15 @@ def command(
     Sections of settings, such as [slam], hold for all recordings.
     """  # noqa: D301  (click reads the \b)
     from pipeline.errors import ProjectError
-    from pipeline.project import read_project
+    from pipeline.project import UnreadableEntries, read_project
     from pipeline.project_check import project_mistakes
     from pipeline.project_run import run_project
 
-    project = read_project(project_file)
     folder = run_path or project_file.with_suffix(".run")
+    try:
+        project = read_project(project_file)
+    except UnreadableEntries as error:
+        raise ProjectError([*error.lines, *project_mistakes(error.rest, folder, common)]) from error
     mistakes = project_mistakes(project, folder, common)
     if mistakes and not keep_going:
         raise ProjectError(

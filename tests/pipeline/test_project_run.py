@@ -81,6 +81,18 @@ def test_every_mistake_is_told_before_anything_begins(folder: Path) -> None:
     assert not (folder / "project.run").exists()
 
 
+def test_what_is_not_understood_hides_no_other_mistake(folder: Path) -> None:
+    """An unknown stage, and a file that is none; nothing is said of shapes that the first was to learn."""
+    more = "[[recording]]\npath = 'first.mcap'\nstage = 'lern'\n"
+    more += "[[recording]]\npath = 'last.mcap'\nstage = 'parse'\nobjects = ['first']\n"
+    result = run("run", write_project(folder, ("empty",), more))
+
+    assert result.exit_code == 2
+    assert "got 'lern'" in result.stderr
+    assert "empty.mcap is empty" in result.stderr
+    assert "shape" not in result.stderr
+
+
 def test_a_recording_that_fails_costs_no_other(folder: Path, perfect_tracker: list[str]) -> None:
     """Neither one that is none, nor one that meets a mistake of the program; both are told."""
     project = write_project(folder, ("empty", "first", "bug", "last"))
