@@ -15,7 +15,7 @@ from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.fusion import fuse
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image, with_noise
-from slam.registration.search import Registration
+from slam.registration.registered import Registration
 
 LEAST_CAPACITY = 32
 """Keyframes for which arrays have room at first."""

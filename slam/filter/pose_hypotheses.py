@@ -18,7 +18,8 @@ from slam.filter.motion import LONGEST_RATIO, velocity_ratio
 from slam.filter.state import CameraParticles, FilterState
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.registration import pose_grids
-from slam.registration.search import GroupMap, Registration, Searcher, prune_improbable, suppress_duplicates
+from slam.registration.registered import Registration, prune_improbable, suppress_duplicates
+from slam.registration.search import GroupMap, Searcher
 
 
 @dataclass(frozen=True)

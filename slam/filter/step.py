@@ -31,7 +31,7 @@ from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import stacked
 from slam.likelihood.distortion import NODES, NodeWeights
 from slam.registration.field_sensitivity import field_sensitivity
-from slam.registration.search import Registration
+from slam.registration.registered import Registration
 
 COMPONENT_BUCKETS = (1, 2, 4, MAX_HYPOTHESES)
 """Numbers of mixture components for which kernels are compiled."""

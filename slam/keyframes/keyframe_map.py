@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.types import NO_RETURN
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.surfels import SurfelImage
 
 Tree = TypeVar("Tree")
@@ -25,6 +27,10 @@ NEAREST_CANDIDATES = 64
 
 LEAST_OVERLAP = 0.08
 """Share of a keyframe's points that the camera must see for the keyframe to be of use."""
+
+
+LEAST_KNOWN = 0.5
+"""Of the lattice, by which two thumbnails of depth can be compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,9 +70,11 @@ def stacked(*trees: Tree) -> Tree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
+_SAMPLED = (..., *2 * (slice(SAMPLED_STRIDE_PX // 2, None, SAMPLED_STRIDE_PX),))
+
+
 def _sample_points(surface: SurfelImage) -> NDArray[np.float32]:
-    every = slice(SAMPLED_STRIDE_PX // 2, None, SAMPLED_STRIDE_PX)
-    points = np.asarray(surface.points())[:, every, every].reshape(3, -1).T
+    points = np.asarray(surface.points())[_SAMPLED].reshape(3, -1).T
     return np.where(points[:, 2:] > 0, points, np.nan).astype(np.float32)
 
 
@@ -95,6 +103,23 @@ def visible_cells(
     keyframe, point = np.nonzero(inside)
     hit[keyframe, cell[keyframe, point]] = True
     return share, hit
+
+
+def thumbnail(view: CanvasView) -> NDArray[np.float32]:
+    """Depth (S,) of a view where keyframes are sampled, NaN where there is none."""
+    depth = np.asarray(view.depth_m)[_SAMPLED].ravel()
+    return np.where(depth > NO_RETURN, depth, np.nan).astype(np.float32)
+
+
+def place_distances(samples: NDArray[np.float32], depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Median absolute log ratios (N,) of thumbnails of depth, keyframes' samples (N, S, 3), to another (S,).
+
+    NaN stands for no depth; inf where less than half of the lattice is known in both.
+    """
+    known = np.isfinite(samples[..., 2]) & np.isfinite(depth_m)
+    ratios = np.abs(np.log(np.where(known, samples[..., 2], 1.0) / np.where(known, depth_m, 1.0)))
+    median = np.median(np.where(known, ratios, np.inf), axis=1)
+    return np.where(known.mean(axis=1) >= LEAST_KNOWN, median, np.inf).astype(np.float64)
 
 
 def selected_keyframes(

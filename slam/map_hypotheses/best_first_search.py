@@ -20,7 +20,7 @@ from shapes.geometry.pose_sets import GROUP_SHIFT_M
 from shapes.geometry.poses import matrices_of
 from slam.likelihood.image_density import log_image_density
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar
-from slam.registration.search import Registration
+from slam.registration.registered import Registration
 
 KEPT_MAPS, SOUGHT = 3, 2
 """Partial maps, and keyframes that are sought again in each."""

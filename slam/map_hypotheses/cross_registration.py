@@ -18,7 +18,8 @@ from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.registration.pose_grids import ORBIT_DISTANCES
-from slam.registration.search import GroupMap, Registration, Searcher
+from slam.registration.registered import Registration
+from slam.registration.search import GroupMap, Searcher
 
 LEAST_OVERLAP = 0.2
 """Share of the returns that must meet the map for an inlier ratio to mean anything. Chosen by hand."""

@@ -2,6 +2,7 @@
 
 Along a path errors add up, so that a keyframe may be decimetres off that is a centimetre off its neighbours.
 Gates as wide as neighbours are apart draw the whole graph together; which ones overlap is then asked anew.
+Where the camera comes back to a place with a drift wider than that, the loop is closed first.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from slam.pose_graph.gauss_newton import (
     GraphOptimum,
     optimise,
 )
+from slam.pose_graph.loops import closed, find_loops
 from slam.pose_graph.overlaps import KeyframeImages, Keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
@@ -40,9 +42,21 @@ def optimise_coarse_to_fine(
     keyframes = images.at(poses)
     inflations = INFLATIONS if motion is None else HELD_INFLATIONS
     near = optimise(keyframes, poses, inflations, motion=motion)
-    if motion is not None or (near is not None and not near.astray.any()):
+    if motion is not None:
         return keyframes, near
-    there, far, start = keyframes, None, poses
+    if near is None or near.astray.any():
+        keyframes, near = _drawn_together(images, poses, keyframes, near)
+    loops = near and find_loops(images, near)
+    if not near or not loops:
+        return keyframes, near
+    return _drawn_together(images, closed(near, loops), keyframes, near)
+
+
+def _drawn_together(
+    images: KeyframeImages, start: NDArray[np.float32], keyframes: Keyframes, near: GraphOptimum | None
+) -> tuple[Keyframes, GraphOptimum | None]:
+    """The optimum within wide gates of a start (N, 7), or the one that is known where that one is better."""
+    there, far = images.at(start), None
     for _ in range(COARSE_ROUNDS):
         found = optimise(there, start, COARSE_INFLATIONS, COARSE_FARTHEST, damping=HELD_DAMPING)
         if found is None or not np.isfinite(found.poses).all():

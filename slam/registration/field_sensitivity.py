@@ -17,7 +17,8 @@ from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, fused_planes
 from slam.likelihood.distortion import NodeWeights
 from slam.likelihood.image_density import STRIDE_PX, ScoredPixels
 from slam.registration.alignment import pixel_terms
-from slam.registration.local_search import LocalMap, Optimum
+from slam.registration.local_map import LocalMap
+from slam.registration.local_search import Optimum
 
 
 @jax.jit

@@ -24,7 +24,8 @@ from slam.keyframes.rendering import pixels_of
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.image_density import LOG_ROOT_TWO_PI, STRIDE_PX, unmapped_log_penalty
 from slam.registration.alignment import STIFFNESS
-from slam.registration.local_search import COARSE_STRIDE_PX, LocalMap
+from slam.registration.local_map import LocalMap
+from slam.registration.local_search import COARSE_STRIDE_PX
 
 SEEN_THROUGH_SIGMAS = 3.0
 """Three sigma."""

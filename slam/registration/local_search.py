@@ -14,7 +14,6 @@ from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
 from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, CanvasView
 from slam.keyframes.rendering import MapImage, fused_planes, render
-from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.image_density import (
     STRIDE_PX,
     ScoredPixels,
@@ -33,6 +32,7 @@ from slam.registration.alignment import (
     pixel_terms,
     projected_scores,
 )
+from slam.registration.local_map import LocalMap, model_image
 
 STARTS = 4
 """Search effort."""
@@ -69,27 +69,6 @@ BLOCK_SIDE = 10
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class LocalMap:
-    """The keyframes that a camera is compared with, where a group of particles has them on average.
-
-    Attributes:
-        surfaces: stacked (M, ...).
-        present: (M,) bool, False for padding.
-        poses: (M, 7) reference_from_keyframe.
-    """
-
-    surfaces: SurfelImage
-    present: jax.Array
-    poses: jax.Array
-
-    def keyframes_from_camera(self, reference_from_camera: jax.Array) -> jax.Array:
-        """(M, 7) for a camera at (7,)."""
-        camera = jaxlie.SE3(reference_from_camera)
-        return jax.vmap(lambda pose: (jaxlie.SE3(pose).inverse() @ camera).wxyz_xyz)(self.poses)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
 class Optimum:
     """A local optimum of the image density for the mean map.
 
@@ -113,14 +92,6 @@ class Optimum:
     squared_ratio: jax.Array
     inlier_count: jax.Array
     pixels: ScoredPixels
-
-
-def model_image(local_map: LocalMap, camera_pose: jax.Array, view: CanvasView) -> ModelImage:
-    """The map fused in the camera at `camera_pose` (7,)."""
-    keyframes_from_camera = local_map.keyframes_from_camera(camera_pose)
-    image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
-    planes, variance = jax.lax.optimization_barrier(fused_planes(image, keyframes_from_camera))
-    return ModelImage(planes, variance, view.camera)
 
 
 def align_best(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 
 import jax
 import jax.numpy as jnp
@@ -16,32 +17,26 @@ from shapes.geometry import pose_sets
 from shapes.geometry.pose_sets import mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, framing
-from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
+from slam.keyframes.keyframe_map import KeyframeMap, place_distances, selected_keyframes, thumbnail
 from slam.registration import pose_grids
 from slam.registration.global_search import ascend, log_map_scores
-from slam.registration.local_search import LocalMap, Optimum, local_optimum, optimum_at
-
-CONVINCING_EXPLAINED = 0.75
-"""Chosen by hand."""
-
-CONVINCING_COVERED = 0.2
-"""An optimum near the prediction is taken without a further search if this share of the returns meets the
-map and that share of those lies on it."""
-
-UNMISTAKABLE_EXPLAINED = 0.92
-"""The same after a wide step, when a wrong place explains up to 0.89 of a view round an object (measured)."""
-
-PLAUSIBLE_EXPLAINED = 0.6
-"""Chosen by hand; what is below is worth no refinement."""
-
-PLAUSIBLE_COVERED = 0.1
-"""The least with which the camera counts as found at all."""
+from slam.registration.local_map import LocalMap
+from slam.registration.local_search import local_optimum, optimum_at
+from slam.registration.registered import (
+    PLAUSIBLE_COVERED,
+    PLAUSIBLE_EXPLAINED,
+    Registration,
+    suppress_duplicates,
+)
 
 LEAST_EXPLAINED = PLAUSIBLE_EXPLAINED * PLAUSIBLE_COVERED
 """Places that look away from the map are foreseen as well as the right one, a centimetre beside it, fits."""
 
 WIDE_KEYFRAMES = 8
 """Search effort."""
+
+WIDE_PLACES = 5 * WIDE_KEYFRAMES
+"""Search effort: of a large map those keyframes are searched that resemble the view most."""
 
 WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
 """Candidates closer than this climb to the same place."""
@@ -68,59 +63,6 @@ FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
 REFINEMENTS = 3
 """Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
 while it rises where the start was a guess."""
-
-SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
-"""Optima closer than this are one component of the proposal."""
-
-NEGLIGIBLE_LOG_SHARE = 15.0
-"""exp(-15) is less than any particle's share."""
-
-
-@dataclass(frozen=True)
-class Registration:
-    """An optimum and what it was compared with.
-
-    Attributes:
-        optimum: of the image density for the mean map.
-        indices: (M,) keyframes; the first is the closest view.
-        local_map: their surfaces and mean poses.
-        group: of particles, to which it belongs.
-    """
-
-    optimum: Optimum
-    indices: NDArray[np.int_]
-    local_map: LocalMap
-    group: int
-
-    @property
-    def explained(self) -> float:
-        """Share of the returns on the map's surface."""
-        return float(self.optimum.agreement.explained)
-
-    @property
-    def covered(self) -> float:
-        """Share of the returns that meet the map."""
-        return float(self.optimum.agreement.covered)
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether alignment stayed within the numbers: a start that sees next to nothing may leave them."""
-        return bool(np.isfinite(np.asarray(self.optimum.pose)).all())
-
-    @property
-    def is_accepted(self) -> bool:
-        """No need to look elsewhere."""
-        return self.covered >= CONVINCING_COVERED and self.explained >= CONVINCING_EXPLAINED * self.covered
-
-    @property
-    def is_unambiguous(self) -> bool:
-        """No need to look elsewhere, even where the camera may be far from where it is expected."""
-        return self.is_accepted and self.explained >= UNMISTAKABLE_EXPLAINED * self.covered
-
-    @property
-    def is_plausible(self) -> bool:
-        """Fit to be believed at all."""
-        return self.covered >= PLAUSIBLE_COVERED and self.explained >= PLAUSIBLE_EXPLAINED * self.covered
 
 
 @dataclass(frozen=True)
@@ -171,7 +113,7 @@ class Searcher:
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
             again = self._near(group, padded, hold)
-            if not again.is_finite or (is_near and _log_density(again) <= _log_density(located)):
+            if not again.is_finite or (is_near and again.log_density <= located.log_density):
                 break
             located = again
         return located
@@ -181,7 +123,7 @@ class Searcher:
         grid = jnp.asarray(pose_grids.local_grid())
         optimum = local_optimum(local_map, self.view, self.noise, starts, grid, hold)
         found = Registration(optimum, indices, local_map, group.group)
-        return found if hold > 0 else max(found, self.at(group, starts[0]), key=_log_density)
+        return found if hold > 0 else max(found, self.at(group, starts[0]), key=attrgetter("log_density"))
 
     def at(self, group: GroupMap, pose: jax.Array) -> Registration:
         """The optimum next to a pose, which alignment on associated points may leave."""
@@ -194,15 +136,16 @@ class Searcher:
         self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]
     ) -> list[Registration]:
         """Distinct optima anywhere in the map, best first; none where no climb leads to what it shows."""
-        candidates = pose_grids.grid_everywhere(matrices_of(last), group.representative, distances_m)
+        places = group.representative[self._places]
+        candidates = pose_grids.grid_everywhere(matrices_of(last), places, distances_m)
         scores = self._map_scores(group, candidates, WIDE_BLUR)
         ranked = candidates[np.argsort(-scores, kind="stable")]
         starts = ranked[pose_sets.suppress_similar(ranked, WIDE_CLIMBED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
-        places = self._climbed(group, starts)
-        if not len(places):
+        climbed = self._climbed(group, starts)
+        if not len(climbed):
             return []
-        scores = self._map_scores(group, places, CLIMBED_BLUR)
-        ranked = places[np.argsort(-scores, kind="stable")]
+        scores = self._map_scores(group, climbed, CLIMBED_BLUR)
+        ranked = climbed[np.argsort(-scores, kind="stable")]
         best = pose_sets.suppress_similar(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
         rendered = suppress_duplicates(
             [self.at(group, single_precision_poses(pose)) for pose in ranked[best]]
@@ -251,10 +194,18 @@ class Searcher:
         return matrices_of(places[np.isfinite(places).all(axis=1)])
 
     def _neighbourhoods(self, group: GroupMap) -> Iterator[LocalMap]:
-        """All keyframes, `WIDE_KEYFRAMES` at a time."""
-        for first in range(0, len(self.keyframe_map), WIDE_KEYFRAMES):
-            chosen = np.arange(first, min(first + WIDE_KEYFRAMES, len(self.keyframe_map)))
+        """All keyframes that are searched, `WIDE_KEYFRAMES` at a time."""
+        for first in range(0, len(self._places), WIDE_KEYFRAMES):
+            chosen = self._places[first : first + WIDE_KEYFRAMES]
             yield self._stacked(group, chosen, WIDE_KEYFRAMES)[1]
+
+    @cached_property
+    def _places(self) -> NDArray[np.int_]:
+        """All keyframes of a map, or the `WIDE_PLACES` of a large one that resemble the view."""
+        if len(self.keyframe_map) <= WIDE_PLACES:
+            return np.arange(len(self.keyframe_map))
+        distances = place_distances(np.stack(self.keyframe_map.samples), thumbnail(self.view))
+        return np.sort(np.argsort(distances, kind="stable")[:WIDE_PLACES])
 
 
 def _is_near(pose: jax.Array, start: jax.Array) -> bool:
@@ -262,27 +213,3 @@ def _is_near(pose: jax.Array, start: jax.Array) -> bool:
     relative = np.linalg.inv(matrices_of(start)) @ matrices_of(pose)
     shift = np.linalg.norm(relative[:3, 3])
     return bool(shift < FAR_SHIFT_M and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(FAR_ANGLE_RAD))
-
-
-def _log_density(located: Registration) -> float:
-    return float(located.optimum.log_density) if located.is_finite else -np.inf
-
-
-def suppress_duplicates(found: list[Registration]) -> list[Registration]:
-    """Optima that differ from each other, the best first; those that left the numbers are dropped."""
-    finite = [located for located in found if located.is_finite]
-    ranked = sorted(finite, key=_log_density, reverse=True)
-    if not ranked:
-        return []
-    poses = np.stack([matrices_of(located.optimum.pose) for located in ranked])
-    return [ranked[i] for i in pose_sets.suppress_similar(poses, len(ranked), SAME_SHIFT_M, SAME_ANGLE_RAD)]
-
-
-def prune_improbable(found: list[Registration], exponent: float) -> list[Registration]:
-    """Plausible optima whose tempered share is not negligible beside the best one's."""
-    plausible = [located for located in found if located.is_plausible]
-    if not plausible:
-        return []
-    best = max(float(located.optimum.log_density) for located in plausible)
-    limit = NEGLIGIBLE_LOG_SHARE / exponent
-    return [located for located in plausible if float(located.optimum.log_density) > best - limit]

@@ -23,7 +23,8 @@ from slam.likelihood.image_density import (
 )
 from slam.likelihood.unmapped_depth import PredictedDepth, log_density_of_unknown, predict_from_neighbours
 from slam.registration.alignment import depth_and_jacobian, pixel_terms
-from slam.registration.local_search import LocalMap, optimum_at
+from slam.registration.local_map import LocalMap
+from slam.registration.local_search import optimum_at
 from tests.slam import box_room
 
 NOISE = DepthNoise()

@@ -10,7 +10,7 @@ from shapes.geometry.poses import single_precision_poses
 from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.surfels import surfel_image
 from slam.registration.global_search import ascend, log_map_scores
-from slam.registration.local_search import LocalMap
+from slam.registration.local_map import LocalMap
 from tests.slam import box_room
 
 NOISE = DepthNoise()

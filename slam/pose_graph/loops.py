@@ -1,0 +1,207 @@
+"""Loops: keyframes that see a place again which the camera left long before, though their poses deny it.
+
+Along a path errors add up, and keyframes that see one place may lie farther apart than any gate of the
+overlaps is wide. A keyframe is compared with those whose thumbnails of depth resemble its own (after the
+ferns of Glocker et al. 2013); registration says whether it is the place, and what way leads from the one to
+the other. The ways close the graph of relative poses (Grisetti et al. 2010), from which overlaps are asked
+anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+
+from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import matrices_of
+from slam.filter.map_update import capacity_for
+from slam.keyframes.depth_view import CanvasView
+from slam.keyframes.keyframe_map import place_distances
+from slam.pose_graph.gauss_newton import GraphOptimum, displaced
+from slam.pose_graph.overlaps import KeyframeImages
+from slam.pose_graph.sparse_gaussian import PoseGraph, damped_step
+from slam.registration.alignment import STIFFNESS
+from slam.registration.registered import Registration
+from slam.registration.search import GroupMap, Searcher
+
+CANDIDATES = 5
+"""Search effort: places that a keyframe is compared with."""
+
+LEAST_HOPS = 4
+"""Overlaps between two keyframes: nearer ones are held together already."""
+
+DRIFT_SHARE = 0.05
+"""Metres and radians by which a camera that went a metre or turned by a radian may have lost its way."""
+
+NEAR_VIEW = 0.3
+"""Metres and radians by which two views of one place may be apart without any drift."""
+
+OUT_OF_SIGHT_M = 1000.0
+"""Farther than any depth camera sees."""
+
+LEAST_COVERED = 0.5
+"""Of a keyframe's returns, that the place must show."""
+
+CLOSING_STEPS = 10
+"""Of Gauss-Newton: turns of the path make the way round a loop nonlinear."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loops:
+    """L pairs of keyframes that see one place.
+
+    Attributes:
+        pairs: (L, 2) later and earlier.
+        ways: (L, 7) earlier_from_later.
+    """
+
+    pairs: NDArray[np.int_]
+    ways: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.pairs)
+
+
+def find_loops(images: KeyframeImages, optimum: GraphOptimum) -> Loops:
+    """Pairs that the graph at an optimum holds together by a long way only, as registration confirms them.
+
+    After a keyframe that closes a loop the next ones that its overlaps reach are passed over.
+    """
+    apart, lengths = _are_far(optimum.graph), _path_lengths(optimum.poses)
+    pairs, ways, passed = [], [], -1
+    for later in range(len(optimum.poses)):
+        if later <= passed or optimum.astray[later]:
+            continue
+        walked = lengths[later] - lengths
+        far = apart[later] & (np.arange(len(walked)) < later)
+        far &= _is_in_reach(optimum.poses, optimum.poses[later], walked)
+        for earlier in _most_alike(images, later, np.nonzero(far)[0]):
+            found = _registered(images, optimum.poses, later, earlier)
+            pose = np.asarray(found.optimum.pose)
+            if not (found.is_finite and found.is_unambiguous and found.covered >= LEAST_COVERED):
+                continue
+            if _is_in_reach(optimum.poses[later][None], pose, walked[earlier : earlier + 1])[0]:
+                pairs.append((later, earlier))
+                ways.append(_ways(optimum.poses[earlier][None], pose[None])[0])
+                passed = later + LEAST_HOPS
+                break
+    return Loops(
+        pairs=np.asarray(pairs, int).reshape(-1, 2), ways=np.asarray(ways, np.float32).reshape(-1, 7)
+    )
+
+
+def closed(optimum: GraphOptimum, loops: Loops) -> NDArray[np.float32]:
+    """Keyframes (N, 7) on ways between neighbours as at the optimum, bent so that the loops close.
+
+    A loop counts as an overlap does on average.
+    """
+    graph, poses = optimum.graph, optimum.poses
+    of_image = graph.precision[:, :6, :6]
+    pairs = np.concatenate([graph.pairs, loops.pairs])
+    ways = np.concatenate([_ways(poses[graph.pairs[:, 1]], poses[graph.pairs[:, 0]]), loops.ways])
+    weights = np.concatenate([of_image, np.tile(of_image.mean(axis=0), (len(loops), 1, 1))])
+    room = np.minimum(np.arange(capacity_for(len(pairs))), len(pairs) - 1)
+    for _ in range(CLOSING_STEPS):
+        later, earlier = poses[pairs[room, 0]], poses[pairs[room, 1]]
+        gaps, jacobians = (np.asarray(leaf, np.float64) for leaf in _gaps(later, earlier, ways[room]))
+        gaps, jacobians = gaps[: len(pairs)], jacobians[: len(pairs)]
+        bent = PoseGraph(
+            keyframes=len(poses),
+            pairs=pairs,
+            precision=np.einsum("eia,eij,ejb->eab", jacobians, weights, jacobians),
+            gradient=np.einsum("eia,eij,ej->ea", jacobians, weights, gaps),
+        )
+        poses = displaced(poses, damped_step(bent, STIFFNESS)[0])
+    return poses
+
+
+def _are_far(graph: PoseGraph) -> NDArray[np.bool_]:
+    """Whether (N, N) keyframes are `LEAST_HOPS` overlaps apart, or more."""
+    ends = (graph.pairs[:, 0], graph.pairs[:, 1])
+    adjacency = scipy.sparse.csr_array((np.ones(len(graph)), ends), shape=(graph.keyframes,) * 2)
+    return np.isinf(dijkstra(adjacency, directed=False, unweighted=True, limit=LEAST_HOPS - 1))
+
+
+def _path_lengths(poses: NDArray[np.float32]) -> NDArray[np.float64]:
+    """How far (N,) the camera went from the first keyframe (N, 7) to each: metres and radians."""
+    return np.append(0.0, np.cumsum(np.add(*_distances(poses[1:], poses[:-1]))))
+
+
+def _distances(
+    poses: NDArray[np.float32], others: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Metres (n,) and radians (n,) between poses (n, 7) and others (n, 7) or (7,)."""
+    shift = np.linalg.norm(poses[:, 4:].astype(np.float64) - others[..., 4:], axis=1)
+    cosine = np.abs((poses[:, :4].astype(np.float64) * others[..., :4]).sum(axis=1))
+    return shift, 2.0 * np.arccos(np.minimum(cosine, 1.0))
+
+
+def _is_in_reach(
+    poses: NDArray[np.float32], pose: NDArray[np.float32], walked: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether a camera may be at poses (n, 7) that is thought to be at one (7,), having gone so far since."""
+    return np.maximum(*_distances(poses, pose)) < DRIFT_SHARE * walked + NEAR_VIEW
+
+
+def _most_alike(images: KeyframeImages, later: int, earlier: NDArray[np.int_]) -> NDArray[np.int_]:
+    """At most `CANDIDATES` of the earlier keyframes, that resemble a later one most."""
+    if not len(earlier):
+        return earlier
+    samples = np.stack([images.keyframe_map.samples[index] for index in earlier])
+    distances = place_distances(samples, images.keyframe_map.samples[later][:, 2])
+    ranked = np.argsort(distances, kind="stable")[:CANDIDATES]
+    return earlier[ranked[np.isfinite(distances[ranked])]]
+
+
+def _registered(images: KeyframeImages, poses: NDArray[np.float32], later: int, earlier: int) -> Registration:
+    """A keyframe, sought about where an earlier one stands."""
+    surface = images.keyframe_map.surfaces[later]
+    view = CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
+    searcher = Searcher(images.keyframe_map, view, images.noise, LEAST_HOPS)
+    placed = _without_neighbours(poses, later)
+    room = np.minimum(np.arange(capacity_for(len(poses))), len(poses) - 1)
+    everyone = GroupMap(jnp.asarray(placed[room][None]), jnp.ones(1), matrices_of(placed), 0)
+    return searcher.near(everyone, [jnp.asarray(poses[earlier])])
+
+
+def _without_neighbours(poses: NDArray[np.float32], later: int) -> NDArray[np.float32]:
+    """Keyframes (N, 7), those from about the later one on out of sight, so that it is not found by itself."""
+    placed = poses.copy()
+    placed[max(later - LEAST_HOPS, 1) :, 4:] += OUT_OF_SIGHT_M
+    return placed
+
+
+@jax.jit
+def _relative(earlier: jax.Array, later: jax.Array) -> jax.Array:
+    """earlier_from_later (n, 7) of poses (n, 7)."""
+
+    def one(earlier: jax.Array, later: jax.Array) -> jax.Array:
+        return (jaxlie.SE3(earlier).inverse() @ jaxlie.SE3(later)).wxyz_xyz
+
+    return jax.vmap(one)(earlier, later)
+
+
+def _ways(earlier: NDArray[np.float32], later: NDArray[np.float32]) -> NDArray[np.float32]:
+    room = np.minimum(np.arange(capacity_for(len(earlier))), len(earlier) - 1)
+    return np.asarray(_relative(earlier[room], later[room]))[: len(earlier)]
+
+
+@jax.jit
+def _gaps(later: jax.Array, earlier: jax.Array, ways: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Of pairs (n, 7) from their ways (n, 7): coordinates (n, 6), derivatives (n, 6, 12) in displacements."""
+
+    def gap(xi: jax.Array, later: jax.Array, earlier: jax.Array, way: jax.Array) -> jax.Array:
+        of_later, of_earlier = pose_gaussian.displace(later, xi[:6]), pose_gaussian.displace(earlier, xi[6:])
+        relative = jaxlie.SE3(of_earlier).inverse() @ jaxlie.SE3(of_later)
+        return pose_gaussian.coordinates(way, relative.wxyz_xyz)
+
+    still = jnp.zeros((len(ways), 12))
+    return jax.vmap(gap)(still, later, earlier, ways), jax.vmap(jax.jacfwd(gap))(still, later, earlier, ways)

@@ -1,0 +1,93 @@
+"""Loops: a camera that turns once round itself, each turn taken for a smaller one, sees where it began."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from recordings.types import DepthNoise
+from shapes.geometry.poses import matrices_of, single_precision_poses
+from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
+from slam.keyframes.keyframe_map import KeyframeMap, place_distances
+from slam.keyframes.surfels import surfel_image
+from slam.pose_graph.gauss_newton import GraphOptimum, optimise
+from slam.pose_graph.loops import closed, find_loops
+from slam.pose_graph.overlaps import KeyframeImages, keyframe_detail
+from tests.slam import box_room
+
+NOISE = DepthNoise()
+VIEWS = 17
+YAWS = 0.4 * np.arange(VIEWS)
+DRIFTED = YAWS / 1.05
+"""The whole circle is taken for 17 degrees less."""
+
+
+def _circling(yaws: np.ndarray) -> np.ndarray:
+    """Poses (N, 4, 4) that look outwards from a circle of 30 cm."""
+    return np.stack([box_room.pose(0.3 * np.sin(yaw), 0.0, 0.3 * np.cos(yaw), yaw) for yaw in yaws])
+
+
+@pytest.fixture(scope="module")
+def images() -> KeyframeImages:
+    """What the camera sees once round, and a view more."""
+    keyframe_map, details = KeyframeMap(), []
+    for frame in box_room.frames(_circling(YAWS), seed=5):
+        view = view_of_frame(frame, box_room.INTRINSICS)
+        keyframe_map = keyframe_map.with_keyframe(surfel_image(view, NOISE))
+        details.append(keyframe_detail(view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS), NOISE))
+    return KeyframeImages(keyframe_map=keyframe_map, details=details, noise=NOISE)
+
+
+def _turn(poses: np.ndarray, first: int, second: int) -> float:
+    """Radians about the vertical from one view to another."""
+    matrices = matrices_of(poses[[first, second]])
+    return float(Rotation.from_matrix(matrices[0, :3, :3].T @ matrices[1, :3, :3]).as_rotvec()[1])
+
+
+def _chained(images: KeyframeImages, yaws: np.ndarray, drifted: np.ndarray) -> GraphOptimum:
+    """Keyframes that have drifted, their overlaps with neighbours alone."""
+    true, wrong = (
+        np.asarray(single_precision_poses(np.linalg.inv(_circling(of[:1])) @ _circling(of)))
+        for of in (yaws, drifted)
+    )
+    whole = images.at(true)
+    beside = [of[np.abs(of - index) <= 3] for index, of in enumerate(whole.images_of)]
+    optimum = optimise(replace(whole, images_of=beside), true)
+    assert optimum is not None
+    return replace(optimum, poses=wrong)
+
+
+def test_a_loop_is_found_and_closed(images):
+    """Neighbours alone leave the last view 17 degrees from where it was; the loop less than two."""
+    true = YAWS[-1] - 2 * np.pi
+
+    alone = _chained(images, YAWS, DRIFTED)
+    loops = find_loops(images, alone)
+
+    assert abs(_turn(alone.poses, 0, VIEWS - 1) - true) > np.radians(10)
+    assert len(loops) > 0
+    assert loops.pairs[:, 0].min() >= VIEWS - 3
+    assert abs(_turn(closed(alone, loops), 0, VIEWS - 1) - true) < np.radians(2)
+
+
+def test_three_quarters_of_a_circle_close_no_loop(images):
+    """The last view shows another wall."""
+    whole = images.keyframe_map
+    part = KeyframeImages(
+        keyframe_map=KeyframeMap(surfaces=whole.surfaces[:12], samples=whole.samples[:12]),
+        details=images.details[:12],
+        noise=NOISE,
+    )
+
+    assert len(find_loops(part, _chained(part, YAWS[:12], DRIFTED[:12]))) == 0
+
+
+def test_a_place_resembles_itself_most(images):
+    """Of the views, the first is most like the last but one; an image of nothing is like none."""
+    samples = np.stack(images.keyframe_map.samples)
+
+    distances = place_distances(samples[: VIEWS - 3], samples[VIEWS - 1][:, 2])
+
+    assert distances.argmin() in (0, 1)
+    assert np.isinf(place_distances(samples, np.full(samples.shape[1], np.nan, np.float32))).all()
