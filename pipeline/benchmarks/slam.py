@@ -144,12 +144,19 @@ def _errors(row: Row, case: Case, poses: NDArray[np.float64]) -> Errors:
             "error": float(np.median(np.linalg.norm(placed - case.object_m, axis=1))),
             "rotation_deg": rotation,
         }
+    if row.judged_by == "end":
+        return {
+            "error": float(np.linalg.norm(poses[-1, :3, 3] - case.poses[-1, :3, 3])),
+            "rotation_deg": rotation,
+        }
     return {"error": errors.ate_m if row.real else errors.ate_first_pose_m, "rotation_deg": rotation}
 
 
 def _unit(row: Row) -> str:
     if row.judged_by == "object":
         return "mm of the object's place"
+    if row.judged_by == "end":
+        return "cm at the end"
     return "cm aligned" if row.real else "cm from the first pose"
 
 

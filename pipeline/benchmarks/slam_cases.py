@@ -68,14 +68,14 @@ class Row:
         name: of the line.
         case: the case of a number; real rows have number 0 alone.
         real: whether it is a real recording.
-        judged_by: the trajectory from its first pose, or the places that it gives to the object.
+        judged_by: the trajectory from its first pose, its end, or the places that it gives to the object.
         configs: ours, by the name of each setting.
     """
 
     name: str
     case: Callable[[int], Case]
     real: bool = False
-    judged_by: Literal["trajectory", "object"] = "trajectory"
+    judged_by: Literal["trajectory", "end", "object"] = "trajectory"
     configs: Mapping[str, SlamConfig] = field(default_factory=lambda: {"voxscene": SlamConfig()})
 
 
@@ -181,7 +181,7 @@ def _orbit(kind: Literal["bare", "furnished"], degrees: float, frames: int, numb
         DepthSensor(),
         number,
     )
-    return _filmed(recording)
+    return filmed(recording)
 
 
 def short_walk(number: int, distortion_per_m: float = 0.0) -> Case:
@@ -215,7 +215,7 @@ def filmed_in_furnished_room(
         sensor,
         number,
     )
-    return _filmed(recording)
+    return filmed(recording)
 
 
 def _object_views(count: int, number: int) -> Case:
@@ -228,10 +228,11 @@ def _object_views(count: int, number: int) -> Case:
     true = recording.truth.objects[0]
     assert true.vertices_m is not None
     middle = 0.5 * (true.vertices_m.min(axis=0) + true.vertices_m.max(axis=0))
-    return _filmed(recording, true.world_from_object @ np.append(middle, 1.0))
+    return filmed(recording, true.world_from_object @ np.append(middle, 1.0))
 
 
-def _filmed(recording: SyntheticRecording, object_world: NDArray[np.float64] | None = None) -> Case:
+def filmed(recording: SyntheticRecording, object_world: NDArray[np.float64] | None = None) -> Case:
+    """All frames of a recording, with poses from the first camera."""
     poses = recording.trajectory.reference_from_camera
     first_from_world = np.linalg.inv(poses[0])
     return Case(

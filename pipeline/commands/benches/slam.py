@@ -61,15 +61,16 @@ def command(
 ) -> None:
     """Tracking errors, in real recordings and seeded rooms.
 
-    Bare and furnished rooms, views round an object and whole circles; things that move before the camera
-    or with it. Every peer is tuned, in rooms of other seeds or on the real recording itself. With all rows,
-    peers and ten rooms it takes more than an hour. "told" is the share of frames that are within 2 cm, lost,
-    or inside their 95% region: on average, and in the worst run.
+    Bare and furnished rooms, views round an object and whole circles; a corridor round a block of rooms;
+    things that move before the camera or with it. Every peer is tuned, in rooms of other seeds or on the real
+    recording itself. With all rows, peers and ten rooms it takes more than an hour. "told" is the share of
+    frames that are within 2 cm, lost, or inside their 95% region: on average, and in the worst run.
     """
     from pipeline.errors import PipelineError
     from pipeline.jax_setup import keep_compiled_kernels
 
     keep_compiled_kernels()
+    from pipeline.benchmarks.corridors import corridor_rows
     from pipeline.benchmarks.moving_cases import moving_rows
     from pipeline.benchmarks.slam import slam_rows
     from pipeline.benchmarks.slam_cases import real_rows, short_walk, synthetic_rows
@@ -77,7 +78,8 @@ def command(
     from pipeline.quiet_stdout import stdout_to_stderr
 
     peers = words("--against", against, PEERS)
-    rows = [row for row in [*real_rows(data), *synthetic_rows(), *moving_rows()] if only in row.name]
+    every = [*real_rows(data), *synthetic_rows(), *corridor_rows(), *moving_rows()]
+    rows = [row for row in every if only in row.name]
     counted = runs > 0 and only in ROW
     if not rows and not counted:
         raise PipelineError(f"--only {only}: no row has that in its name")

@@ -1,0 +1,120 @@
+"""A corridor round a block of rooms: a camera that walks all of it comes back, one that stops does not."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.benchmarks.slam_cases import Case, Row, filmed
+from pipeline.synthesis.colours import muted_colour
+from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.synthesis.scenarios import CameraConfig
+from pipeline.synthesis.sensor import DepthSensor
+from pipeline.synthesis.solids import block, surface_of, union
+from pipeline.synthesis.world import Part
+from recordings.truth import SceneTruth
+from recordings.types import Trajectory
+
+LENGTH_M = 16.0
+"""Once round."""
+WIDTH_M, HEIGHT_M, WALL_M = 1.8, 2.4, 0.1
+EYE_M, PITCH_RAD = 1.4, 0.35
+"""Height of the camera, and how far it looks down: a robot's."""
+TURN_RADIUS_M = 0.6
+STEP_M = 0.05
+"""A frame: 1.5 m/s at 30 frames a second."""
+OVERRUN_M = 1.0
+"""Beyond the start, where the camera sees what it saw there."""
+OPEN_SHARE = 0.7
+"""Of the way round, walked where it is not to come back: all of three sides."""
+PIECES_PER_M = 3.0
+"""Cupboards, boxes and door frames along both walls."""
+PIECE_DEPTH_M = (0.05, 0.4)
+FIELD_OF_VIEW_DEG = 70.0
+
+
+def corridor_rows() -> list[Row]:
+    """Judged where the camera ends: at its start again, where a loop can be closed, or on the third side."""
+    return [
+        Row(
+            name=f"corridor of {LENGTH_M:.0f} m, {way}",
+            case=partial(corridor, LENGTH_M, returns=returns),
+            judged_by="end",
+        )
+        for way, returns in (("all round", True), ("three sides", False))
+    ]
+
+
+def corridor(length_m: float, number: int, *, returns: bool) -> Case:
+    """Frames of 160 x 120 along a square way of that length, room and things of that number."""
+    rng = np.random.default_rng([number, 77_004])
+    side = length_m / 4.0
+    walked = length_m + OVERRUN_M if returns else OPEN_SHARE * length_m
+    poses = _path(side, np.arange(0.0, walked, STEP_M))
+    camera = CameraConfig(width=160, height=120, fx=80.0 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2)))
+    recording = SyntheticRecording(
+        _parts(side, rng),
+        SceneTruth(objects=(), support_plane=None),
+        Trajectory(times_ns=33_333_333 * np.arange(len(poses)), reference_from_camera=poses),
+        camera.intrinsics,
+        DepthSensor(),
+        number,
+    )
+    return filmed(recording)
+
+
+def _path(side_m: float, walked_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses (T, 4, 4) on a square round the origin, its corners rounded, from the middle of a side."""
+    straight, quarter = side_m - 2 * TURN_RADIUS_M, 0.5 * np.pi * TURN_RADIUS_M
+    lap = straight + quarter
+    shifted = walked_m * 4 * lap / (4 * side_m) + straight / 2
+    number, along = np.divmod(shifted, lap)
+    ahead, turned = np.minimum(along, straight), np.maximum(along - straight, 0.0) / TURN_RADIUS_M
+    x = ahead - straight / 2 + TURN_RADIUS_M * np.sin(turned)
+    y = -side_m / 2 + TURN_RADIUS_M * (1.0 - np.cos(turned))
+    heading = number * np.pi / 2 + turned
+    cosine, sine = np.cos(number * np.pi / 2), np.sin(number * np.pi / 2)
+    poses = np.tile(np.eye(4), (len(walked_m), 1, 1))
+    poses[:, 0, 3], poses[:, 1, 3], poses[:, 2, 3] = cosine * x - sine * y, sine * x + cosine * y, EYE_M
+    forward = np.stack(
+        [
+            np.cos(heading) * np.cos(PITCH_RAD),
+            np.sin(heading) * np.cos(PITCH_RAD),
+            0 * heading - np.sin(PITCH_RAD),
+        ],
+        axis=1,
+    )
+    right = np.stack([np.sin(heading), -np.cos(heading), 0 * heading], axis=1)
+    poses[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], axis=2)
+    return poses
+
+
+def _parts(side_m: float, rng: np.random.Generator) -> list[Part]:
+    """Floor, ceiling, both walls and the things along them."""
+    outer, inner = side_m + WIDTH_M, side_m - WIDTH_M
+    slab = block(outer, outer, WALL_M)
+    shell = union(
+        slab.translate((0, 0, -WALL_M)),
+        slab.translate((0, 0, HEIGHT_M)),
+        block(outer + 2 * WALL_M, outer + 2 * WALL_M, HEIGHT_M) - block(outer, outer, HEIGHT_M),
+        block(inner, inner, HEIGHT_M),
+    )
+    pieces = [shell]
+    for _ in range(int(4 * side_m * PIECES_PER_M)):
+        depth, width = rng.uniform(*PIECE_DEPTH_M), rng.uniform(0.2, 1.0)
+        high, low = rng.uniform(0.4, HEIGHT_M), rng.choice([0.0, rng.uniform(0.0, 1.2)])
+        along, wall = rng.uniform(-side_m / 2, side_m / 2), rng.choice([-1.0, 1.0])
+        across = -side_m / 2 + wall * (WIDTH_M / 2 - depth / 2)
+        piece = block(width, depth, min(high, HEIGHT_M - low), x=along, y=across, z=low)
+        pieces.append(piece.rotate((0.0, 0.0, 90.0 * rng.integers(4))))
+    return [
+        Part(
+            name=f"corridor {index}",
+            mesh=surface_of(piece),
+            world_from_part=np.eye(4),
+            colour=muted_colour(rng),
+        )
+        for index, piece in enumerate(pieces)
+    ]
