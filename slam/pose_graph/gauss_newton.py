@@ -192,16 +192,17 @@ def optimise_with_distortion(
     distortion: Distortion,
     motion: TrajectoryPrior | None = None,
     inflations: Sequence[float] = FIELD_INFLATIONS,
+    stride: int = 1,
 ) -> FieldOptimum | None:
     """The optimum over poses and the sensor's distortion field, from one without it.
 
     Terms are tempered in every step, for the field's prior is to be worth as much as they. `inflations` as
-    `FIELD_INFLATIONS`; none where the start is an optimum already.
+    `FIELD_INFLATIONS`, none where the start is an optimum already; every `stride`-th sample counts.
     """
     poses, rounds = start.poses, len(inflations) + MOST_STEPS
     for round_ in range(rounds):
         inflation = inflations[round_] if round_ < len(inflations) else 1.0
-        linearised = _linearised(keyframes, poses, inflation, start.astray, distortion)
+        linearised = _linearised(keyframes, poses, inflation, start.astray, distortion, stride)
         if linearised is None:
             return None
         tempered = _tempered(linearised, motion, poses, distortion)
@@ -260,9 +261,10 @@ def _linearised(
     inflation: float,
     astray: NDArray[np.bool_],
     distortion: Distortion | None = None,
+    stride: int = 1,
 ) -> _Linearised | None:
     """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
-    stride = 1 if inflation == 1.0 else THINNED
+    stride = stride if inflation == 1.0 else THINNED
     disparity = None if distortion is None else distortion.disparity_per_m.astype(np.float32)
     overlaps, parts = [], []
     for surface, samples, index, images in keyframes.batches(stride):

@@ -33,6 +33,7 @@ from slam.pose_graph import gauss_newton, sparse_gaussian
 from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
 from slam.pose_graph.distortion_scale import ScaledField, scaled_field, unseen_field
 from slam.pose_graph.gauss_newton import (
+    THINNED,
     Distortion,
     GraphOptimum,
     optimise_with_distortion,
@@ -175,9 +176,10 @@ def _estimated_field(
 ) -> ScaledField:
     """The field at the joint optimum with the poses.
 
-    Twice: planes that were fitted to distorted depths do not bend with the field.
+    Twice: planes that were fitted to distorted depths do not bend with the field. The first time few samples
+    do, since all are looked at again.
     """
-    found = optimise_with_distortion(keyframes, start, unknown, motion)
+    found = optimise_with_distortion(keyframes, start, unknown, motion, stride=THINNED)
     if found is not None:
         disparity = jnp.asarray(found.distortion.disparity_per_m, jnp.float32)
         corrected, removed = keyframes.of(images.corrected(disparity)), found.distortion.removed()
