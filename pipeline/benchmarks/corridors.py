@@ -23,8 +23,8 @@ WIDTH_M, HEIGHT_M, WALL_M = 1.8, 2.4, 0.1
 EYE_M, PITCH_RAD = 1.4, 0.35
 """Height of the camera, and how far it looks down: a robot's."""
 TURN_RADIUS_M = 0.6
-STEP_M = 0.05
-"""A frame: 1.5 m/s at 30 frames a second."""
+STEP_M, STEP_NS = 0.1, 100_000_000
+"""From frame to frame: a metre a second."""
 OVERRUN_M = 1.0
 """Beyond the start, where the camera sees what it saw there."""
 OPEN_SHARE = 0.7
@@ -57,7 +57,7 @@ def corridor(length_m: float, number: int, *, returns: bool) -> Case:
     recording = SyntheticRecording(
         _parts(side, rng),
         SceneTruth(objects=(), support_plane=None),
-        Trajectory(times_ns=33_333_333 * np.arange(len(poses)), reference_from_camera=poses),
+        Trajectory(times_ns=STEP_NS * np.arange(len(poses)), reference_from_camera=poses),
         camera.intrinsics,
         DepthSensor(),
         number,
