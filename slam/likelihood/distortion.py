@@ -6,7 +6,7 @@ deviations, given that their mean is zero: d = `node_factor` @ unit Gaussian coo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import jax
@@ -72,3 +72,36 @@ def node_factor(sd_per_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """A (NODES, COORDINATES), A A^T the covariance of nodes of deviations (rows, columns) and mean zero."""
     deviations = sd_per_m.ravel()
     return deviations[:, None] * null_space(deviations[None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distortion:
+    """The sensor's distortion field, in coordinates that are independent unit Gaussians a priori.
+
+    Attributes:
+        factor: (NODES, F) of `node_factor`.
+        coordinates: (F,).
+        removed_per_m: (NODES,) the field that the images have been corrected by.
+    """
+
+    factor: NDArray[np.float64]
+    coordinates: NDArray[np.float64]
+    removed_per_m: NDArray[np.float64]
+
+    @classmethod
+    def unknown(cls, factor: NDArray[np.float64]) -> Distortion:
+        """None, as the prior has it on average."""
+        return cls(factor=factor, coordinates=np.zeros(factor.shape[1]), removed_per_m=np.zeros(len(factor)))
+
+    @property
+    def disparity_per_m(self) -> NDArray[np.float64]:
+        """(NODES,) what the images still have of it."""
+        return self.factor @ self.coordinates - self.removed_per_m
+
+    def removed(self) -> Distortion:
+        """The same for images that have been corrected by it."""
+        return replace(self, removed_per_m=self.factor @ self.coordinates)
+
+    def moved(self, step: NDArray[np.float64]) -> Distortion:
+        """The field a step (F,) further."""
+        return replace(self, coordinates=self.coordinates + step)

@@ -1,9 +1,7 @@
 """Gauss-Newton optimum of the keyframe overlap graph; every overlap is linearised anew in each round.
 
 The target is the overlap density (`slam.likelihood.overlap_density`), tempered so that a pixel explained by
-several surfaces counts once; in the last rounds it is a density of the sensor's distortion field, too. Arrays
-over keyframes are padded to few sizes, since their number differs from recording to recording and each new
-shape would be compiled (as long as a dozen frames take).
+several surfaces counts once; in the last rounds it is a density of the sensor's distortion field, too.
 """
 
 from __future__ import annotations
@@ -15,11 +13,11 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import matrices_of
-from slam.filter.map_update import capacity_for
+from slam.likelihood.distortion import Distortion
 from slam.likelihood.overlap_density import FieldTerms, overlap_terms
 from slam.pose_graph import sparse_gaussian
+from slam.pose_graph.displacements import coordinates, displaced
 from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
 from slam.pose_graph.sparse_gaussian import FieldTerm, PoseGraph
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
@@ -70,39 +68,6 @@ class _Linearised:
     score_variance: NDArray[np.float64]
     inliers: NDArray[np.float64]
     field: FieldTerms | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Distortion:
-    """The sensor's distortion field, in coordinates that are independent unit Gaussians a priori.
-
-    Attributes:
-        factor: (NODES, F) of `slam.likelihood.distortion.node_factor`.
-        coordinates: (F,).
-        removed_per_m: (NODES,) the field that the images have been corrected by.
-    """
-
-    factor: NDArray[np.float64]
-    coordinates: NDArray[np.float64]
-    removed_per_m: NDArray[np.float64]
-
-    @classmethod
-    def unknown(cls, factor: NDArray[np.float64]) -> Distortion:
-        """None, as the prior has it on average."""
-        return cls(factor=factor, coordinates=np.zeros(factor.shape[1]), removed_per_m=np.zeros(len(factor)))
-
-    @property
-    def disparity_per_m(self) -> NDArray[np.float64]:
-        """(NODES,) what the images still have of it."""
-        return self.factor @ self.coordinates - self.removed_per_m
-
-    def removed(self) -> Distortion:
-        """The same for images that have been corrected by it."""
-        return replace(self, removed_per_m=self.factor @ self.coordinates)
-
-    def moved(self, step: NDArray[np.float64]) -> Distortion:
-        """The field a step (F,) further."""
-        return replace(self, coordinates=self.coordinates + step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,32 +283,3 @@ def _exponents(linearised: _Linearised) -> NDArray[np.float64]:
     repetition = np.linalg.solve(of_image + floor, linearised.score_variance[:, :6, :6])
     inflation = max(1.0, float(np.median(np.trace(repetition, axis1=1, axis2=2) / 6)))
     return 1.0 / (np.maximum(1.0, total / largest) * inflation)
-
-
-def displaced(poses: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Poses (N, 7) displaced by (N, 6)."""
-    padded = _padded(poses, 0), _padded(displacements, 0)
-    return np.asarray(_displaced(*padded))[: len(poses)]
-
-
-def coordinates(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Coordinates (N, 6) of poses (N, 7) in the charts at others (N, 7)."""
-    return np.asarray(_coordinates(_padded(origins, 0), _padded(poses, 0)))[: len(poses)]
-
-
-def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
-    return np.asarray(_drawn(_padded(centres, 0), _padded(displacements, 1)))[:, : len(centres)]
-
-
-def _padded(values: NDArray[np.floating], axis: int) -> NDArray[np.float32]:
-    room = capacity_for(values.shape[axis]) - values.shape[axis]
-    first = np.take(values, np.zeros(room, int), axis)
-    return np.concatenate([values, first], axis).astype(np.float32)
-
-
-_displaced = jax.jit(jax.vmap(pose_gaussian.displace))
-
-_coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
-
-_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace), (None, 0)))

@@ -24,7 +24,8 @@ from shapes.geometry.poses import matrices_of
 from slam.filter.map_update import capacity_for
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import place_distances
-from slam.pose_graph.gauss_newton import GraphOptimum, displaced
+from slam.pose_graph.displacements import displaced
+from slam.pose_graph.gauss_newton import GraphOptimum
 from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.sparse_gaussian import PoseGraph, damped_step
 from slam.registration.alignment import STIFFNESS

@@ -28,13 +28,13 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of
 from slam.filter.state import CameraParticles, FilterState
-from slam.likelihood.distortion import NODES, node_factor
-from slam.pose_graph import gauss_newton, sparse_gaussian
+from slam.likelihood.distortion import NODES, Distortion, node_factor
+from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
+from slam.pose_graph.displacements import draw_poses
 from slam.pose_graph.distortion_scale import ScaledField, scaled_field, unseen_field
 from slam.pose_graph.gauss_newton import (
     THINNED,
-    Distortion,
     GraphOptimum,
     optimise_with_distortion,
     with_distortion,
@@ -162,7 +162,7 @@ def _refined(
         held=sparse_gaussian.connected_to_first(graph),
         sensitivity=field.scale * sparse_gaussian.field_posterior(graph).sensitivity,
         **_told_of(field, unknown.factor),
-        drawn=gauss_newton.draw_poses(found.poses, sparse_gaussian.draws(draw_key, graph, count)),
+        drawn=draw_poses(found.poses, sparse_gaussian.draws(draw_key, graph, count)),
     )
 
 
