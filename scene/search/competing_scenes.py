@@ -93,7 +93,10 @@ def decided(
         return pools, scene
     noise = with_surface_error(noise, pools.config.search_error_m)
     scenes = list({one.tobytes(): one for one in [scene, *others[close]]}.values())
-    refined = np.stack([_refined(key, pools, one, noise) for one in scenes], axis=1)
+    best = _refined(key, pools, scene, pools.placed(scene), scene < pools.absent, noise)
+    refined = np.stack(
+        [best] + [_refined_beside(key, pools, scene, best, one, noise) for one in scenes[1:]], 1
+    )
     pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)
     scenes = [np.where(one < pools.absent, first + place, pools.absent) for place, one in enumerate(scenes)]
     log_densities = [float(_log_density(pools.layers, one)) for one in scenes]
@@ -101,12 +104,32 @@ def decided(
     return pools, best_of(pools, best)
 
 
-def _refined(
-    key: jax.Array, pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise
+def _refined_beside(
+    key: jax.Array,
+    pools: PosePools,
+    best: NDArray[np.integer],
+    best_poses: NDArray[np.float32],
+    scene: NDArray[np.integer],
+    noise: DepthNoise,
 ) -> NDArray[np.float32]:
-    """Poses (N, 7) of a scene, those of what is there refined."""
+    """Poses (N, 7) of a scene, refined where it differs from the best scene, whose own are refined."""
+    differs = scene != best
+    poses = np.where(differs[:, None], pools.placed(scene), best_poses)
+    return _refined(key, pools, scene, poses, differs & (scene < pools.absent), noise)
+
+
+def _refined(
+    key: jax.Array,
+    pools: PosePools,
+    scene: NDArray[np.integer],
+    poses: NDArray[np.float32],
+    moving: NDArray[np.bool_],
+    noise: DepthNoise,
+) -> NDArray[np.float32]:
+    """Poses (N, 7) of what a scene holds, those of the `moving` ones refined from given ones."""
+    if not moving.any():
+        return poses
     found = FoundObjects.of(scene < pools.absent)
-    poses = pools.placed(scene)
     start = Initialisation(
         poses=found.poses(poses),
         found=found.present,
@@ -116,7 +139,9 @@ def _refined(
     )
     weight = pools.config.pixel_weight
     lines = np.zeros((found.slots, 2, 3))
-    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, weight, lines)
+    moves = found.present & moving[found.placed]
+    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, weight, lines, moves)
+    poses = poses.copy()
     poses[found.indices] = refined.means[: len(found.indices), 0]
     return poses
 

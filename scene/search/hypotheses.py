@@ -78,12 +78,15 @@ class PosePools:
         """The place of an object that is not there."""
         return self.poses.shape[1]
 
-    def with_poses(self, found: NDArray[np.float32], first: int) -> PosePools:
-        """The pools with poses (N, n, 7) in place of those from `first` on.
+    def with_poses(
+        self, found: NDArray[np.float32], first: int, objects: Sequence[int] | None = None
+    ) -> PosePools:
+        """The pools with poses (M, n, 7) of some objects, all if none are named, from `first` on.
 
         Where colours are compared each is turned as they like it best, among turns that no depth can tell.
         """
-        numbers = np.repeat(np.arange(len(found)), found.shape[1])
+        which = np.arange(len(found)) if objects is None else np.asarray(objects, np.intp)
+        numbers = np.repeat(which, found.shape[1])
         depth_m = self.renderer.layers(numbers, found.reshape(-1, 7), self.data.window)
         log_colour, log_shares = None, np.zeros(found.shape[:2])
         if self.colours is not None:
@@ -91,8 +94,8 @@ class PosePools:
             log_colour = self.config.colour_weight * self.colours.log_factors(numbers, turned, depth_m)
             found, log_shares = turned.reshape(found.shape), shares.reshape(found.shape[:2])
         poses = self.poses.copy()
-        poses[:, first : first + found.shape[1]] = found
-        layers = self._with_layers(depth_m, log_colour, log_shares, poses, found, first)
+        poses[which, first : first + found.shape[1]] = found
+        layers = self._with_layers(depth_m, log_colour, log_shares, poses, found, which, first)
         return replace(self, poses=poses, layers=layers)
 
     def without(self, one: int, places: NDArray[np.bool_]) -> PosePools:
@@ -108,13 +111,15 @@ class PosePools:
         log_shares: NDArray[np.float64],
         poses: NDArray[np.float32],
         found: NDArray[np.float32],
+        which: NDArray[np.intp],
         first: int,
     ) -> PoseLayers:
         config, table = self.config, self.data.table
-        spins = np.where([one.spin_line.any() for one in self.objects], LOG_SPINS, 0.0)
-        log_prior = spins[:, None] + log_not_buried(table, self.objects, found, config.loose_sigma_m)
+        objects = [self.objects[one] for one in which]
+        spins = np.where([one.spin_line.any() for one in objects], LOG_SPINS, 0.0)
+        log_prior = spins[:, None] + log_not_buried(table, objects, found, config.loose_sigma_m)
         log_prior = log_prior + log_shares
-        layers = self.pixels.with_layers(self.layers, depth_m, log_prior, first, log_colour)
+        layers = self.pixels.with_layers(self.layers, depth_m, log_prior, which, first, log_colour)
         gravity = Gravity(
             contact_sigma_m=config.contact_sigma_m,
             loose_sigma_m=config.loose_sigma_m,

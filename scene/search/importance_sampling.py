@@ -39,8 +39,8 @@ HOPELESS = 30.0
 APART_M, APART_RAD = 0.02, 0.35
 """Poses that are closer belong to one mode; half of that is enough where they have found their place."""
 
-DRAWS, TOGETHER, TURNS = 96, 2, 5
-"""Draws from a Gaussian and turn, and modes of an object in one kernel."""
+DRAWS, TOGETHER, TURNS = 96, 4, 5
+"""Draws from a Gaussian and turn, and Gaussians in one kernel."""
 
 ALIVE = 30.0
 """Effective number of draws to which a turn is tempered."""
@@ -113,6 +113,7 @@ def refine(
     noise: DepthNoise,
     pixel_weight: float,
     lines: NDArray[np.float64],
+    moving: NDArray[np.bool_] | None = None,
 ) -> Refinement:
     """Gaussians round the poses of the best scene and their rivals, on the first frame.
 
@@ -125,8 +126,10 @@ def refine(
         noise: of the sensor and the surfaces together.
         pixel_weight: the likelihood's exponent.
         lines: (N, 2, 3) about which objects are round, as `SceneObject.spin_line`.
+        moving: (N,) which ones; all that were found if not told. The others stay where they are.
     """
     count = len(start.poses)
+    moving = start.found if moving is None else moving
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     spins = _better_spins(data, renderer, numbers, start, noise, lines)
     fits = _first(start, spins)
@@ -135,8 +138,9 @@ def refine(
         heaviest = np.array([_heaviest(fits, one) for one in range(count)])
         rest_m, visible = _without_each(data, renderer, numbers, fits.means[heaviest], start.found)
         parts = []
-        for places in _batches(len(fits.owners), TOGETHER * count):
-            batch = fits.at(places)
+        active = np.flatnonzero(moving[fits.owners])
+        for places in _batches(len(active), TOGETHER):
+            batch = fits.at(active[places])
             normal = rng.standard_normal((len(places), DRAWS, 6))
             normal[:, 0] = 0.0
             tangents = np.einsum("nij,nsj->nsi", batch.factors, normal)
@@ -144,7 +148,7 @@ def refine(
             log_ratio = _log_ratio(data, renderer, numbers, batch.owners, poses, rest_m, noise)
             log_weights = pixel_weight * log_ratio + 0.5 * (normal**2).sum(axis=-1)
             parts.append(_fitted(batch, tangents, log_weights))
-        fits = _joined(parts).at(slice(len(fits.owners)))
+        fits = _put(fits, active, parts)
         if turn == 0:
             fits = fits.at(fits.behind() < HOPELESS)
     return _kept(fits, visible)
@@ -163,7 +167,7 @@ def _better_spins(
     lined = np.flatnonzero(lines[:, 0].any(axis=1) & start.found)
     if not len(lined):
         return spins
-    owners = np.resize(lined, TOGETHER * len(lines))
+    owners = np.resize(lined, TOGETHER * -(-len(lined) // TOGETHER))
     poses = symmetric_restarts(start.poses[owners], lines[owners], DRAWS)
     rest_m, _ = _without_each(data, renderer, numbers, start.poses, start.found)
     log_ratio = _log_ratio(data, renderer, numbers, owners, poses, rest_m, noise)
@@ -212,13 +216,17 @@ def _batches(count: int, together: int) -> list[NDArray[np.intp]]:
     return [np.minimum(first + np.arange(together), count - 1) for first in range(0, count, together)]
 
 
-def _joined(parts: list[_Fits]) -> _Fits:
-    return _Fits(
-        owners=np.concatenate([part.owners for part in parts]),
-        means=np.concatenate([part.means for part in parts]),
-        factors=np.concatenate([part.factors for part in parts]),
-        log_masses=np.concatenate([part.log_masses for part in parts]),
-    )
+def _put(fits: _Fits, places: NDArray[np.intp], parts: list[_Fits]) -> _Fits:
+    """The Gaussians with others, in parts of which the last is filled up, in some places."""
+    if not parts:
+        return fits
+
+    def put(name: str) -> NDArray:
+        leaf = getattr(fits, name).copy()
+        leaf[places] = np.concatenate([getattr(part, name) for part in parts])[: len(places)]
+        return leaf
+
+    return replace(fits, means=put("means"), factors=put("factors"), log_masses=put("log_masses"))
 
 
 def _fitted(fits: _Fits, tangents: NDArray[np.float64], log_weights: NDArray[np.float64]) -> _Fits:

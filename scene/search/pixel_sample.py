@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from scene.execution import FAST_COMPILE
+from scene.execution import map_parallel
 from scene.likelihood.object_density import object_density
 from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.frame_data import SceneData
@@ -20,6 +19,9 @@ from scene.search.assignment import PoseLayers
 from scene.search.support_table import SupportTable
 
 FOREGROUND_PIXELS = 2048
+
+BATCH = 64
+"""Poses of a kernel; kernels run side by side, each on a core, and one size serves any number."""
 
 
 @jax.tree_util.register_dataclass
@@ -97,22 +99,55 @@ class ComparedPixels:
         layers: PoseLayers,
         depth_m: NDArray[np.float32],
         log_prior: NDArray[np.floating],
+        objects: NDArray[np.integer],
         first: int,
         log_colour: jax.Array | None = None,
     ) -> PoseLayers:
-        """Layers with poses `first`, `first` + 1, ... of every object replaced by those of the given depth.
+        """Layers with poses `first`, `first` + 1, ... of some objects replaced by those of the given depth.
 
         Args:
             layers: of N objects.
-            depth_m: (N * n, H, W) of n poses of each object, alone.
-            log_prior: (N, n) of these poses, beside the odds of being there.
+            depth_m: (M * n, H, W) of n poses of each of M objects, alone.
+            log_prior: (M, n) of these poses, beside the odds of being there.
+            objects: (M,) which ones.
             first: place of the first of them.
-            log_colour: (N * n, H, W) what colours add where each is seen; None where they are not compared.
+            log_colour: (M * n, H, W) what colours add where each is seen; None where they are not compared.
         """
-        by_object = depth_m.reshape(*log_prior.shape, -1)
-        return _with_layers(
-            self, layers, by_object, log_prior.astype(np.float32), np.int32(first), log_colour
+        parts = range(0, len(depth_m), BATCH)
+        colour = None if log_colour is None else np.asarray(log_colour)
+        shown = map_parallel(lambda part: self._shown(depth_m, colour, part), parts)
+        layer_m, density, alone = (
+            np.concatenate(leaves).reshape(*log_prior.shape, *leaves[0].shape[1:])
+            for leaves in zip(*shown, strict=True)
         )
+        places = objects[:, None], first + np.arange(log_prior.shape[1])
+
+        def put(leaf: jax.Array, values: NDArray[np.floating]) -> jax.Array:
+            changed = np.array(leaf)
+            changed[places] = values
+            return jax.device_put(changed)
+
+        return replace(
+            layers,
+            depth_m=put(layers.depth_m, layer_m),
+            log_density=put(layers.log_density, density),
+            log_alone=put(layers.log_alone, alone + log_prior),
+        )
+
+    def _shown(
+        self, depth_m: NDArray[np.float32], log_colour: NDArray[np.float32] | None, first: int
+    ) -> tuple[NDArray[np.float32], ...]:
+        """Depth and log density (n, X) of at most BATCH poses of that depth, and what they add elsewhere."""
+        count = min(BATCH, len(depth_m) - first)
+
+        def batch(images: NDArray[np.float32], beyond: float) -> NDArray[np.float32]:
+            filled = np.full((BATCH, *images.shape[1:]), np.float32(beyond))
+            filled[:count] = images[first : first + count]
+            return filled
+
+        colour = None if log_colour is None else batch(log_colour, 0.0)
+        shown = jax.device_get(_shown(self, batch(depth_m, np.inf), colour, np.int32(count)))
+        return tuple(leaf[:count] for leaf in shown)
 
 
 @jax.jit
@@ -122,39 +157,24 @@ def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
     return pixels.rest_m.ravel()[pixels.places], log_rest[pixels.places] * pixels.weight
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
-def _with_layers(
-    pixels: ComparedPixels,
-    layers: PoseLayers,
-    depth_m: jax.Array,
-    log_prior: jax.Array,
-    first: jax.Array,
-    log_colour: jax.Array | None,
-) -> PoseLayers:
-    """The layers with depth (N, n, pixels) and priors (N, n) put in from `first` on."""
+@jax.jit
+def _shown(
+    pixels: ComparedPixels, depth_m: jax.Array, log_colour: jax.Array | None, count: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """What the first `count` of BATCH poses of that depth (BATCH, H, W) show; of the others nothing."""
     rest_m = pixels.rest_m.ravel()
     log_rest = pixels.density.of_rest(pixels.rest_m).ravel()
+    compared = len(pixels.places)
 
-    def shown(part: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        layer_m, colour = part
-        parts = object_density(pixels.density, layer_m.reshape(pixels.rest_m.shape), pixels.rest_m)
+    def show(pose: jax.Array, shown: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        parts = object_density(pixels.density, depth_m[pose], pixels.rest_m)
         density, layer_m = (part.ravel() for part in parts)
-        if colour is not None:
-            density += colour
+        if log_colour is not None:
+            density += log_colour[pose].ravel()
         seen = pixels.uncontested & (layer_m < rest_m)
         alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - log_rest, 0.0))
-        return layer_m[pixels.places], density[pixels.places] * pixels.weight, alone
+        values = layer_m[pixels.places], density[pixels.places] * pixels.weight, alone
+        return tuple(leaf.at[pose].set(value) for leaf, value in zip(shown, values, strict=True))
 
-    count, poses, size = depth_m.shape
-    colours = None if log_colour is None else log_colour.reshape(-1, size)
-    by_pose = jax.lax.map(shown, (depth_m.reshape(-1, size), colours))
-    shown_m, density, log_alone = (leaf.reshape(count, poses, *leaf.shape[1:]) for leaf in by_pose)
-    put = jax.lax.dynamic_update_slice_in_dim
-    return PoseLayers(
-        depth_m=put(layers.depth_m, shown_m, first, 1),
-        log_density=put(layers.log_density, density, first, 1),
-        log_alone=put(layers.log_alone, log_alone + log_prior, first, 1),
-        rests=layers.rests,
-        rest_m=layers.rest_m,
-        rest_log_density=layers.rest_log_density,
-    )
+    nothing = jnp.full((BATCH, compared), jnp.inf), jnp.zeros((BATCH, compared)), jnp.zeros(BATCH)
+    return jax.lax.fori_loop(0, count, show, nothing)

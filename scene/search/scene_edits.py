@@ -130,15 +130,26 @@ def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array, kept: jax.A
     gain = (gain + layers.log_alone[one]).at[no_object(layers)].set(-jnp.inf)
     _, poses = jax.lax.top_k(gain, min(REPLACING, len(gain) - 1))
 
-    def leave_out(choice: jax.Array, other: jax.Array) -> tuple[jax.Array, None]:
-        without = choice.at[other].set(no_object(layers))
-        return jnp.where(kept[other], choice, _better(layers, choice, without)), None
+    density_of = partial(log_density_of_choice, layers)
 
-    def put(pose: jax.Array) -> jax.Array:
-        return jax.lax.scan(leave_out, choice.at[one].set(pose), jnp.arange(len(choice)))[0]
+    def leave_out(
+        scene: tuple[jax.Array, jax.Array], other: jax.Array
+    ) -> tuple[tuple[jax.Array, jax.Array], None]:
+        def without() -> tuple[jax.Array, jax.Array]:
+            fewer = scene[0].at[other].set(no_object(layers))
+            density = density_of(fewer)
+            better = density > scene[1]
+            return jnp.where(better, fewer, scene[0]), jnp.where(better, density, scene[1])
 
-    scenes = jax.lax.map(put, poses)
-    return scenes[jnp.argmax(jax.vmap(partial(log_density_of_choice, layers))(scenes))]
+        stays = kept[other] | (scene[0][other] == no_object(layers))
+        return jax.lax.cond(stays, lambda: scene, without), None
+
+    def put(pose: jax.Array) -> tuple[jax.Array, jax.Array]:
+        scene = choice.at[one].set(pose)
+        return jax.lax.scan(leave_out, (scene, density_of(scene)), jnp.arange(len(choice)))[0]
+
+    scenes, densities = jax.lax.map(put, poses)
+    return scenes[jnp.argmax(densities)]
 
 
 def _better(layers: PoseLayers, choice: jax.Array, other: jax.Array) -> jax.Array:

@@ -88,10 +88,7 @@ class SearchRound:
             masks: (H, W) pixels that may show the object, by object.
             index: of the round, whose part of the pools is replaced.
         """
-        size = pools.config.pool
-        poses = pools.poses[:, index * size : (index + 1) * size].copy()
-        poses[list(masks)] = self.hypotheses(pools, masks)[0]
-        pools = pools.with_poses(poses, index * size)
+        pools = pools.with_poses(self.hypotheses(pools, masks)[0], index * pools.config.pool, list(masks))
         return pools, best_of(pools, _annealed(key, pools.layers), scene)
 
     def hypotheses(

@@ -12,6 +12,8 @@ from scene.objects.scene_object import scene_object
 from scene.observation.segmentation import scene_data
 from scene.search.competing_scenes import RIVALS, best_of, decided
 from scene.search.hypotheses import PosePools
+from scene.search.importance_sampling import refine
+from scene.search.search_result import Initialisation
 from shapes.geometry.poses import poses_of
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
@@ -56,3 +58,41 @@ def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Arra
     assert scene[1] == absent
     off_m = pools.placed(scene)[0, 4:] - poses_of(camera_from_world @ middle)[4:]
     assert np.linalg.norm(off_m[:2]) < OFF_M / 4
+
+
+def test_only_what_moves_is_refined(key: jax.Array, seed: int) -> None:
+    """Of two boxes beside each other that were placed wrong one is put right, the other stays as it was."""
+    slab = trimesh.creation.box((1.0, 1.0, 0.02))
+    mesh = trimesh.creation.box((WIDE_M, WIDE_M, HEIGHT_M))
+    at = [trimesh.transformations.translation_matrix((x, 0, HEIGHT_M / 2)) for x in (0.0, 0.15)]
+    below = trimesh.transformations.translation_matrix((0, 0, -0.01))
+    parts = [Part(name=str(number), mesh=mesh, world_from_part=pose) for number, pose in enumerate(at)]
+    parts.append(Part(name="table", mesh=slab, world_from_part=below))
+    depth_m = RayCaster(parts).view(INTRINSICS, DOWNWARD).depth_m
+    boxes = [scene_object("box", mesh.vertices, mesh.faces)] * 2
+    aside = trimesh.transformations.translation_matrix((OFF_M, OFF_M / 2, 0))
+    true, placed = (poses_of(np.linalg.inv(DOWNWARD) @ np.stack(poses)) for poses in (at, aside @ at))
+
+    with jax.enable_x64(False):
+        start = Initialisation(
+            poses=placed,
+            found=np.ones(2, bool),
+            log_odds=np.zeros(2),
+            pools=np.zeros((2, 0, 7)),
+            log_gains=np.zeros((2, 1)),
+        )
+        refined = refine(
+            key,
+            scene_data(depth_m.astype(np.float32), INTRINSICS, seed),
+            ObjectRenderer.of(boxes),
+            np.arange(2),
+            start,
+            DepthNoise(outlier_probability=0.01),
+            1.0,
+            np.zeros((2, 2, 3)),
+            np.array([True, False]),
+        )
+
+    off_m = np.linalg.norm((refined.means[:, 0] - true)[:, 4:6], axis=1)
+    assert off_m[0] < OFF_M / 4
+    np.testing.assert_array_equal(refined.means[1, 0], placed[1])
