@@ -85,7 +85,7 @@ class ParseConfig:
     light: tuple[float, ...] = ()
     gamma: float = 2.2
     presence: float = 0.9
-    proposals: Literal["points", "masks", "both"] = "points"
+    proposals: Literal["points", "masks", "both"] = "both"
     exact: tuple[str, ...] = ()
     rounds: int = 2
     pool: int = 48

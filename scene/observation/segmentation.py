@@ -80,8 +80,8 @@ def scene_data(
     if support:
         supports = [given_support(np.array(support[:3]), np.array(support[3:]), near)]
     else:
-        supports = _busiest_first(support_planes(near, seed, partial(_is_seen, view)), view)
-    supports = [_continued(one, near, view) for one in supports]
+        supports = _busiest_first(support_planes(near, seed, partial(_is_seen, view)), view, region)
+    supports = [_continued(one, view) for one in supports]
     data = _data_over(supports, depth_m, points, view, intrinsics, region)
     if region and not data.near.any():
         raise ValueError("nothing stands in the region that was given")
@@ -148,9 +148,7 @@ def _data_over(
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
     foreground = _near(depth_m)
     if region:
-        in_first = points @ first_from_camera[:3, :3].T + first_from_camera[:3, 3]
-        low, high = np.reshape(region, (2, 3))
-        foreground &= ((in_first >= low) & (in_first <= high)).all(axis=-1)
+        foreground &= _within(region, points @ first_from_camera[:3, :3].T + first_from_camera[:3, 3])
     if supports:
         surface = _surface_of_any(supports, view)
         elsewhere = _pieces(supports, view, surface).things_on(range(1, len(supports)))
@@ -212,13 +210,14 @@ def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return foreground & (uniform_filter(foreground.astype(np.float32), COMPANY_PX) > 0.5)
 
 
-def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: PooledView) -> SupportPlane:
+def _continued(table: SupportPlane, view: PooledView) -> SupportPlane:
     """The table, going on beyond the image under what is seen at the border and has its foot out of sight."""
+    depth_m = np.asarray(view.depth_m)
+    points_m = unproject(depth_m, view.camera)[_near(depth_m)]
     inside = table.in_table_frame(points_m)
-    beside = np.maximum(np.abs(inside[:, :2]) - table.half_size_m, 0)
-    heights = table.heights(points_m)
-    standing = (heights > LOWEST_M) & (heights < HIGHEST_M) & (beside < UNSEEN_M).all(axis=-1)
-    feet = inside[standing, :2]
+    round_it = (np.abs(inside[:, :2]) < table.half_size_m + UNSEEN_M).all(axis=-1)
+    heights = table.heights(points_m[round_it])
+    feet = inside[round_it, :2][(heights > LOWEST_M) & (heights < HIGHEST_M)]
     rotation, origin = table.camera_from_table[:3, :3], table.camera_from_table[:3, 3]
     feet = feet[~view.pixels(feet @ rotation[:, :2].T + origin)[2]]
     if len(feet) < FEWEST_PIXELS:
@@ -227,11 +226,22 @@ def _continued(table: SupportPlane, points_m: NDArray[np.float64], view: PooledV
     return table.spanning(np.minimum(feet.min(axis=0), -half), np.maximum(feet.max(axis=0), half))
 
 
-def _busiest_first(supports: list[SupportPlane], view: PooledView) -> list[SupportPlane]:
+def _within(region: tuple[float, ...], points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points (H, W, 3) of the first camera's frame lie in the region."""
+    low, high = np.reshape(region, (2, 3))
+    return np.asarray(((points_m >= low) & (points_m <= high)).all(axis=-1))
+
+
+def _busiest_first(
+    supports: list[SupportPlane], view: PooledView, region: tuple[float, ...]
+) -> list[SupportPlane]:
     """The supports, that on which most stands first: not the floor for what stands on a table over it."""
     if len(supports) < 2:
         return supports
-    carried = _pieces(supports, view, _surface_of_any(supports, view)).carried(len(supports))
+    left_out = _surface_of_any(supports, view)
+    if region:
+        left_out |= ~_within(region, unproject(np.asarray(view.depth_m), view.camera))
+    carried = _pieces(supports, view, left_out).carried(len(supports))
     return [supports[number] for number in np.argsort(-carried, kind="stable")]
 
 
@@ -240,16 +250,25 @@ def _pieces(supports: Sequence[SupportPlane], view: PooledView, surface: NDArray
 
 
 def _surface_of_any(supports: Sequence[SupportPlane], view: PooledView) -> NDArray[np.bool_]:
-    return np.any([_surface_of(one, view) for one in supports], axis=0)
+    """Pixels (H, W) of any support's surface."""
+    points = unproject(median_filter(np.asarray(view.depth_m), SMOOTHED_PX), view.camera)
+    return np.any([_surface_of(one, points, np.asarray(view.normals)) for one in supports], axis=0)
 
 
-def _surface_of(table: SupportPlane, view: PooledView) -> NDArray[np.bool_]:
-    """Pixels of the view reached from the table's plane without a step or a slope, though it be warped."""
-    depth = median_filter(np.asarray(view.depth_m), SMOOTHED_PX)
-    points = unproject(depth, view.camera)
+def _surface_of(
+    table: SupportPlane, points: NDArray[np.float64], normals: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Pixels (H, W) reached from the table's plane without a step or a slope, though it be warped.
+
+    Args:
+        table: the support.
+        points: (H, W, 3) of smoothed depth.
+        normals: (H, W, 3).
+    """
+    depth = points[..., 2]
     inside = (np.abs(table.in_table_frame(points)[..., :2]) < table.half_size_m + UNSEEN_M).all(axis=-1)
     heights = np.where((depth > 0) & inside, table.heights(points), np.inf)
-    upward = np.asarray(view.normals) @ table.camera_from_table[:3, 2]
+    upward = normals @ table.camera_from_table[:3, 2]
     low = np.abs(heights) < WARP_M
     level = np.where(low, heights, 0.0)
     even = maximum_filter(level, 3) - minimum_filter(level, 3) < STEP_M

@@ -1,5 +1,7 @@
 """A small top over a floor: what stands on it, what stands on the floor, and what is furniture."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -39,15 +41,20 @@ def seen(centre_m: tuple[float, ...], half_m: tuple[float, ...], yaw_rad: float)
     return np.where((enters < leaves) & (enters > 0), enters, np.inf)
 
 
-@pytest.fixture(scope="module")
-def parts_and_data() -> tuple[dict[str, NDArray[np.bool_]], SceneData]:
+def of_image(region: tuple[float, ...] = ()) -> tuple[dict[str, NDArray[np.bool_]], SceneData]:
     """The pixels of every part, and the frame."""
     layers = {name: seen(*box) for name, box in {**FURNITURE, **THINGS}.items()}
     depth_m = np.min(list(layers.values()), axis=0)
     parts = {name: np.isfinite(layer) & (layer == depth_m) for name, layer in layers.items()}
     rng = np.random.default_rng(0)
     noisy_m = np.where(np.isfinite(depth_m), depth_m + rng.normal(0, 0.001, depth_m.shape), NO_RETURN)
-    return parts, scene_data(noisy_m.astype(np.float32), INTRINSICS, 1)
+    return parts, scene_data(noisy_m.astype(np.float32), INTRINSICS, 1, region=region)
+
+
+@pytest.fixture(scope="module")
+def parts_and_data() -> tuple[dict[str, NDArray[np.bool_]], SceneData]:
+    """The pixels of every part, and the frame."""
+    return of_image()
 
 
 def test_a_top_seen_over_a_corner_is_the_first_support(
@@ -74,3 +81,18 @@ def test_things_on_any_support_are_foreground_and_furniture_is_not(
 
     assert min(shares[name] for name in THINGS) > 0.9, shares
     assert max(shares[name] for name in FURNITURE) < 0.01, shares
+
+
+def test_a_region_chooses_the_support_on_which_most_stands_there() -> None:
+    """With the top left out it is the floor, and what stands on it there is all that is foreground."""
+    centre_m, half_m, _ = THINGS["on the floor"]
+    corners_m = [np.array(centre_m) + 1.1 * np.array(half_m) * signs for signs in product((-1, 1), repeat=3)]
+    seen_m = np.array(corners_m) @ CAMERA_FROM_FLOOR[:3, :3].T + CAMERA_FROM_FLOOR[:3, 3]
+    low_m, high_m = seen_m.min(axis=0), seen_m.max(axis=0)
+
+    parts, data = of_image((*low_m, *high_m))
+
+    height_m = (np.linalg.inv(CAMERA_FROM_FLOOR) @ data.supports[0].camera_from_table)[2, 3]
+    assert abs(height_m) < 0.01
+    assert data.near[parts["on the floor"]].mean() > 0.9
+    assert not data.near[parts["on the top"]].any()

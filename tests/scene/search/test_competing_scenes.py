@@ -71,7 +71,8 @@ def test_only_what_moves_is_refined(key: jax.Array, seed: int) -> None:
     depth_m = RayCaster(parts).view(INTRINSICS, DOWNWARD).depth_m
     boxes = [scene_object("box", mesh.vertices, mesh.faces)] * 2
     aside = trimesh.transformations.translation_matrix((OFF_M, OFF_M / 2, 0))
-    true, placed = (poses_of(np.linalg.inv(DOWNWARD) @ np.stack(poses)) for poses in (at, aside @ at))
+    camera_from_world = np.linalg.inv(DOWNWARD)
+    true, placed = (poses_of(camera_from_world @ poses) for poses in (np.stack(at), aside @ np.stack(at)))
 
     with jax.enable_x64(False):
         start = Initialisation(
