@@ -56,8 +56,9 @@ def initialise(
     masks = dict.fromkeys(range(len(objects)), data.foreground)
     with compile_in_background(*_kernels(pools)):
         for index, round_key in enumerate(keys):
-            pools, scene = search_round(round_key, pools, scene, masks, index)
-            masks = unexplained_by_others(pools, scene)
+            if masks:
+                pools, scene = search_round(round_key, pools, scene, masks, index)
+                masks = unexplained_by_others(pools, scene)
         pools, scene = compare_refined(last_key, pools, scene, noise)
         pools, scene = search_missing(again_key, search_round, pools, scene, noise)
     _, log_odds = rivals_of(pools, scene)
@@ -106,6 +107,7 @@ def _kernels(pools: PosePools) -> list[Callable[[], object]]:
     layers, scene = pools.layers, np.zeros(len(pools.objects), np.int32)
     return [
         lambda: pools.renderer.compile(pools.data.window),
+        lambda: pools.pixels.compile(),
         lambda: best_scene.lower(layers, scene, PAIRED).compile(),
         lambda: choose.lower(jax.random.key(0), layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
         lambda: rivals.lower(layers, scene, np.eye(len(scene), dtype=bool)).compile(),

@@ -134,6 +134,11 @@ class ComparedPixels:
             log_alone=put(layers.log_alone, alone + log_prior),
         )
 
+    def compile(self) -> None:
+        """What `with_layers` runs where colours are not compared."""
+        nothing = np.full((BATCH, *self.rest_m.shape), np.float32(np.inf))
+        _shown.lower(self, nothing, None, np.int32(0)).compile()
+
     def _shown(
         self, depth_m: NDArray[np.float32], log_colour: NDArray[np.float32] | None, first: int
     ) -> tuple[NDArray[np.float32], ...]:

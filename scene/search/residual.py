@@ -14,14 +14,17 @@ from scene.search.hypotheses import PosePools
 UNEXPLAINED_M = 0.012
 
 AGREE_M, FITTING = 0.006, 0.85
-"""Objects that fit what is seen of them less well explain nothing to the others: they may be wrong."""
+"""Objects that fit what is seen of them less well explain nothing to the others, and are sought again: they
+may be wrong."""
 
 
 def unexplained_by_others(pools: PosePools, scene: NDArray[np.integer]) -> dict[int, NDArray[np.bool_]]:
-    """For every object the view's foreground that a scene leaves unexplained without it."""
+    """For every object that a scene lacks, or that fits badly, the foreground that others leave to it."""
     shown_m = pools.shown(scene)
-    shown_m[_fit(pools.data, shown_m) < FITTING] = np.inf
-    return {one: _unexplained(pools.data, np.delete(shown_m, one, axis=0)) for one in range(len(scene))}
+    fits = _fit(pools.data, shown_m) >= FITTING
+    shown_m[~fits] = np.inf
+    sought = np.flatnonzero(~fits).tolist()
+    return {one: _unexplained(pools.data, np.delete(shown_m, one, axis=0)) for one in sought}
 
 
 def _fit(data: SceneData, shown_m: NDArray[np.float32]) -> NDArray[np.float64]:
