@@ -55,8 +55,6 @@ class ParseConfig:
             shape for certain.
         chains: Markov chains.
         sweeps: of each chain, a move for every object; the first third teaches the proposals and is dropped.
-        pixel_weight: effective over actual number of pixels in the likelihood of chains (their errors are
-            alike; the density of the search knows that).
         model_error_m: error of shapes and calibration, added in quadrature to the sensor's.
         search_error_m: the same during the search, where poses are coarse.
         outlier_probability: share of pixels that show what nobody models.
@@ -92,7 +90,6 @@ class ParseConfig:
     shape_samples: int = 0
     chains: int = 4
     sweeps: int = 120
-    pixel_weight: float = 0.25
     model_error_m: float = 0.002
     search_error_m: float = 0.003
     outlier_probability: float = 0.1
@@ -140,8 +137,6 @@ class ParseConfig:
         if self.exact and self.colour == "only":
             raise ValueError("exact needs depth images; it does not go with colour only")
         check_within(self, 0.0, 1.0, ("colour_weight",))
-        if not 0 < self.pixel_weight <= 1:
-            raise ValueError(f"pixel_weight must lie in (0, 1], got {self.pixel_weight}")
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
             raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")
         scales = self.contact_sigma_m, self.loose_sigma_m, self.contact_concentration, self.search_error_m

@@ -79,11 +79,13 @@ def parse_scene(
         (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config
     )
     data, first_from_searched = views[number], first_camera_from_camera[number]
-    noise = with_surface_error(noise, config.model_error_m)
+    windows = [view.window for view in views]
+    densities = [PixelDensity.of(one.depth_m, noise, config.model_error_m, one.stride) for one in windows]
     found = FoundObjects.of(start.found)
     chosen, their_start = found.taken(objects), start.of_slots(found)
     lines = np.stack([one.spin_line for one in chosen])
-    refined = refine(refine_key, data, renderer, found.placed, their_start, noise, config.pixel_weight, lines)
+    seen_noise = with_surface_error(noise, config.model_error_m)
+    refined = refine(refine_key, data, renderer, found.placed, their_start, seen_noise, lines)
     camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
     world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
@@ -92,19 +94,18 @@ def parse_scene(
         samples, variance = sample_posterior(
             chain_key,
             views,
+            densities,
             poses,
             world_from_camera,
             data.supports,
             chosen,
             their_start,
             refined,
-            noise,
             config,
             progress,
         )
     if data.rgb is not None:
-        pixels = PixelDensity.of(data.window.depth_m, noise, config.search_error_m, data.window.stride)
-        colours = ColourLayers.of(data, objects, pixels, config.gamma)
+        colours = ColourLayers.of(data, objects, densities[number], config.gamma)
         best, rng = their_start.poses[found.present], np.random.default_rng(seed)
         seen = SeenColours(data, colours, renderer, objects, found.indices, best)
         samples = with_drawn_turns(rng, seen, world_from_camera, samples)
@@ -114,7 +115,7 @@ def parse_scene(
         found,
         start,
         found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0],
-        _hidden(hidden_key, views, poses, used, world_from_camera, objects, start, noise, config),
+        _hidden(hidden_key, views, poses, used, world_from_camera, objects, start, seen_noise, config),
         world_from_camera,
         objects,
         np.asarray(frame_indices),

@@ -30,6 +30,10 @@ DRAWS = 512
 WIDEST = 160
 """Columns of the images that are compared."""
 
+CORRELATED_PX = 4.0
+"""Edge of the squares of an image's pixels that count as one measurement: errors of neighbours are alike. One
+in 14 to 20 pixels of real frames is independent of the others."""
+
 KEPT = 256
 """Poses of the posterior that the result holds."""
 
@@ -92,7 +96,7 @@ def hidden_places(
         return places
     images = DepthImages(
         [
-            seen_image(view.view, pose, placed, pixel_weight(view, config))
+            seen_image(view.view, pose, placed, pixel_weight(view))
             for view, pose in zip(views, camera_from_world, strict=True)
         ],
         noise,
@@ -137,10 +141,10 @@ def _pose_prior(
     )
 
 
-def pixel_weight(view: SceneData, config: ParseConfig) -> float:
-    """Effective over actual number of compared pixels; the setting counts those of the search's window."""
+def pixel_weight(view: SceneData) -> float:
+    """Effective over actual number of compared pixels."""
     apart = _stride(view.view) * view.intrinsics.fx / float(view.view.camera.fx)
-    return min(config.pixel_weight * (apart / view.window.stride) ** 2, 1.0)
+    return min((apart / CORRELATED_PX) ** 2, 1.0)
 
 
 def _stride(view: PooledView) -> int:

@@ -19,21 +19,22 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
 from scene.likelihood import shape_draws
+from scene.likelihood.object_density import object_density
 from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.render_cache import CandidateScenes, RenderedScene
 from scene.likelihood.shape_draws import candidate_keys
 from scene.model.posterior import MOST_MOVED, Estimate
 from scene.model.scene_graph import SceneGraph
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
-from shapes import depth_noise
+from scene.observation.segmentation import support_depth
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import pose_of
 from shapes.rendering.depth_rendering import render_tiles
 from shapes.rendering.ray_casting import sort_chosen_first
-from shapes.rendering.tiles import TILE_PIXELS, to_tiles
+from shapes.rendering.tiles import TILE_PIXELS, from_tiles, to_tiles
 
 TILES_TOGETHER = 64
 
@@ -41,11 +42,10 @@ TILES_TOGETHER = 64
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DepthLikelihood:
-    """prod over frames and pixels of the sensor's density, to the power `weights`.
+    """The density of depth images given whole scenes, the product over frames of `PixelDensity`.
 
-    Neighbouring pixels share their error, of the sensor and of the shape, so that a pixel is worth less
-    than an independent measurement: the weight is the effective number of pixels over their number.
-    What is neither an object nor the table is taken as it was seen. Objects are bodies 0..N-1.
+    A pixel shows the nearest of the objects' layers, else the supports or what is unknown, as in the search.
+    Objects are bodies 0..N-1.
 
     Where an object's shape is not certain, `renderer` holds S draws of every object's shape, draw after
     draw, and the likelihood is the mean over R independent choices among them: an unbiased estimate of
@@ -56,13 +56,13 @@ class DepthLikelihood:
         renderer: S N shapes.
         cameras: leaves (F,), of the windows.
         camera_from_world: (F, 7).
-        observed_m: (X, TILE_PIXELS) float32, the tiles of all frames.
-        rest_m: the same, the background's depth; 0 for pixels beyond the image, which do not count.
-        weights: (F,) exponents.
-        noise: of the sensor and the surfaces together.
+        density: of the frames, leaves (F, ...).
+        supports_m: (F, H, W) depth of the supports, +inf beside them.
+        rest_m: (X, TILE_PIXELS) the same, the tiles of all frames; 0 beyond the image, where nothing counts.
+        log_rest: (X, TILE_PIXELS) log density where no object is.
+        fresh_share: how many of the choices a new estimate makes anew.
         objects: N.
         height, width: of the windows.
-        fresh_share: how many of the choices a new estimate makes anew.
         draws: R.
     """
 
@@ -70,10 +70,10 @@ class DepthLikelihood:
     renderer: ObjectRenderer
     cameras: Camera
     camera_from_world: jax.Array
-    observed_m: jax.Array
+    density: PixelDensity
+    supports_m: jax.Array
     rest_m: jax.Array
-    weights: jax.Array
-    noise: DepthNoise
+    log_rest: jax.Array
     fresh_share: jax.Array
     objects: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
@@ -84,30 +84,35 @@ class DepthLikelihood:
     def of(
         cls,
         views: Sequence[SceneData],
+        densities: Sequence[PixelDensity],
         camera_from_world: NDArray[np.float64],
         renderer: ObjectRenderer,
-        noise: DepthNoise,
-        pixel_weight: float,
         *,
         objects: int,
         draws: int = 1,
     ) -> DepthLikelihood:
         """The likelihood of the frames `views` from poses (F, 4, 4).
 
-        A finer window has more pixels of the same image and not more information: `pixel_weight` counts
-        the pixels of the search's window.
+        Args:
+            views: the frames.
+            densities: of their windows.
+            camera_from_world: of each.
+            renderer: of all known shapes.
+            objects: N.
+            draws: R.
         """
-        rest_m = [np.where(view.detail.inside, view.detail_rest_m, 0) for view in views]
-        shares = [(view.detail.stride / view.window.stride) ** 2 for view in views]
-        height, width = rest_m[0].shape
+        windows = [view.window for view in views]
+        density = jax.tree.map(lambda *leaves: np.stack([np.float32(leaf) for leaf in leaves]), *densities)
+        supports_m = np.stack([support_depth(one.supports, one.window, one.intrinsics) for one in views])
+        height, width = supports_m.shape[1:]
+        inside = np.stack([one.inside for one in windows])
         return cls(
             renderer=renderer,
-            cameras=jax.tree.map(lambda *leaves: np.stack(leaves), *[view.detail.camera for view in views]),
+            cameras=jax.tree.map(lambda *leaves: np.stack(leaves), *[one.camera for one in windows]),
             camera_from_world=jax.vmap(pose_of)(jnp.asarray(camera_from_world)),
-            observed_m=_cut(np.stack([view.detail.depth_m for view in views])),
-            rest_m=_cut(np.stack(rest_m).astype(np.float32)),
-            weights=jax.device_put(pixel_weight * np.array(shares)),
-            noise=jax.tree.map(np.float32, noise),
+            density=density,
+            supports_m=jax.device_put(supports_m),
+            **dict(zip(("rest_m", "log_rest"), tiles_of_rest(density, supports_m, inside), strict=True)),
             fresh_share=jnp.ones(()),
             objects=objects,
             height=height,
@@ -117,12 +122,12 @@ class DepthLikelihood:
 
     def start(self, key: jax.Array, scene: SceneGraph) -> Estimate:
         """Shapes are drawn, nothing is rendered."""
-        tiles = len(self.observed_m)
+        tiles = len(self.rest_m)
         layers_m = jnp.full((self.draws, self.objects, tiles, TILE_PIXELS), jnp.inf, jnp.float32)
         nowhere = jnp.zeros((self.draws, self.objects, tiles), bool)
         log_tiles = jnp.zeros((self.draws, tiles), jnp.float32)
         shapes = shape_draws.draw_shapes(key, (self.draws, self.objects), self._known)
-        shown = RenderedScene(shapes, layers_m, nowhere, log_tiles)
+        shown = RenderedScene(shapes, layers_m, jnp.zeros_like(layers_m), nowhere, log_tiles)
         return Estimate(jnp.zeros((), scene.poses.dtype), shown)
 
     def offered(
@@ -147,21 +152,24 @@ class DepthLikelihood:
             poses = jnp.where(there[:, None, None], seen[one], aside[None, None])
             scene, body = which // objects, jnp.where(there, one % objects, objects)
             shape = jnp.moveaxis(shapes, 1, 2).reshape(count * objects, -1)[one].T
-            fresh_m = _layers(self, shape * objects + (one % objects)[None], poses)
+            fresh_m, fresh_log = _layers(self, shape * objects + (one % objects)[None], poses)
             fresh = replace(
                 shown,
                 fresh_m=fresh_m,
+                fresh_log=fresh_log,
                 covered=jnp.any(jnp.isfinite(fresh_m), axis=-1),
                 scene=jnp.where(anew, count, scene),
                 body=body,
             )
             return jax.lax.cond(anew, lambda: replace(fresh, present=fresh.put(body)), lambda: fresh)
 
+        no_layers = jnp.full((self.draws, places, *before.layers_m.shape[2:]), jnp.inf, jnp.float32)
         blank = CandidateScenes(
             present=before,
             shapes=shapes,
             log_tiles=jnp.broadcast_to(before.log_tiles[None], (count, *before.log_tiles.shape)),
-            fresh_m=jnp.full((self.draws, places, *before.layers_m.shape[2:]), jnp.inf, jnp.float32),
+            fresh_m=no_layers,
+            fresh_log=jnp.zeros_like(no_layers),
             covered=jnp.zeros((self.draws, places, before.log_tiles.shape[1]), bool),
             scene=jnp.full(places, count, order.dtype),
             body=jnp.full(places, objects, order.dtype),
@@ -193,7 +201,7 @@ class DepthLikelihood:
     def weighed(
         self, shown: CandidateScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
     ) -> jax.Array:
-        """Log densities (K, R, X) of all tiles, exponent 1, brought up to date where something has moved.
+        """Log densities (K, R, X) of all tiles, brought up to date where something has moved.
 
         Args:
             shown: with those of the present scene in every place.
@@ -207,31 +215,58 @@ class DepthLikelihood:
         entered = jnp.any(mine[:, None, :, None] & shown.covered[None], axis=2)
         first = (jnp.arange(count) == 0)[:, None, None]
         order, number = sort_chosen_first(((left | entered) | (first & anew)).ravel())
+        order = jnp.pad(order, (0, -len(order) % TILES_TOGETHER))  # a slice beyond the end would slide back
         uses = jnp.concatenate([stands, mine], axis=1)
+        owners = jnp.concatenate([jnp.arange(self.objects), shown.body])
 
         def some(turn: jax.Array, log_tiles: jax.Array) -> jax.Array:
             which = jax.lax.dynamic_slice_in_dim(order, turn * TILES_TOGETHER, TILES_TOGETHER)
             there = turn * TILES_TOGETHER + jnp.arange(TILES_TOGETHER, dtype=jnp.int32) < number
             scene, draw, tile = which // (draws * tiles), which // tiles % draws, which % tiles
-            layers_m = jnp.concatenate(
-                [shown.present.layers_m[draw, :, tile], shown.fresh_m[draw, :, tile]], axis=1
+            present, used = shown.present, uses[scene][:, :, None]
+            layers_m, log_layers = (
+                jnp.concatenate([now[draw, :, tile], fresh[draw, :, tile]], axis=1)
+                for now, fresh in ((present.layers_m, shown.fresh_m), (present.log_layers, shown.fresh_log))
             )
-            depth_m = jnp.min(jnp.where(uses[scene][:, :, None], layers_m, jnp.inf), axis=1)
-            log_mine = self._log_density(tile, jnp.minimum(depth_m, self.rest_m[tile]))
+            log_mine = self._log_density(tile, jnp.where(used, layers_m, jnp.inf), log_layers, owners)
             return log_tiles.at[jnp.where(there, which, len(log_tiles))].set(log_mine, mode="drop")
 
         turns = -(-number // TILES_TOGETHER)
         return jax.lax.fori_loop(0, turns, some, shown.log_tiles.ravel()).reshape(count, draws, tiles)
 
-    def _log_density(self, tile: jax.Array, shown_m: jax.Array) -> jax.Array:
-        """Log density (B,) of tiles (B,) that show depths (B, TILE_PIXELS), exponent 1."""
-        log_pixels = depth_noise.log_density(self.noise, self.observed_m[tile], shown_m)
-        return jnp.sum(jnp.where(self.rest_m[tile] > 0, log_pixels, 0), axis=1, dtype=jnp.float32)
+    def shown(self, layers_m: jax.Array, frames: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Depth (n, H, W) at which layers (n, H, W) of frames (n,) hide others; log density of their pixels.
+
+        They reach to the pixels beside an object, which its outline may be shifted to.
+        """
+
+        def one(given: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            layer_m, frame = given
+            density = jax.tree.map(lambda leaf: leaf[frame], self.density)
+            return object_density(density, layer_m, self.supports_m[frame])
+
+        log_density, depth_m = jax.lax.map(one, (layers_m, frames))
+        return depth_m, log_density
+
+    def _log_density(
+        self, tile: jax.Array, layers_m: jax.Array, log_layers: jax.Array, owners: jax.Array
+    ) -> jax.Array:
+        """Log density (B,) of tiles (B,) with layers (B, L, TILE_PIXELS) of objects (L,).
+
+        Of equally near ones, as beside two outlines, the first object's counts, wherever its layer is kept.
+        """
+        first = jnp.min(layers_m, axis=1, keepdims=True)
+        places = jnp.where(layers_m == first, owners[:, None], self.objects + 1)
+        nearest = jnp.argmin(places, axis=1)[:, None]
+        depth_m, log_nearest = (
+            jnp.take_along_axis(part, nearest, axis=1)[:, 0] for part in (layers_m, log_layers)
+        )
+        log_pixels = jnp.where(depth_m < self.rest_m[tile], log_nearest, self.log_rest[tile])
+        return jnp.sum(log_pixels, axis=1, dtype=jnp.float32)
 
     def _log_each(self, log_tiles: jax.Array) -> jax.Array:
         """Log likelihood (R,) under each draw."""
-        by_frame = log_tiles.reshape(len(log_tiles), len(self.weights), -1)
-        return jnp.sum(self.weights[None] * jnp.sum(by_frame, axis=2, dtype=self.weights.dtype), axis=1)
+        return jnp.sum(log_tiles, axis=1, dtype=self.fresh_share.dtype)
 
     def _seen(self, poses: jax.Array) -> jax.Array:
         """Poses (n, F, 7) float32 in every camera of poses (n, 7) in the world."""
@@ -243,9 +278,27 @@ class DepthLikelihood:
         return in_cameras(self.camera_from_world, poses).astype(jnp.float32)
 
 
+def tiles_of_rest(
+    density: PixelDensity, supports_m: NDArray[np.float32], inside: NDArray[np.bool_]
+) -> tuple[jax.Array, jax.Array]:
+    """Depth of the supports, 0 beyond the images, and log density where no object is (X, TILE_PIXELS).
+
+    Args:
+        density: of the frames, leaves (F, ...).
+        supports_m: (F, H, W).
+        inside: (F, H, W) pixels of the images.
+    """
+    with jax.enable_x64(False):
+        return _tiles_of_rest(density, supports_m, inside)
+
+
 @jax.jit
-def _cut(images: jax.Array) -> jax.Array:
-    return to_tiles(images, 0.0)
+def _tiles_of_rest(
+    density: PixelDensity, supports_m: jax.Array, inside: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    log_rest = jax.vmap(lambda one, rest_m: one.of_rest(rest_m))(density, supports_m)
+    parts = jnp.where(inside, supports_m, 0.0), jnp.where(inside, log_rest, 0.0)
+    return to_tiles(parts[0], 0.0), to_tiles(parts[1], 0.0)
 
 
 @partial(jax.jit, static_argnames="count")
@@ -270,26 +323,33 @@ def _log_mean_exp(log_values: jax.Array) -> jax.Array:
 
 
 @custom_vmap
-def _layers(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> jax.Array:
-    """Layers (..., R, N, X, TILE_PIXELS) of shapes (..., R, N) at poses (..., N, F, 7) camera_from_box."""
+def _layers(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """What shapes (..., R, N) show at poses (..., N, F, 7) camera_from_box.
+
+    Returns:
+        Depth at which they hide others and log density, (..., R, N, X, TILE_PIXELS) each.
+    """
     frames = poses.shape[-2]
     posed_shape = (*shapes.shape, frames)
     index = jnp.broadcast_to(shapes[..., None], posed_shape)
-    frame = jnp.broadcast_to(jnp.arange(frames, dtype=jnp.int32), posed_shape)
+    frame = jnp.broadcast_to(jnp.arange(frames, dtype=jnp.int32), posed_shape).ravel()
     poses = jnp.broadcast_to(poses[..., None, :, :, :], (*posed_shape, 7))
     with jax.enable_x64(False):  # the engine works in float32 and int32
-        posed = images.renderer.posed(index.ravel(), poses.reshape(-1, 7), frame.ravel())
-        library, cameras = images.renderer.library, images.cameras
-        layers_m = render_tiles(library, posed, cameras, images.height, images.width)
-    return layers_m.reshape(*shapes.shape, -1, TILE_PIXELS)
+        posed = images.renderer.posed(index.ravel(), poses.reshape(-1, 7), frame)
+        library, cameras, size = images.renderer.library, images.cameras, (images.height, images.width)
+        layers_m = from_tiles(render_tiles(library, posed, cameras, *size), *size)
+        depth_m, log_density = images.shown(layers_m, frame)
+        tiles = to_tiles(depth_m, jnp.inf), to_tiles(log_density, 0.0)
+    depth_m, log_density = (part.reshape(*shapes.shape, -1, TILE_PIXELS) for part in tiles)
+    return depth_m, log_density
 
 
 @_layers.def_vmap
 def _(
     axis_size: int, in_batched: tuple, images: DepthLikelihood, shapes: jax.Array, poses: jax.Array
-) -> tuple[jax.Array, bool]:
+) -> tuple[tuple[jax.Array, jax.Array], tuple[bool, bool]]:
     """Chains side by side are more objects to the engine, whose loops then stay full."""
-    return _layers(images, *_broadcast(axis_size, in_batched, (shapes, poses))), True
+    return _layers(images, *_broadcast(axis_size, in_batched, (shapes, poses))), (True, True)
 
 
 def _broadcast(axis_size: int, in_batched: tuple, values: Sequence[jax.Array]) -> list[jax.Array]:

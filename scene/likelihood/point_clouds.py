@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -20,24 +20,29 @@ from scene.likelihood.render_cache import CandidateScenes
 from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from shapes.geometry.camera import Camera, project
-from shapes.rendering.tiles import from_tiles
+from shapes.rendering.tiles import from_tiles, to_tiles
+
+POINT_WEIGHT = 0.25
+"""Effective over actual number of points: neighbours err alike, which this density does not know."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class CloudLikelihood(DepthLikelihood):
-    """prod over frames and observed points of the cloud's density, to the power `weights`.
+    """prod over frames and observed points of the cloud's density, to the power `POINT_WEIGHT`.
 
     A scene is rendered as for depth images; every pixel that shows something gives a rendered point. The
     points are measured on the search's window, which is coarser, as clouds are thinned before they are
     compared. The density does not factorise over tiles: that of a frame stands in its first.
 
     Attributes:
+        background_m: (X, TILE_PIXELS) depth of what is no object, as it was seen; 0 beyond the image.
         points_m: (F, K, 3) observed, in each frame's camera; z = 0 where nothing was measured.
         cloud: the density's parameters.
         half_width: of the pixel window in which neighbours are counted.
     """
 
+    background_m: jax.Array
     points_m: jax.Array
     cloud: CloudNoise
     half_width: int = field(metadata={"static": True})
@@ -50,7 +55,6 @@ class CloudLikelihood(DepthLikelihood):
         *,
         outlier_probability: float,
         radius_m: float,
-        pixel_weight: float,
     ) -> CloudLikelihood:
         """The same frames compared as clouds.
 
@@ -59,15 +63,15 @@ class CloudLikelihood(DepthLikelihood):
             views: one a frame.
             outlier_probability: C, share of points that no surface explains.
             radius_m: r.
-            pixel_weight: effective over actual number of points, those of the search's windows.
 
         Raises:
             ValueError: a point is as near to the camera as the radius.
         """
         clouds = [unproject(view.window.depth_m, view.window.camera).reshape(-1, 3) for view in views]
-        weights = jnp.full(len(views), pixel_weight, images.weights.dtype)
+        background_m = np.stack([np.where(view.window.inside, view.rest_m, 0) for view in views])
         return cls(
-            **vars(replace(images, weights=weights)),
+            **vars(images),
+            background_m=to_tiles(jnp.asarray(background_m, jnp.float32), 0.0),
             points_m=jnp.asarray(np.stack(clouds), jnp.float32),
             cloud=CloudNoise(
                 outlier_probability=jnp.float32(outlier_probability),
@@ -77,10 +81,14 @@ class CloudLikelihood(DepthLikelihood):
             half_width=max(_half_width(view, radius_m) for view in views),
         )
 
+    def shown(self, layers_m: jax.Array, frames: jax.Array) -> tuple[jax.Array, jax.Array]:  # noqa: ARG002
+        """The layers as they are: clouds have no pixels beside outlines."""
+        return layers_m, jnp.zeros_like(layers_m)
+
     def weighed(
         self, shown: CandidateScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array
     ) -> jax.Array:
-        """Log densities (K, R, X), exponent 1: each frame's in its first tile, 0 in the others.
+        """Log densities (K, R, X): each frame's in its first tile, 0 in the others.
 
         Args:
             shown: what the present scene and the others show.
@@ -97,7 +105,7 @@ class CloudLikelihood(DepthLikelihood):
             layers_m = jnp.concatenate([shown.present.layers_m[draw], shown.fresh_m[draw]])
             uses = jnp.concatenate([stands[scene], mine[scene]])
             depth_m = jnp.min(jnp.where(uses[:, None, None], layers_m, jnp.inf), axis=0)
-            rendered_m = jnp.where(self.rest_m > 0, jnp.minimum(depth_m, self.rest_m), jnp.inf)
+            rendered_m = jnp.where(self.background_m > 0, jnp.minimum(depth_m, self.background_m), jnp.inf)
             log_frames = self._log_frames(from_tiles(rendered_m, self.height, self.width))
             first = jnp.zeros((len(log_frames), tiles // len(log_frames)), jnp.float32)
             log_tiles = first.at[:, 0].set(log_frames.astype(jnp.float32)).ravel()
@@ -111,7 +119,7 @@ class CloudLikelihood(DepthLikelihood):
 
         def frame(given: tuple[Camera, jax.Array, jax.Array]) -> jax.Array:
             camera, points_m, rendered_m = given
-            return log_density(self.cloud, camera, points_m, rendered_m, self.half_width)
+            return POINT_WEIGHT * log_density(self.cloud, camera, points_m, rendered_m, self.half_width)
 
         return jax.lax.map(frame, (self.cameras, self.points_m, rendered_m))
 
@@ -125,8 +133,8 @@ def _seen_volume_m3(view: SceneData) -> float:
 
 def _half_width(view: SceneData, radius_m: float) -> int:
     """Pixels of the finer window to each side that hold every neighbour of a point."""
-    camera, depth_m = view.detail.camera, view.window.depth_m
-    height, width = view.detail.depth_m.shape
+    camera, depth_m = view.window.camera, view.window.depth_m
+    height, width = depth_m.shape
     nearest_m = float(depth_m[depth_m > 0].min(initial=np.inf))
     axes = (camera.fx, camera.cx, width), (camera.fy, camera.cy, height)
     return max(

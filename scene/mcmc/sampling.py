@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.execution import FAST_COMPILE, compile_in_background
 from scene.likelihood.depth_images import DepthLikelihood, log_estimates
 from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.point_clouds import CloudLikelihood
 from scene.mcmc.edges import EdgeMove
 from scene.mcmc.kernel import Kernel, run_block, scene_kernel
@@ -67,13 +67,13 @@ TOGETHER = 2
 def sample_posterior(
     key: jax.Array,
     views: Sequence[SceneData],
+    densities: Sequence[PixelDensity],
     camera_from_world: NDArray[np.float64],
     world_from_camera: NDArray[np.float64],
     supports: Sequence[SupportPlane],
     objects: Sequence[SceneObject],
     start: Initialisation,
     refined: Refinement,
-    noise: DepthNoise,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Samples, float]:
@@ -82,17 +82,17 @@ def sample_posterior(
     Args:
         key: random key.
         views: one a frame.
+        densities: of their windows.
         camera_from_world: (F, 4, 4) of the frames; the world is the frame of the first support, the table.
         world_from_camera: (4, 4) of the frame that was searched.
         supports: in that frame's camera; those that carry nothing of the best scene are left out.
         objects: that a scene may hold.
         start: the best scene of these objects, in the searched frame's camera.
         refined: Gaussians on their poses.
-        noise: of the sensor and the surfaces together.
         config: settings.
         progress: called with blocks of moves done and in all.
     """
-    likelihood = _likelihood(views, camera_from_world, objects, noise, config)
+    likelihood = _likelihood(views, densities, camera_from_world, objects, config)
     starts = refined.means[start.found, :, 4:].reshape(-1, 3)
     starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
     table = supports[0] if supports else None
@@ -118,17 +118,16 @@ def sample_posterior(
 
 def _likelihood(
     views: Sequence[SceneData],
+    densities: Sequence[PixelDensity],
     camera_from_world: NDArray[np.float64],
     objects: Sequence[SceneObject],
-    noise: DepthNoise,
     config: ParseConfig,
 ) -> DepthLikelihood:
     images = DepthLikelihood.of(
         views,
+        densities,
         camera_from_world,
         ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
-        noise,
-        config.pixel_weight,
         objects=len(objects),
         draws=max(config.shape_samples, 1),
     )
@@ -139,7 +138,6 @@ def _likelihood(
         views,
         outlier_probability=config.cloud_outlier_probability,
         radius_m=config.cloud_radius_m,
-        pixel_weight=config.pixel_weight,
     )
 
 

@@ -23,8 +23,6 @@ class SceneData:
         window: the pixels on which scenes are compared.
         window_foreground: its pixels that may show an object.
         rest_m: the window's background depth: the supports' planes, elsewhere what was seen; +inf if nothing.
-        detail: the finer pixels on which chains compare scenes.
-        detail_rest_m: their background depth.
         supports: planes on which objects can stand, that which carries most first.
         region: least and greatest x, y, z, in the first frame's camera, where objects are; empty: anywhere.
         intrinsics: of the image.
@@ -38,8 +36,6 @@ class SceneData:
     window: PixelWindow
     window_foreground: NDArray[np.bool_]
     rest_m: NDArray[np.float32]
-    detail: PixelWindow
-    detail_rest_m: NDArray[np.float32]
     supports: tuple[SupportPlane, ...]
     region: tuple[float, ...]
     intrinsics: CameraIntrinsics

@@ -13,9 +13,6 @@ from shapes.geometry.camera import Camera
 
 WINDOW_HEIGHT, WINDOW_WIDTH = 72, 96
 
-DETAIL = 2
-"""Chains compare scenes on so many times as many pixels along each edge as the search."""
-
 MARGIN_PX = 3
 
 
@@ -51,12 +48,11 @@ def window_over(
     foreground: NDArray[np.bool_],
     depth_m: NDArray[np.float32],
     intrinsics: CameraIntrinsics,
-    detail: int = 1,
 ) -> PixelWindow:
-    """The finest window that holds the foreground pixels, `detail` times WINDOW_HEIGHT x WINDOW_WIDTH."""
+    """The finest window that holds the foreground pixels."""
     places = np.argwhere(foreground) if foreground.any() else np.zeros((1, 2), np.int64)
     low, high = places.min(axis=0), places.max(axis=0) + 1
-    size = detail * np.array([WINDOW_HEIGHT, WINDOW_WIDTH])
+    size = np.array([WINDOW_HEIGHT, WINDOW_WIDTH])
     stride = max(1, int(np.ceil(((high - low) / (size - 2 * MARGIN_PX)).max())))
     first = (low + high - stride * size) // 2
     at_rows, at_columns = (first[axis] + stride * np.arange(size[axis]) for axis in (0, 1))

@@ -22,7 +22,7 @@ from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.observation.depth_view import PooledView, pooled_view, unproject
 from scene.observation.detection import SupportPlane, given_support, support_planes
 from scene.observation.frame_data import SceneData
-from scene.observation.pixel_window import DETAIL, PixelWindow, window_over
+from scene.observation.pixel_window import PixelWindow, window_over
 from scene.observation.standing import HIGHEST_M, LOWEST_M, MARGIN_M, Pieces, is_over, pieces_on
 
 VIEW_WIDTH = 320
@@ -157,7 +157,6 @@ def _data_over(
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
     seen = _in_company(foreground)
     window = window_over(seen, depth_m, intrinsics)
-    detail = window_over(seen, depth_m, intrinsics, DETAIL)
     return SceneData(
         view=replace(view, unexplained=jax.device_put(pooled_foreground)),
         foreground=pooled_foreground,
@@ -166,8 +165,6 @@ def _data_over(
             binary_dilation(window.of(foreground) & window.inside, iterations=2), bool
         ),
         rest_m=background(supports, foreground, window, intrinsics),
-        detail=detail,
-        detail_rest_m=background(supports, foreground, detail, intrinsics),
         supports=tuple(supports),
         region=region,
         intrinsics=intrinsics,

@@ -137,10 +137,9 @@ def _refined(
         pools=np.zeros((found.slots, 0, 7)),
         log_gains=np.zeros((found.slots, 1)),
     )
-    weight = pools.config.pixel_weight
     lines = np.zeros((found.slots, 2, 3))
     moves = found.present & moving[found.placed]
-    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, weight, lines, moves)
+    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, lines, moves)
     poses = poses.copy()
     poses[found.indices] = refined.means[: len(found.indices), 0]
     return poses

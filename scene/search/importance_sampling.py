@@ -42,6 +42,10 @@ APART_M, APART_RAD = 0.02, 0.35
 DRAWS, TOGETHER, TURNS = 96, 4, 5
 """Draws from a Gaussian and turn, and Gaussians in one kernel."""
 
+PIXEL_WEIGHT = 0.25
+"""Exponent of the sensor's density, which takes neighbouring pixels for independent. Gaussians are starts and
+proposals, so that it has no part in what chains and search compare."""
+
 ALIVE = 30.0
 """Effective number of draws to which a turn is tempered."""
 
@@ -111,7 +115,6 @@ def refine(
     numbers: NDArray[np.integer],
     start: Initialisation,
     noise: DepthNoise,
-    pixel_weight: float,
     lines: NDArray[np.float64],
     moving: NDArray[np.bool_] | None = None,
 ) -> Refinement:
@@ -124,7 +127,6 @@ def refine(
         numbers: (N,) of the objects among the renderer's.
         start: the best scene, and the pools.
         noise: of the sensor and the surfaces together.
-        pixel_weight: the likelihood's exponent.
         lines: (N, 2, 3) about which objects are round, as `SceneObject.spin_line`.
         moving: (N,) which ones; all that were found if not told. The others stay where they are.
     """
@@ -146,7 +148,7 @@ def refine(
             tangents = np.einsum("nij,nsj->nsi", batch.factors, normal)
             poses = np.asarray(_moved(batch.means, tangents), np.float64)
             log_ratio = _log_ratio(data, renderer, numbers, batch.owners, poses, rest_m, noise)
-            log_weights = pixel_weight * log_ratio + 0.5 * (normal**2).sum(axis=-1)
+            log_weights = PIXEL_WEIGHT * log_ratio + 0.5 * (normal**2).sum(axis=-1)
             parts.append(_fitted(batch, tangents, log_weights))
         fits = _put(fits, active, parts)
         if turn == 0:

@@ -11,21 +11,20 @@ import trimesh
 from scipy.spatial import KDTree
 
 from recordings.types import DepthNoise
-from scene.likelihood.depth_images import DepthLikelihood
+from scene.likelihood.depth_images import DepthLikelihood, tiles_of_rest
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.point_clouds import CloudLikelihood, CloudNoise, window_half_width
+from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.point_clouds import POINT_WEIGHT, CloudLikelihood, CloudNoise, window_half_width
 from scene.likelihood.shape_draws import candidate_keys
 from scene.model.posterior import Estimate
 from scene.model.scene_graph import SceneGraph, floating_scene
 from scene.objects.scene_object import SceneObject, scene_object
 from scene.observation.depth_view import unproject
-from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
-from shapes.rendering.tiles import to_tiles
 from tests.statistical import assert_mean
 
-HEIGHT, WIDTH, WEIGHT = 48, 64, 0.25
+HEIGHT, WIDTH, BACKGROUND_M = 32, 48, 0.8
 NOISE = DepthNoise(sigma_base_m=0.003, outlier_probability=0.1)
 CLOUD = CloudNoise(outlier_probability=0.02, outlier_volume_m3=0.3, radius_m=0.02)
 
@@ -52,17 +51,23 @@ def images(
     shapes: list[SceneObject], observed_m: np.ndarray, *, objects: int = 2, draws: int = 1
 ) -> DepthLikelihood:
     """Two cameras side by side, a wall behind, the second image's last rows beyond its border."""
-    rest_m = np.full((2, HEIGHT, WIDTH), 0.8, np.float32)
-    rest_m[1, -5:] = 0
-    camera = Camera(*(jnp.full(2, value, jnp.float32) for value in (80.0, 80.0, 31.5, 23.5)))
+    supports_m, inside = (
+        np.full((2, HEIGHT, WIDTH), BACKGROUND_M, np.float32),
+        np.ones((2, HEIGHT, WIDTH), bool),
+    )
+    inside[1, -5:] = False
+    by_frame = [PixelDensity.of(image.astype(np.float32), NOISE, 0.002, 2) for image in observed_m]
+    density = jax.tree.map(lambda *leaves: np.stack([np.float32(leaf) for leaf in leaves]), *by_frame)
+    rest_m, log_rest = tiles_of_rest(density, supports_m, inside)
+    camera = Camera(*(jnp.full(2, value, jnp.float32) for value in (60.0, 60.0, 23.5, 15.5)))
     return DepthLikelihood(
         renderer=ObjectRenderer.of(shapes),
         cameras=camera,
         camera_from_world=jnp.asarray([[1.0, 0, 0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0.05, 0, 0]]),
-        observed_m=to_tiles(jnp.asarray(observed_m, jnp.float32), 0.0),
-        rest_m=to_tiles(jnp.asarray(rest_m), 0.0),
-        weights=jnp.asarray([WEIGHT, WEIGHT / 2]),
-        noise=jax.tree.map(jnp.float32, NOISE),
+        density=density,
+        supports_m=jnp.asarray(supports_m),
+        rest_m=rest_m,
+        log_rest=log_rest,
         fresh_share=jnp.ones(()),
         objects=objects,
         height=HEIGHT,
@@ -80,9 +85,10 @@ def clouds(shapes: list[SceneObject], observed_m: np.ndarray) -> CloudLikelihood
     points_m = np.stack([unproject(image, camera).reshape(-1, 3) for image in thinned])
     return CloudLikelihood(
         **vars(alike),
+        background_m=alike.rest_m,
         points_m=jnp.asarray(points_m, jnp.float32),
         cloud=CLOUD,
-        half_width=window_half_width(float(CLOUD.radius_m), 0.4, 80.0, WIDTH),
+        half_width=window_half_width(float(CLOUD.radius_m), 0.4, 60.0, WIDTH),
     )
 
 
@@ -110,25 +116,34 @@ def offered(
     return likelihood.offered(keys, *beside(scene, poses), current, anew=jnp.array(False))
 
 
-def rendered(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.ndarray:
-    """The whole image (H, W) that a frame shows."""
+def layers(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.ndarray:
+    """Depth (2, H, W) of each object alone in a frame."""
     shifted = scene.poses.at[:, 4:].add(jnp.asarray([0.05 * frame, 0, 0]))
     renderer = likelihood.renderer
     camera = jax.tree.map(lambda leaf: leaf[:1], likelihood.cameras)
     posed = renderer.posed(jnp.arange(2), shifted, jnp.zeros(2, jnp.int32))
-    layers = np.asarray(render_layers(renderer.library, posed, camera, HEIGHT, WIDTH))
-    shown = np.where(np.asarray(scene.present)[:, None, None], layers, np.inf).min(axis=0)
-    return np.minimum(shown, 0.8)[: HEIGHT - 5 * frame]
+    alone = np.asarray(render_layers(renderer.library, posed, camera, HEIGHT, WIDTH))
+    return np.where(np.asarray(scene.present)[:, None, None], alone, np.inf)
+
+
+def rendered(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.ndarray:
+    """The whole image (H, W) that a frame shows."""
+    shown = layers(likelihood, scene, frame).min(axis=0)
+    return np.minimum(shown, BACKGROUND_M)[: HEIGHT - 5 * frame]
 
 
 def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph) -> float:
-    """The log likelihood by whole images."""
+    """The log likelihood by whole images: every pixel has the factor of the nearest layer."""
     total = 0.0
     for frame in range(2):
-        shown = rendered(likelihood, scene, frame)
-        observed = jnp.asarray(observed_m[frame, : len(shown)])
-        log_pixels = depth_noise.log_density(NOISE, observed, jnp.asarray(shown))
-        total += WEIGHT / (1 + frame) * float(np.asarray(log_pixels, np.float64).sum())
+        density = PixelDensity.of(observed_m[frame].astype(np.float32), NOISE, 0.002, 2)
+        rest_m = jnp.full((HEIGHT, WIDTH), BACKGROUND_M, jnp.float32)
+        log_pixels, front_m = np.array(density.of_rest(rest_m)), np.asarray(rest_m)
+        for layer_m in layers(likelihood, scene, frame):
+            log_mine, depth_m = (np.asarray(part) for part in density.of_object(jnp.asarray(layer_m), rest_m))
+            log_pixels = np.where(depth_m < front_m, log_mine, log_pixels)
+            front_m = np.minimum(depth_m, front_m)
+        total += float(log_pixels[: HEIGHT - 5 * frame].astype(np.float64).sum())
     return total
 
 
@@ -144,7 +159,7 @@ def counted(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGra
         counts = KDTree(cloud).query_ball_point(points_m, CLOUD.radius_m, return_length=True)
         inlier = (1 - CLOUD.outlier_probability) / len(cloud) / (4 / 3 * np.pi * CLOUD.radius_m**3)
         density = CLOUD.outlier_probability / CLOUD.outlier_volume_m3 + inlier * counts
-        total += WEIGHT / (1 + frame) * float(np.log(density).sum())
+        total += POINT_WEIGHT * float(np.log(density).sum())
     return total
 
 
@@ -190,7 +205,7 @@ def test_the_likelihood_of_frames_is_their_product(
     """The log likelihood of two frames is the sum of those of each alone, to float32."""
     observed_m = np.random.default_rng(seed).uniform(0.45, 0.85, (2, HEIGHT, WIDTH)).astype(np.float32)
     both, scene = images(boxes, observed_m), floating_scene(poses)
-    tiles = len(both.observed_m) // 2
+    tiles = len(both.rest_m) // 2
 
     def alone(frame: int) -> DepthLikelihood:
         mine = slice(frame * tiles, (frame + 1) * tiles)
@@ -199,9 +214,10 @@ def test_the_likelihood_of_frames_is_their_product(
             both,
             cameras=jax.tree.map(lambda leaf: leaf[one], both.cameras),
             camera_from_world=both.camera_from_world[one],
-            observed_m=both.observed_m[mine],
+            density=jax.tree.map(lambda leaf: leaf[one], both.density),
+            supports_m=both.supports_m[one],
             rest_m=both.rest_m[mine],
-            weights=both.weights[one],
+            log_rest=both.log_rest[mine],
         )
 
     keys = jax.random.split(key, 3)
@@ -230,7 +246,7 @@ def test_the_estimate_over_shapes_is_unbiased(
     meshes = [trimesh.creation.box(size) for size in sizes]
     shapes = [scene_object("it", mesh.vertices, mesh.faces) for mesh in meshes]
     observed_m = np.random.default_rng(seed).normal(0.61, 0.02, (2, HEIGHT, WIDTH))
-    observed_m[:, :, :40] = 0.8
+    observed_m[:, :, :30] = 0.8
     scene = floating_scene(poses[:1])
     start_key, offer_key = jax.random.split(key)
     alone = [images([one], observed_m, objects=1) for one in shapes]

@@ -89,7 +89,6 @@ def test_only_what_moves_is_refined(key: jax.Array, seed: int) -> None:
             np.arange(2),
             start,
             DepthNoise(outlier_probability=0.01),
-            1.0,
             np.zeros((2, 2, 3)),
             np.array([True, False]),
         )
