@@ -28,14 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
+from scene.likelihood.causal_planes import fitted, shifts
 from scene.likelihood.unknown_surfaces import (
     EDGES,
     NO_EDGE,
     UnknownSurfaces,
     UnknownWeights,
-    fitted,
     normal_distribution,
-    shifts,
     surprised,
 )
 from shapes.depth_noise import standard_deviation

@@ -14,16 +14,16 @@ they are those of its sensor, at the distance from one compared pixel to the nex
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import erf
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
+from scene.likelihood.causal_planes import fitted, shifted, shifts, wide_slopes
 from shapes.depth_noise import standard_deviation
 
 REACH_M = 2.5
@@ -48,14 +48,6 @@ LIKE_ALL = 20.0
 """Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
 USES_LEFT, USES_ABOVE = (1, 1, 1, 0, 1), (1, 1, 0, 1, 1)
 """Which predictions look at the pixel to the left and at that above."""
-ROWS_BEFORE, COLUMNS_BESIDE = 2, 2
-"""The pixels before one to which planes are fitted: so many rows above, so many columns to either side."""
-WIDE_PX, NEAR_SIGMAS = 6, 4.0
-"""A surface's slopes are those of its pixels up to so many rows above and columns beside, so far from the
-plane through those near by, in standard deviations of the sensor."""
-STIFFNESS, LEAST_COUNT = 0.5, 1e-3
-"""Added to the normal equations of slopes, in pixels squared, and the least weight of all: few pixels tell
-of no slope."""
 
 
 @jax.tree_util.register_dataclass
@@ -217,7 +209,7 @@ def _plane(
 
     near = shifts(depth_m)
     first = fitted(lambda *by: rise(near(*by)))
-    wide_x, wide_y = _wide_slopes(depth_m, base, first, standard_deviation(noise, base_m) * base**2)
+    wide_x, wide_y = wide_slopes(depth_m, base, first, standard_deviation(noise, base_m) * base**2)
 
     def beside(down: int, across: int) -> tuple[jax.Array, jax.Array]:
         value, use = rise(near(down, across))
@@ -225,38 +217,6 @@ def _plane(
 
     here = base + fitted(beside)[0]
     return _depth(here, known), (wide_x, wide_y)
-
-
-def _wide_slopes(
-    depth_m: jax.Array, base: jax.Array, first: tuple[jax.Array, ...], sigma: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Slopes (H, W) in inverse depth of the plane through all pixels before that lie near a first one.
-
-    Args:
-        depth_m: (H, W).
-        base: (H, W) inverse depth from which planes rise.
-        first: (3) (H, W) what the first plane has here, and its slopes.
-        sigma: (H, W) standard deviation of inverse depths.
-    """
-    size = depth_m.shape
-    rows, columns = (min(WIDE_PX, length - 1) for length in size)
-    wide = jnp.pad(depth_m, ((rows, 0), (columns, columns)), constant_values=NO_RETURN)
-    down, across = np.divmod(np.arange((rows + 1) * (2 * columns + 1)), 2 * columns + 1)
-    before = np.stack([down, columns - across], axis=1).astype(np.int32)
-    places = jnp.asarray(before[(before[:, 0] > 0) | (before[:, 1] > 0)])
-
-    def add(number: jax.Array, sums: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        down, across = places[number]
-        near_m = jax.lax.dynamic_slice(wide, (rows - down, columns - across), size)
-        measured = near_m != NO_RETURN
-        value = 1 / jnp.where(measured, near_m, 1.0) - base
-        away = value - (first[0] - across * first[1] - down * first[2])
-        use = measured & (jnp.abs(away) < NEAR_SIGMAS * sigma)
-        return _added(sums, value, use.astype(depth_m.dtype), down, across)
-
-    sums = jax.lax.fori_loop(0, len(places), add, (jnp.zeros_like(depth_m),) * 9)
-    _, slope_x, slope_y = _solved(sums)
-    return slope_x, slope_y
 
 
 def _farther(near_m: jax.Array, slope: jax.Array) -> jax.Array:
@@ -268,58 +228,6 @@ def _farther(near_m: jax.Array, slope: jax.Array) -> jax.Array:
 def _depth(inverse: jax.Array, known: jax.Array) -> jax.Array:
     """Depth (H, W) of inverse depths, `NO_RETURN` where they are not known or no camera sees."""
     return jnp.where(known & (inverse > 1 / FARTHEST_M), 1 / jnp.maximum(inverse, 1 / FARTHEST_M), NO_RETURN)
-
-
-def fitted(before: Callable[[int, int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, ...]:
-    """The least-squares plane through the pixels before each: value (H, W) there, slopes right and down.
-
-    Args:
-        before: values and weights (H, W) of the pixels so many rows above and columns to the left of each.
-    """
-    sums = (jnp.zeros(()),) * 9
-    for down in range(ROWS_BEFORE + 1):
-        for across in range(1 if down == 0 else -COLUMNS_BESIDE, COLUMNS_BESIDE + 1):
-            sums = _added(sums, *before(down, across), down, across)
-    return _solved(sums)
-
-
-def _added(
-    sums: tuple[jax.Array, ...], value: jax.Array, use: jax.Array, down: ArrayLike, across: ArrayLike
-) -> tuple[jax.Array, ...]:
-    """The sums of the normal equations with one more pixel of each."""
-    x, y = -jnp.asarray(across, value.dtype), -jnp.asarray(down, value.dtype)
-    terms = (1.0, x, y, x * x, x * y, y * y, value, x * value, y * value)
-    return tuple(total + use * term for total, term in zip(sums, terms, strict=True))
-
-
-def _solved(sums: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Value and slopes of planes from the sums of their normal equations; 0 without any pixel."""
-    count, x, y, xx, xy, yy, d, xd, yd = sums
-    n = jnp.maximum(count, LEAST_COUNT)
-    xx, xy, yy = xx - x * x / n + STIFFNESS, xy - x * y / n, yy - y * y / n + STIFFNESS
-    xd, yd = xd - x * d / n, yd - y * d / n
-    determinant = xx * yy - xy**2
-    slope_x, slope_y = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
-    return (d - slope_x * x - slope_y * y) / n, slope_x, slope_y
-
-
-def shifted(image: jax.Array, down: int, across: int) -> jax.Array:
-    """The pixel so far above and to the left (or right) of each, `NO_RETURN` beyond the border."""
-    return shifts(image)(down, across)
-
-
-def shifts(image: jax.Array) -> Callable[[int, int], jax.Array]:
-    """The pixels (H, W) so many rows above each and columns to its left, `NO_RETURN` beyond the border."""
-    height, width = image.shape
-    sides = (COLUMNS_BESIDE, COLUMNS_BESIDE)
-    wide = jnp.pad(image, ((ROWS_BEFORE, 0), sides), constant_values=NO_RETURN)
-    wide = jax.lax.optimization_barrier(wide)  # else every use pads anew, pixel by pixel
-
-    def at(down: int, across: int) -> jax.Array:
-        row, column = ROWS_BEFORE - down, COLUMNS_BESIDE - across
-        return wide[row : row + height, column : column + width]
-
-    return at
 
 
 def normal_distribution(x: jax.Array) -> jax.Array:
