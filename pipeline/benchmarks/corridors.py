@@ -17,12 +17,13 @@ from pipeline.synthesis.world import Part
 from recordings.truth import SceneTruth
 from recordings.types import Trajectory
 
-LENGTH_M = 16.0
+LENGTH_M = 20.0
 """Once round."""
 WIDTH_M, HEIGHT_M, WALL_M = 1.8, 2.4, 0.1
 EYE_M, PITCH_RAD = 1.4, 0.35
 """Height of the camera, and how far it looks down: a robot's."""
-TURN_RADIUS_M = 0.6
+TURN_RADIUS_M = 0.9
+"""About the corner of the inner wall."""
 STEP_M, STEP_NS = 0.1, 100_000_000
 """From frame to frame: a metre a second."""
 OVERRUN_M = 1.0
@@ -92,7 +93,7 @@ def _path(side_m: float, walked_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _parts(side_m: float, rng: np.random.Generator) -> list[Part]:
-    """Floor, ceiling, both walls and the things along them."""
+    """Floor, ceiling, both walls and the things along them, none in the way of another side."""
     outer, inner = side_m + WIDTH_M, side_m - WIDTH_M
     slab = block(outer, outer, WALL_M)
     shell = union(
@@ -105,7 +106,8 @@ def _parts(side_m: float, rng: np.random.Generator) -> list[Part]:
     for _ in range(int(4 * side_m * PIECES_PER_M)):
         depth, width = rng.uniform(*PIECE_DEPTH_M), rng.uniform(0.2, 1.0)
         high, low = rng.uniform(0.4, HEIGHT_M), rng.choice([0.0, rng.uniform(0.0, 1.2)])
-        along, wall = rng.uniform(-side_m / 2, side_m / 2), rng.choice([-1.0, 1.0])
+        wall = rng.choice([-1.0, 1.0])
+        along = (side_m - wall * WIDTH_M - width) / 2 * rng.uniform(-1.0, 1.0)
         across = -side_m / 2 + wall * (WIDTH_M / 2 - depth / 2)
         piece = block(width, depth, min(high, HEIGHT_M - low), x=along, y=across, z=low)
         pieces.append(piece.rotate((0.0, 0.0, 90.0 * rng.integers(4))))
