@@ -18,7 +18,7 @@ from recordings.truth import SceneTruth
 from recordings.types import Trajectory
 
 LENGTH_M = 20.0
-"""Once round."""
+"""Once round, its corners not cut."""
 WIDTH_M, HEIGHT_M, WALL_M = 1.8, 2.4, 0.1
 EYE_M, PITCH_RAD = 1.4, 0.35
 """Height of the camera, and how far it looks down: a robot's."""
@@ -34,22 +34,28 @@ PIECES_PER_M = 3.0
 """Cupboards, boxes and door frames along both walls."""
 PIECE_DEPTH_M = (0.05, 0.4)
 FIELD_OF_VIEW_DEG = 70.0
+DISTORTION_PER_M = 1.5e-3
+"""Standard deviation of the field of the sensors that have one: the 7-Scenes kitchen's."""
 
 
 def corridor_rows() -> list[Row]:
     """Judged where the camera ends: at its start again, where a loop can be closed, or on the third side."""
     return [
         Row(
-            name=f"corridor of {LENGTH_M:.0f} m, {way}",
-            case=partial(corridor, LENGTH_M, returns=returns),
+            name=f"corridor of {LENGTH_M:.0f} m, {way}{sensor}",
+            case=partial(corridor, LENGTH_M, returns=returns, distortion_per_m=distortion),
             judged_by="end",
         )
+        for sensor, distortion in (("", 0.0), (", distorted", DISTORTION_PER_M))
         for way, returns in (("all round", True), ("three sides", False))
     ]
 
 
-def corridor(length_m: float, number: int, *, returns: bool) -> Case:
-    """Frames of 160 x 120 along a square way of that length, room and things of that number."""
+def corridor(length_m: float, number: int, *, returns: bool, distortion_per_m: float = 0.0) -> Case:
+    """Frames of 160 x 120 along a square way of that length, room and things of that number.
+
+    The camera's distortion field, of that standard deviation, is drawn for each number, too.
+    """
     rng = np.random.default_rng([number, 77_004])
     side = length_m / 4.0
     walked = length_m + OVERRUN_M if returns else OPEN_SHARE * length_m
@@ -60,7 +66,7 @@ def corridor(length_m: float, number: int, *, returns: bool) -> Case:
         SceneTruth(objects=(), support_plane=None),
         Trajectory(times_ns=STEP_NS * np.arange(len(poses)), reference_from_camera=poses),
         camera.intrinsics,
-        DepthSensor(),
+        DepthSensor(distortion_per_m=distortion_per_m),
         number,
     )
     return filmed(recording)
