@@ -52,8 +52,8 @@ class SeenColours:
     def log_shares(self, found: int, turns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log probabilities (T,) of turns of one of the found objects, each as likely before."""
         number, pose = self.numbers[found : found + 1], self.poses[found : found + 1]
-        depth_m = self.renderer.layers(number, pose, self.data.window)
-        sums = self.colours.log_factors_of_turns(int(number[0]), turns, pose, depth_m)[0]
+        layer_m = self.renderer.layers(number, pose, self.data.window)[0]
+        sums = self.colours.log_factors_of_turns(int(number[0]), turns, pose[0], layer_m)
         return sums - np.logaddexp.reduce(sums)
 
 

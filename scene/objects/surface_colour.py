@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -36,6 +36,11 @@ sensor's noise hides the rest. A mug's handle, a tenth of it, does not pass."""
 APART_RAD = np.radians(5.0)
 """Turns closer than that are one."""
 MOST_TURNS = 64
+ALIKE_COLOURS = 0.1
+"""Mean difference of colours, in logs, up to which they are alike: that of a twentieth of a thing in another
+colour altogether; stripes that run round a thing differ by half of it, from voxel to voxel."""
+TOLD_BY = 4096
+"""Points of the surface whose colours are compared."""
 TESTED = 512
 """Points of the surface that are turned."""
 
@@ -49,7 +54,7 @@ class SurfaceColour:
         origin_m: (3,) corner of voxel (0, 0, 0).
         pitch_m: edge of a voxel.
         is_known: False where the whole surface has one colour that nobody knows.
-        turns: (T, 4, 4) after which the shape alone looks the same, the identity first.
+        turns: (T, 4, 4) after which the shape looks the same and the colours do not; the identity first.
         spins: whether these are steps of a turn by any angle.
     """
 
@@ -59,6 +64,22 @@ class SurfaceColour:
     is_known: bool
     turns: NDArray[np.float64]
     spins: bool
+
+    def at(self, points_m: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Colours (..., 3) of points (..., 3) on the surface."""
+        cell = np.floor((points_m - self.origin_m) / self.pitch_m).astype(int)
+        x, y, z = np.moveaxis(np.clip(cell, 0, np.array(self.values.shape[:3]) - 1), -1, 0)
+        return self.values[x, y, z]
+
+    def told_apart(self, turns: NDArray[np.float64], points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Those of the turns (T, 4, 4) after which points (P, 3) of the surface show other colours."""
+        chosen, shown = list[NDArray[np.float64]](), list[NDArray[np.float32]]()
+        for turn in turns:
+            colours = self.at((points_m - turn[:3, 3]) @ turn[:3, :3])
+            if all(np.abs(colours - before).mean() > ALIKE_COLOURS for before in shown):
+                chosen.append(turn)
+                shown.append(colours)
+        return np.stack(chosen)
 
 
 def log_colour(rgb: ArrayLike, gamma: float) -> NDArray[np.float64]:
@@ -102,15 +123,19 @@ def surface_colour(
         light = (rgb[corners].astype(np.float64) / 255) ** gamma
         shown = components_of_light((weights[..., None] * light).sum(axis=1).clip(0, 1))
         values = _along_surface(points, shown, origin_m, pitch_m, tuple(size.tolist()))
-    turns, spins = (np.eye(4)[None], False) if rgb is None else alike_turns(points, *lines)
-    return SurfaceColour(
+    bare = SurfaceColour(
         values=values,
         origin_m=origin_m,
         pitch_m=pitch_m,
         is_known=rgb is not None,
-        turns=turns,
-        spins=spins,
+        turns=np.eye(4)[None],
+        spins=False,
     )
+    if rgb is None:
+        return bare
+    turns, spins = alike_turns(points, *lines)
+    turns = bare.told_apart(turns, points[:TOLD_BY])
+    return replace(bare, turns=turns, spins=spins and len(turns) > 1)
 
 
 def _sampled(mesh: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], NDArray[np.int_]]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import FAST_COMPILE
-from scene.likelihood.colour_density import ANY_SD, GAIN_SD, ColourDensity, window_colours
+from scene.likelihood.colour_density import ANY_SD, GAIN_SD, SURFACE_SD, ColourDensity, window_colours
 from scene.likelihood.pixel_density import PixelDensity
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
@@ -20,8 +20,10 @@ from scene.observation.frame_data import SceneData
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import matrices_of, poses_of
 
-SKIPPED = 2
-"""Of so many rows and columns of the window one is looked at when turns are compared."""
+COMPARED = 384
+"""Pixels of a layer, drawn at random, by which turns are compared in the search: a label is many of them."""
+STRANGE = 3.0
+"""Standard deviations from which a pixel tells no more of a turn: what hides the surface."""
 
 
 @jax.tree_util.register_dataclass
@@ -78,14 +80,12 @@ class ColourLayers:
         depth_density: of the window's depth, which tells what pixels show.
         tables: of the objects.
         camera: of the window.
-        coarse: the density of every `SKIPPED`-th row and column of the window.
     """
 
     density: ColourDensity
     depth_density: PixelDensity
     tables: ColourTables
     camera: Camera
-    coarse: ColourDensity
 
     @classmethod
     def of(
@@ -98,15 +98,8 @@ class ColourLayers:
         """
         if data.rgb is None:
             raise ValueError("the frame has no colours")
-        observed, known = window_colours(data.rgb, data.rgb_known, data.window, gamma)
-        density = ColourDensity.of(observed, known)
-        return cls(
-            density=density,
-            depth_density=depth_density,
-            tables=ColourTables.of(objects),
-            camera=data.window.camera,
-            coarse=ColourDensity.of(observed[::SKIPPED, ::SKIPPED], known[::SKIPPED, ::SKIPPED]),
-        )
+        density = ColourDensity.of(*window_colours(data.rgb, data.rgb_known, data.window, gamma))
+        return cls(density, depth_density, ColourTables.of(objects), data.window.camera)
 
     def log_factors(
         self, numbers: NDArray[np.integer], poses: NDArray[np.floating], depth_m: NDArray[np.float32]
@@ -130,51 +123,46 @@ class ColourLayers:
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         """The poses (n, 7), each after that turn which leaves the shape as it is and suits its colours best.
 
-        And log shares (n,): of what is round any spin fits the depth, of which colours leave such a share.
+        And log shares (n,): of what is round any spin fits the depth, and the colours one of so many.
         """
         turned, log_shares = np.array(poses, np.float64), np.zeros(len(poses))
         for one in np.unique(numbers):
             colour, mine = objects[one].colour, np.flatnonzero(numbers == one)
-            if colour is not None and len(colour.turns) > 1:
-                sums = self.log_factors_of_turns(int(one), colour.turns, turned[mine], depth_m[mine])
-                best = colour.turns[sums.argmax(axis=1)]
-                turned[mine] = poses_of(matrices_of(turned[mine]) @ best)
-                if colour.spins:
-                    fitting = np.exp(sums - sums.max(axis=1, keepdims=True)).sum(axis=1)
-                    log_shares[mine] = np.minimum(np.log(fitting / SPINS), 0.0)
+            if colour is None or len(colour.turns) == 1:
+                continue
+            before = matrices_of(turned[mine])
+            turns, cameras = colour.turns.astype(np.float32), before.astype(np.float32)
+            best = np.asarray(_best_turns(self, np.int32(one), turns, cameras, depth_m[mine]))
+            turned[mine] = poses_of(before @ colour.turns[best])
+            log_shares[mine] = -np.log(SPINS) if colour.spins else 0.0
         return turned.astype(np.float32), log_shares
 
     def log_factors_of_turns(
         self,
         one: int,
         turns: NDArray[np.float64],
-        poses: NDArray[np.floating],
-        depth_m: NDArray[np.float32],
+        pose: NDArray[np.floating],
+        layer_m: NDArray[np.float32],
     ) -> NDArray[np.float64]:
-        """Sums (n, T) over every `SKIPPED`-th row and column of an object's factors, after turns (T, 4, 4).
+        """Sums (T,) over the window of an object's factors, after turns (T, 4, 4).
 
         Args:
             one: number of the object.
             turns: that leave its shape as it is.
-            poses: (n, 7) camera_from_box before the turn.
-            depth_m: (n, H, W).
+            pose: (7,) camera_from_box before the turn.
+            layer_m: (H, W) depth of the object alone.
         """
-        cameras_from_box = matrices_of(np.asarray(poses, np.float64))[:, None] @ turns
-        sums = _sums_of_turns(self, np.int32(one), cameras_from_box.astype(np.float32), depth_m)
-        return np.asarray(sums, np.float64)
+        cameras_from_box = (matrices_of(np.asarray(pose, np.float64)) @ turns).astype(np.float32)
+        return np.asarray(_sums_of_turns(self, np.int32(one), cameras_from_box, layer_m), np.float64)
 
 
-def _model(
-    layers: ColourLayers, one: jax.Array, camera_from_box: jax.Array, depth_m: jax.Array, step: int
-) -> jax.Array:
-    """Colours of an object at a pose (4, 4) in every `step`-th row and column of its layer (H, W)."""
-    camera = layers.camera
-    height, width = depth_m.shape
-    columns, rows = jnp.meshgrid(jnp.arange(0, width, step), jnp.arange(0, height, step))
-    finite_m = jnp.where(jnp.isfinite(depth_m), depth_m, 1.0)[::step, ::step]
-    rays = [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, jnp.ones_like(finite_m)]
-    points_m = jnp.stack(rays, axis=-1) * finite_m[..., None] - camera_from_box[:3, 3]
-    return layers.tables.at(one, points_m @ camera_from_box[:3, :3])
+def _in_box(camera: Camera, camera_from_box: jax.Array, layer_m: jax.Array) -> jax.Array:
+    """Points (H, W, 3) of a layer (H, W), in the frame of the box at a pose (4, 4)."""
+    columns, rows = jnp.meshgrid(jnp.arange(layer_m.shape[1]), jnp.arange(layer_m.shape[0]))
+    depth_m = jnp.where(jnp.isfinite(layer_m), layer_m, 1.0)
+    rays = [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, jnp.ones_like(depth_m)]
+    points_m = jnp.stack(rays, axis=-1) * depth_m[..., None] - camera_from_box[None, None, :3, 3]
+    return points_m @ camera_from_box[:3, :3]
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
@@ -183,10 +171,8 @@ def _log_factors(
 ) -> jax.Array:
     def factor(part: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         one, camera_from_box, layer_m = part
-        model, shows = (
-            _model(layers, one, camera_from_box, layer_m, 1),
-            layers.depth_density.shown_by(layer_m),
-        )
+        model = layers.tables.at(one, _in_box(layers.camera, camera_from_box, layer_m))
+        shows = layers.depth_density.shown_by(layer_m)
         return layers.density.log_factor(model, shows, layers.tables.gain_sd[one])
 
     return jax.lax.map(factor, (numbers, cameras_from_box, depth_m))
@@ -194,16 +180,39 @@ def _log_factors(
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
 def _sums_of_turns(
-    layers: ColourLayers, one: jax.Array, cameras_from_box: jax.Array, depth_m: jax.Array
+    layers: ColourLayers, one: jax.Array, cameras_from_box: jax.Array, layer_m: jax.Array
 ) -> jax.Array:
-    def sums(part: tuple[jax.Array, jax.Array]) -> jax.Array:
-        turned, layer_m = part
-        shows = layers.depth_density.shown_by(layer_m)[::SKIPPED, ::SKIPPED]
+    shows = layers.depth_density.shown_by(layer_m)
 
-        def of_turn(camera_from_box: jax.Array) -> jax.Array:
-            model = _model(layers, one, camera_from_box, layer_m, SKIPPED)
-            return jnp.sum(layers.coarse.log_factor(model, shows, layers.tables.gain_sd[one]))
+    def of_turn(camera_from_box: jax.Array) -> jax.Array:
+        model = layers.tables.at(one, _in_box(layers.camera, camera_from_box, layer_m))
+        return jnp.sum(layers.density.log_factor(model, shows, layers.tables.gain_sd[one]))
 
-        return jax.lax.map(of_turn, turned)
+    return jax.lax.map(of_turn, cameras_from_box)
 
-    return jax.lax.map(sums, (cameras_from_box, depth_m))
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _best_turns(
+    layers: ColourLayers, one: jax.Array, turns: jax.Array, cameras_from_box: jax.Array, depth_m: jax.Array
+) -> jax.Array:
+    """The turn (n,) that leaves the least of `COMPARED` pixels' residuals about their common gain."""
+    order = jax.random.uniform(jax.random.key(0), depth_m.shape[1:])
+    gain_sd, surface_sd = layers.tables.gain_sd[one], jnp.asarray(SURFACE_SD)
+
+    def best(part: tuple[jax.Array, jax.Array]) -> jax.Array:
+        camera_from_box, layer_m = part
+        shows = jnp.where(layers.density.known, layers.depth_density.shown_by(layer_m), 0.0)
+        _, places = jax.lax.top_k(jnp.where(shows > 0, order, -1.0).ravel(), COMPARED)
+        weights = shows.ravel()[places][:, None] / surface_sd[None] ** 2
+        points_m = _in_box(layers.camera, camera_from_box, layer_m).reshape(-1, 3)[places]
+        observed = layers.density.observed.reshape(-1, 3)[places]
+
+        def misfit(turn: jax.Array) -> jax.Array:
+            residual = observed - layers.tables.at(one, (points_m - turn[None, :3, 3]) @ turn[:3, :3])
+            gain = jnp.sum(weights * residual, axis=0) / (gain_sd**-2.0 + jnp.sum(weights, axis=0))
+            squares = jnp.sum(weights * (residual - gain[None]) ** 2, axis=1)
+            return jnp.sum(jnp.minimum(squares, STRANGE**2)) + jnp.sum((gain / gain_sd) ** 2)
+
+        return jnp.argmin(jax.lax.map(misfit, turns))
+
+    return jax.lax.map(best, (cameras_from_box, depth_m))

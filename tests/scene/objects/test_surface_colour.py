@@ -47,6 +47,15 @@ def test_colours_are_those_beside() -> None:
     assert far.sum() > 300
 
 
+@pytest.mark.parametrize("pattern", ["plain", "stripes"])
+def test_a_can_that_looks_the_same_all_round_does_not_spin(pattern: str) -> None:
+    """Its colours tell no spin; stripes tell at most which end is up."""
+    colour = coloured("can", pattern)[0].colour
+    assert colour is not None
+    assert len(colour.turns) <= 2
+    assert colour.spins == (len(colour.turns) > 1)
+
+
 def test_an_unknown_colour_turns_nothing() -> None:
     """One albedo that nobody knows tells no turn from another."""
     mesh = built_in_object("can")
