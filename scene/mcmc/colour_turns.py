@@ -2,7 +2,8 @@
 
 A can's spin, or which way round a box lies: shape and depth are the same after each of these turns, so that
 given everything else of a sample they are independent of the depth images, and a draw from their conditional
-is a Gibbs step on the posterior with colours.
+is a Gibbs step on the posterior with colours. Where depth may tell such turns, as of most real boxes, the
+chains' samples are drawn again by what colours say of the turn that they took.
 """
 
 from __future__ import annotations
@@ -68,28 +69,71 @@ def with_drawn_turns(
         world_from_camera: (4, 4) of its frame.
         samples: of chains.
     """
-    poses, log_posterior = samples.poses.copy(), samples.log_posterior.copy()
     for slot, number in enumerate(seen.numbers.tolist()):
-        one = seen.objects[number]
-        turns = turns_of(one)
-        if len(turns) == 1:
-            continue
-        log_shares = seen.log_shares(slot, turns)
-        here = matrices_of(poses[..., slot, :])
-        best = world_from_camera @ matrices_of(np.asarray(seen.poses[slot], np.float64))
-        before, same = _turns_taken(best, here, turns)
-        drawn = rng.choice(len(turns), p=np.exp(log_shares), size=before.shape)
-        turned = here @ np.linalg.inv(turns)[before] @ turns[drawn]
-        if one.colour is not None and one.colour.spins:
-            turned = turned @ _between(rng, one, before.shape)
-        poses[..., slot, :] = np.where(same[..., None], poses_of(turned), poses[..., slot, :])
-        log_posterior += np.where(same, log_shares[drawn], 0.0)
+        if len(turns_of(seen.objects[number])) > 1:
+            samples = _with_drawn_turn(rng, seen, world_from_camera, samples, slot)
+    return samples
+
+
+def _with_drawn_turn(
+    rng: np.random.Generator,
+    seen: SeenColours,
+    world_from_camera: NDArray[np.float64],
+    samples: Samples,
+    slot: int,
+) -> Samples:
+    one = seen.objects[int(seen.numbers[slot])]
+    turns = turns_of(one)
+    log_shares = seen.log_shares(slot, turns)
+    here = matrices_of(samples.poses[..., slot, :])
+    best = world_from_camera @ matrices_of(np.asarray(seen.poses[slot], np.float64))
+    before, same = _turns_taken(best, here, turns)
+    if one.colour is None or not one.colour.exact:
+        return _with_resampled(rng, samples, slot, np.where(same, log_shares[before], log_shares[0]))
+    drawn = rng.choice(len(turns), p=np.exp(log_shares), size=before.shape)
+    turned = here @ np.linalg.inv(turns)[before] @ turns[drawn]
+    if one.colour.spins:
+        turned = turned @ _between(rng, one, before.shape)
+    poses = samples.poses.copy()
+    poses[..., slot, :] = np.where(same[..., None], poses_of(turned), poses[..., slot, :])
+    log_posterior = samples.log_posterior + np.where(same, log_shares[drawn], 0.0)
     return replace(samples, poses=poses, log_posterior=log_posterior)
 
 
+def _with_resampled(
+    rng: np.random.Generator, samples: Samples, slot: int, log_weights: NDArray[np.float64]
+) -> Samples:
+    """Samples of one object in proportion to weights (S, chains), the others' left as they are.
+
+    A sample stays with the probability of its weight over the greatest, and else becomes one of all.
+    """
+    share = np.exp(log_weights.ravel() - log_weights.max())
+    others = rng.choice(len(share), p=share / share.sum(), size=len(share))
+    chosen = np.where(rng.random(len(share)) < share, np.arange(len(share)), others)
+
+    def taken(rows: NDArray) -> NDArray:
+        after = rows.copy()
+        after[:, :, slot] = (
+            rows[:, :, slot].reshape(len(share), *rows.shape[3:])[chosen].reshape(rows[:, :, slot].shape)
+        )
+        return after
+
+    return replace(
+        samples,
+        poses=taken(samples.poses),
+        parents=taken(samples.parents),
+        parent_faces=taken(samples.parent_faces),
+        child_faces=taken(samples.child_faces),
+        log_posterior=samples.log_posterior + log_weights.ravel()[chosen].reshape(log_weights.shape),
+    )
+
+
 def turns_of(one: SceneObject) -> NDArray[np.float64]:
-    """All turns (T, 4, 4) that leave an object's shape as it is, spins in finer steps."""
-    if one.colour is None:
+    """All turns (T, 4, 4) that leave an object's shape as it is, spins in finer steps.
+
+    None but the identity where its colours look the same after all of them.
+    """
+    if one.colour is None or len(one.colour.looks) == 1:
         return np.eye(4)[None]
     if not one.colour.spins:
         return one.colour.turns

@@ -128,13 +128,13 @@ class ColourLayers:
         turned, log_shares = np.array(poses, np.float64), np.zeros(len(poses))
         for one in np.unique(numbers):
             colour, mine = objects[one].colour, np.flatnonzero(numbers == one)
-            if colour is None or len(colour.turns) == 1:
+            if colour is None or len(colour.looks) == 1:
                 continue
             before = matrices_of(turned[mine])
-            turns, cameras = colour.turns.astype(np.float32), before.astype(np.float32)
+            turns, cameras = colour.looks.astype(np.float32), before.astype(np.float32)
             best = np.asarray(_best_turns(self, np.int32(one), turns, cameras, depth_m[mine]))
-            turned[mine] = poses_of(before @ colour.turns[best])
-            log_shares[mine] = -np.log(SPINS) if colour.spins else 0.0
+            turned[mine] = poses_of(before @ colour.looks[best])
+            log_shares[mine] = -np.log(min(len(colour.looks), SPINS)) if colour.spins else 0.0
         return turned.astype(np.float32), log_shares
 
     def log_factors_of_turns(

@@ -91,12 +91,21 @@ class PosePools:
         log_colour, log_shares = None, np.zeros(found.shape[:2])
         if self.colours is not None:
             turned, shares = self.colours.turned(self.objects, numbers, found.reshape(-1, 7), depth_m)
+            if anew := self._told_by_depth(numbers, found.reshape(-1, 7), turned):
+                depth_m[anew] = self.renderer.layers(numbers[anew], turned[anew], self.data.window)
             log_colour = self.config.colour_weight * self.colours.log_factors(numbers, turned, depth_m)
             found, log_shares = turned.reshape(found.shape), shares.reshape(found.shape[:2])
         poses = self.poses.copy()
         poses[which, first : first + found.shape[1]] = found
         layers = self._with_layers(depth_m, log_colour, log_shares, poses, found, which, first)
         return replace(self, poses=poses, layers=layers)
+
+    def _told_by_depth(
+        self, numbers: NDArray[np.integer], found: NDArray[np.float32], turned: NDArray[np.float32]
+    ) -> list[int]:
+        """Which poses (n, 7) were turned to others that show another depth."""
+        near = np.array([one.colour is not None and not one.colour.exact for one in self.objects])
+        return np.flatnonzero(near[numbers] & (np.abs(turned - found).max(axis=1) > 1e-4)).tolist()
 
     def without(self, one: int, places: NDArray[np.bool_]) -> PosePools:
         """The pools with some poses (K,) of an object left out."""

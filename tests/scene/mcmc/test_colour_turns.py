@@ -1,6 +1,6 @@
 """Turns are drawn as their colours say, wherever the chains left them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -44,35 +44,64 @@ def box() -> SceneObject:
     return one.coloured(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb, 2.2)
 
 
+def drawn_from(
+    seed: int, one: SceneObject, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Samples, Samples]:
+    """Ways in which the box lies and its matrices afterwards, and the samples before and after.
+
+    Args:
+        seed: of the draws.
+        one: the box.
+        start: (S, chains) ways in which it lies before; the first sample lies elsewhere.
+    """
+    turns = turns_of(one)
+    best = matrices_of(np.array([0.8, 0.6, 0, 0, 0.05, 0.02, 0.6]))
+    poses = (WORLD_FROM_CAMERA @ best)[None, None] @ turns[start]
+    poses[0, 0, :3, 3] += 0.1
+    samples = Samples(
+        poses=poses_of(poses)[..., None, :],
+        parents=start[..., None].astype(np.int32),
+        parent_faces=np.zeros((*start.shape, 1), np.int32),
+        child_faces=np.zeros((*start.shape, 1), np.int32),
+        log_posterior=np.zeros(start.shape),
+        accepted=np.ones(start.shape),
+    )
+    told = cast("SeenColours", Told([one], np.array([0]), poses_of(best)[None]))
+    drawn = with_drawn_turns(np.random.default_rng(seed), told, WORLD_FROM_CAMERA, samples)
+    after = matrices_of(cast("Any", drawn.poses)[:, :, 0])
+    between = (np.linalg.inv(WORLD_FROM_CAMERA @ best) @ after)[..., :3, :3]
+    way = np.einsum("scij,tij->sct", between, turns[:, :3, :3]).argmax(axis=-1)
+    return way, after, samples, drawn
+
+
+def test_where_depth_tells_turns_samples_are_weighed(seed: int) -> None:
+    """Ways that depth finds 7 : 1 : 1 : 1 become as told times that; each keeps its own parent.
+
+    No exact test: 1,000 samples are drawn again from 1,000. Shares are within 0.08 of the exact ones, four
+    standard deviations of both draws.
+    """
+    one = box()
+    assert one.colour is not None
+    one = replace(one, colour=replace(one.colour, exact=False))
+    before = np.array([0.7, 0.1, 0.1, 0.1])
+    start = np.random.default_rng(seed).choice(4, p=before, size=(500, 2))
+    way, _, _, drawn = drawn_from(seed, one, start)
+    exact = SHARES * before / (SHARES * before).sum()
+    shares = np.bincount(way.ravel(), minlength=4) / way.size
+    assert np.abs(shares - exact).max() < 0.08
+    assert np.array_equal(drawn.parents[..., 0], way)
+
+
 def test_turns_are_drawn_from_their_conditional(seed: int) -> None:
     """From samples in all four ways: the ways afterwards are as told (chi-squared, false alarm 1e-4).
 
     Places are kept to a micrometre: a turn about the middle moves nothing. A sample that lies elsewhere keeps
     its turn.
     """
-    rng = np.random.default_rng(seed)
-    one = box()
-    turns = turns_of(one)
-    best = matrices_of(np.array([0.8, 0.6, 0, 0, 0.05, 0.02, 0.6]))
-    start = rng.integers(4, size=(500, 2))
-    poses = (WORLD_FROM_CAMERA @ best)[None, None] @ turns[start]
-    poses[0, 0, :3, 3] += 0.1
-    samples = Samples(
-        poses=poses_of(poses)[..., None, :],
-        parents=np.zeros((500, 2, 1), np.int32),
-        parent_faces=np.zeros((500, 2, 1), np.int32),
-        child_faces=np.zeros((500, 2, 1), np.int32),
-        log_posterior=np.zeros((500, 2)),
-        accepted=np.ones((500, 2)),
-    )
-    told = cast("SeenColours", Told([one], np.array([0]), poses_of(best)[None]))
-    drawn = with_drawn_turns(rng, told, WORLD_FROM_CAMERA, samples)
-    after = matrices_of(cast("Any", drawn.poses)[:, :, 0])
+    start = np.random.default_rng(seed).integers(4, size=(500, 2))
+    way, after, samples, drawn = drawn_from(seed, box(), start)
     assert np.array_equal(drawn.poses[0, 0], samples.poses[0, 0])
-    assert np.abs(after - poses)[..., :3, 3].max() < 2e-3
-    way = np.einsum(
-        "scij,tij->sct", (np.linalg.inv(WORLD_FROM_CAMERA @ best) @ after)[..., :3, :3], turns[:, :3, :3]
-    )
-    counts = np.bincount(way.argmax(axis=-1).ravel()[1:], minlength=4)
+    assert np.abs(after - matrices_of(cast("Any", samples.poses)[:, :, 0]))[..., :3, 3].max() < 2e-3
+    counts = np.bincount(way.ravel()[1:], minlength=4)
     assert chisquare(counts, SHARES * counts.sum()).pvalue > 1e-4
-    assert np.allclose(np.exp(drawn.log_posterior.ravel()[1:]), SHARES[way.argmax(axis=-1).ravel()[1:]])
+    assert np.allclose(np.exp(drawn.log_posterior.ravel()[1:]), SHARES[way.ravel()[1:]])

@@ -47,13 +47,14 @@ def test_colours_are_those_beside() -> None:
     assert far.sum() > 300
 
 
-@pytest.mark.parametrize("pattern", ["plain", "stripes"])
-def test_a_can_that_looks_the_same_all_round_does_not_spin(pattern: str) -> None:
-    """Its colours tell no spin; stripes tell at most which end is up."""
+@pytest.mark.parametrize(("pattern", "looks"), [("plain", 1), ("stripes", 2), ("label", 2 * SPINS)])
+def test_looks_are_what_colours_tell_of_turns(pattern: str, looks: int) -> None:
+    """Nothing of a plain can, which end is up of one with stripes, all of a label."""
     colour = coloured("can", pattern)[0].colour
     assert colour is not None
-    assert len(colour.turns) <= 2
-    assert colour.spins == (len(colour.turns) > 1)
+    assert colour.spins
+    assert colour.exact
+    assert len(colour.looks) == looks
 
 
 def test_an_unknown_colour_turns_nothing() -> None:
