@@ -13,11 +13,12 @@ u foretells a colour by the pixels to the left, above, and above to the right, w
 w and s are learned from the image by EM. a foretells the residual r = o - m as u foretells the colour, by the
 same w and s, from those pixels before that show the object; where there is none, and in place of w_0, by what
 is known of its light: a gain, Normal(0, GAIN_SD) before anything is seen, then what the pixels before leave
-of it (a Kalman filter). Whether a pixel before shows the object is told by its own depth and colour. Errors
-of neighbouring pixels are alike, so that a flat thing is judged by its colour once and not at every pixel,
-and a texture by its edges. t is the probability that the colours are right here, by whether the pixels before
-agree: textures are wrong in pieces. A scene's factor over u's is a product over the pixels that its objects
-cover (docs/model.md, section L3).
+of it (a Kalman filter). Whether a pixel before shows the object in its own colours is told by its own depth
+and colour: of what has others no light is learned. Errors of neighbouring pixels are alike, so that a flat
+thing is judged by its colour once and not at every pixel, and a texture by its edges. t is the probability
+that the colours are right here, by whether the pixels before agree: textures are wrong in pieces. With WRONG
+the whole thing has other colours than its model's, which is paid for once. A scene's factor over u's is a
+product over the pixels that its objects cover (docs/model.md, section L3).
 """
 
 from __future__ import annotations
@@ -103,14 +104,14 @@ class ColourDensity:
         residual = jnp.where(self.known[..., None], self.observed - model, 0.0)
         anything = _normal(self.observed, self.mean, jnp.asarray(ANY_SD))
         alone = _normal(residual, jnp.zeros(3), jnp.hypot(gain_sd, jnp.asarray(SURFACE_SD)))
-        alone = shows * (OUTLIERS * anything + (1 - OUTLIERS) * alone)
-        mine = alone / jnp.maximum(alone + (1 - shows) * anything, LEAST_DENSITY)
+        alone, other = shows * (1 - OUTLIERS) * alone, (1 - shows * (1 - OUTLIERS)) * anything
+        mine = alone / jnp.maximum(alone + other, LEAST_DENSITY)
         continued, left = _continued(residual, mine, self.weights, self.scales)
         surface = continued + left * _normal(residual, *_gain(residual, mine, gain_sd))
         a = OUTLIERS * anything + (1 - OUTLIERS) * surface
         u = jnp.exp(self.log_unknown)
-        share = shows * _right(a / (a + u), mine)
-        return jnp.where(shows > 0, jnp.log1p(share * (a / u - 1)), 0.0)
+        share = shows * _right(a / (a + u), shows)
+        return _unless_all_wrong(jnp.where(shows > 0, jnp.log1p(share * (a / u - 1)), 0.0))
 
 
 def window_colours(
@@ -186,13 +187,20 @@ def _continued(
     return jnp.sum(jnp.stack(parts), axis=0), 1 - jnp.sum(shares, axis=0)
 
 
-def _right(agrees: jax.Array, mine: jax.Array) -> jax.Array:
-    """Probability (H, W) that an object's colours are right, by whether those before that are its agree."""
+def _right(agrees: jax.Array, shows: jax.Array) -> jax.Array:
+    """Probability (H, W) that an object's colours are right, by whether those before that show it agree."""
     counts, sums = (
-        jnp.sum(jnp.stack([_shifted(part, *by) for by in BEFORE]), axis=0) for part in (mine, mine * agrees)
+        jnp.sum(jnp.stack([_shifted(part, *by) for by in BEFORE]), axis=0) for part in (shows, shows * agrees)
     )
     before, told = sums / jnp.maximum(counts, 1e-3), jnp.minimum(counts, 1.0)
     return told * (CHANGES + (1 - 2 * CHANGES) * before) + (1 - told) * (1 - WRONG)
+
+
+def _unless_all_wrong(log_factors: jax.Array) -> jax.Array:
+    """The factors (H, W) of a mixture: with `WRONG` the whole layer has other colours, and a factor of 1."""
+    before = jnp.concatenate([jnp.zeros(1), jnp.cumsum(log_factors.ravel())])
+    mixed = jnp.logaddexp(jnp.log1p(-WRONG) + before, jnp.log(WRONG))
+    return jnp.diff(mixed).reshape(log_factors.shape)
 
 
 def _gain(residual: jax.Array, shows: jax.Array, gain_sd: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,12 +1,14 @@
 """The factor of colours is a density, looks back alone, and counts what is alike once."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from recordings.types import CameraIntrinsics
-from scene.likelihood.colour_density import GAIN_SD, ColourDensity, log_unknown, window_colours
+from scene.likelihood.colour_density import GAIN_SD, WRONG, ColourDensity, log_unknown, window_colours
 from scene.objects.surface_colour import COMPONENTS, DARK, log_colour
 from scene.observation.pixel_window import window_over
 
@@ -90,7 +92,7 @@ def test_no_factor_looks_ahead(seed: int) -> None:
 def test_one_wrong_colour_is_paid_for_once(seed: int) -> None:
     """A flat thing of sixteen times as many pixels in another light costs no more; its right colour gains.
 
-    Sums over the pixels by themselves would differ by a factor of sixteen.
+    Sums over the pixels by themselves would differ by a factor of sixteen; outlines are four times as long.
     """
     rng = np.random.default_rng(seed)
     costs, gains = [], []
@@ -103,10 +105,30 @@ def test_one_wrong_colour_is_paid_for_once(seed: int) -> None:
         right = np.broadcast_to([0.8, -0.6, 0.4], (48, 48, 3))
         for model, sums in ((right, gains), (right - [0, -1.0, 1.0], costs)):
             sums.append(float(jnp.sum(density.log_factor(jnp.asarray(model), jnp.asarray(shows), GAIN))))
-    apart = np.subtract(gains, costs)
-    assert min(apart) > 4
-    assert abs(apart[1] - apart[0]) < 3
+    assert min(costs) > math.log(WRONG) - 0.1
+    assert max(costs) < -1
     assert min(gains) > 1
+    assert max(gains) < 4 * min(gains)
+
+
+def test_of_a_wrong_colour_no_light_is_learned(seed: int) -> None:
+    """A thing of one colour far from the model's, in an image of sharp colours: the model is held against it.
+
+    A light that made up for the difference would be 10 standard deviations from none; neighbours that differ
+    from the model alike must not pass for such a light, however many they are.
+    """
+    rng = np.random.default_rng(seed)
+    observed = rng.normal(scale=0.01, size=(24, 24, 3))
+    observed[4:20, 4:20] += np.array([0.0, 2.0, 1.0])
+    density, shows = density_of(observed), np.zeros((24, 24))
+    shows[4:20, 4:20] = 1.0
+
+    def log_factor(colour: list[float]) -> float:
+        model = jnp.broadcast_to(jnp.asarray(colour), (24, 24, 3))
+        return float(jnp.sum(density.log_factor(model, jnp.asarray(shows), GAIN)))
+
+    assert log_factor([0.0, 2.0, 1.0]) > 0
+    assert log_factor([0.0, 0.0, -1.0]) == pytest.approx(math.log(WRONG), abs=0.1)
 
 
 def test_a_texture_in_its_place_tells_from_one_beside(seed: int) -> None:
