@@ -34,6 +34,7 @@ from scene.likelihood.unknown_surfaces import (
     NO_EDGE,
     UnknownSurfaces,
     UnknownWeights,
+    normal_density,
     normal_distribution,
     surprised,
 )
@@ -189,7 +190,7 @@ class PixelDensity:
     def _shows(self, surface: _Surface) -> jax.Array:
         """Probability (H, W) that a pixel shows a surface and nothing unknown, by its own measurement."""
         there = surface.there & (self.observed_m != NO_RETURN)
-        mine = _normal(self.observed_m, surface.finite_m, self._sigma_m(surface))
+        mine = normal_density(self.observed_m, surface.finite_m, self._sigma_m(surface))
         return jnp.where(there, mine / (mine + 1 / self.learned.reach_m), 0.0)
 
     def _log_density(
@@ -240,8 +241,8 @@ class PixelDensity:
         for weight, foretold_m, scale, share in parts:
             told += weight * share
             mean_m, spread_m = depth_m + foretold_m, self.learned.scales[scale] * sensor_m
-            mixed += weight * share * _normal(self.observed_m, mean_m, spread_m)
-        mixed += (1 - told) * _normal(self.observed_m, depth_m, sigma_m)
+            mixed += weight * share * normal_density(self.observed_m, mean_m, spread_m)
+        mixed += (1 - told) * normal_density(self.observed_m, depth_m, sigma_m)
         return OUTLIERS * self._uniform() + (1 - OUTLIERS) * mixed
 
     def _missing(self, surface: _Surface, same: jax.Array) -> jax.Array:
@@ -296,7 +297,3 @@ def _all_beside(mask: jax.Array) -> jax.Array:
 def _computed(images: Images) -> Images:
     """The images, computed before they are used: what looks at neighbours would compute them for each."""
     return jax.lax.optimization_barrier(images)
-
-
-def _normal(value: jax.Array, mean: jax.Array, sigma: jax.Array) -> jax.Array:
-    return jnp.exp(-0.5 * ((value - mean) / sigma) ** 2) / (sigma * jnp.sqrt(2 * jnp.pi))

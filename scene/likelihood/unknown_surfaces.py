@@ -138,7 +138,7 @@ class UnknownSurfaces:
 
     def density(self, observed_m: jax.Array) -> jax.Array:
         """U (H, W) at the observed depths; without meaning where nothing was measured."""
-        by_part = _normal(observed_m[None], self.means_m, self.sigmas_m)
+        by_part = normal_density(observed_m[None], self.means_m, self.sigmas_m)
         inside = (observed_m >= 0) & (observed_m <= self.reach_m)
         return jnp.sum(self.weights[:-1] * by_part, axis=0) + self.weights[-1] * inside / self.reach_m
 
@@ -235,7 +235,8 @@ def normal_distribution(x: jax.Array) -> jax.Array:
     return 0.5 * (1 + erf(x * math.sqrt(0.5)))
 
 
-def _normal(value: jax.Array, mean: jax.Array, sigma: jax.Array) -> jax.Array:
+def normal_density(value: jax.Array, mean: jax.Array, sigma: jax.Array) -> jax.Array:
+    """Density at a value, Lebesgue measure; arrays that broadcast."""
     return jnp.exp(-0.5 * ((value - mean) / sigma) ** 2) / (sigma * jnp.sqrt(2 * jnp.pi))
 
 

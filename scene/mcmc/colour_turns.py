@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.mcmc.samples import Samples
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
+from scene.objects.symmetry import turns_about
 from scene.observation.frame_data import SceneData
 from scene.search.colour_layers import ColourLayers
 from shapes.geometry.poses import matrices_of, poses_of
@@ -138,22 +138,13 @@ def turns_of(one: SceneObject) -> NDArray[np.float64]:
     if not one.colour.spins:
         return one.colour.turns
     steps = 2 * np.pi / (SPINS * FINER) * np.arange(FINER)
-    return (one.colour.turns[:, None] @ _spins(one, steps)).reshape(-1, 4, 4)
+    return (one.colour.turns[:, None] @ turns_about(one.spin_line, steps)).reshape(-1, 4, 4)
 
 
 def _between(rng: np.random.Generator, one: SceneObject, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Turns (..., 4, 4) by angles within a step."""
     half = np.pi / (SPINS * FINER)
-    return _spins(one, rng.uniform(-half, half, int(np.prod(shape)))).reshape(*shape, 4, 4)
-
-
-def _spins(one: SceneObject, angles: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Turns (A, 4, 4) about an object's own line."""
-    direction, point = one.spin_line
-    turns = np.tile(np.eye(4), (len(angles), 1, 1))
-    turns[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * direction).as_matrix()
-    turns[:, :3, 3] = point - turns[:, :3, :3] @ point
-    return turns
+    return turns_about(one.spin_line, rng.uniform(-half, half, int(np.prod(shape)))).reshape(*shape, 4, 4)
 
 
 def _turns_taken(

@@ -14,7 +14,8 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
+
+from scene.objects.symmetry import turns_about
 
 DARK = 0.01
 """Of full light, added before logs are taken: what is darker differs by noise and reflections alone."""
@@ -209,13 +210,7 @@ def alike_turns(
 
 def _about(line: NDArray[np.float64], order: int) -> list[NDArray[np.float64]]:
     """All turns (4, 4) of an order about a line (2, 3), none first."""
-    turns = []
-    for angle in 2 * np.pi * np.arange(order) / order:
-        turn = np.eye(4)
-        turn[:3, :3] = Rotation.from_rotvec(angle * line[0]).as_matrix()
-        turn[:3, 3] = line[1] - turn[:3, :3] @ line[1]
-        turns.append(turn)
-    return turns
+    return list(turns_about(line, 2 * np.pi * np.arange(order) / order))
 
 
 def _products(generators: list[list[NDArray[np.float64]]]) -> Iterator[NDArray[np.float64]]:

@@ -105,6 +105,15 @@ TURNED = 512
 """Points that are laid on the surface."""
 
 
+def turns_about(line: NDArray[np.float64], angles: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Turns (A, 4, 4) by angles (A,) about a line (2, 3), unit direction and a point on it."""
+    direction, point = line
+    turns = np.tile(np.eye(4), (len(angles), 1, 1))
+    turns[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * direction).as_matrix()
+    turns[:, :3, 3] = point - turns[:, :3, :3] @ point
+    return turns
+
+
 def symmetry_lines(
     points: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int_]]:

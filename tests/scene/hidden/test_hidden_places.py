@@ -1,6 +1,5 @@
 """Room that the camera does not see: against depth images of boxes, with the object and without."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -13,13 +12,9 @@ from scene.hidden.hidden_places import DRAWS, seen_image
 from scene.hidden.pose_priors import PlacedObject, RestingPoses, Support
 from scene.model.presence import log_odds_of_presence, log_prior_odds
 from scene.objects.scene_object import SceneObject, scene_object
-from scene.observation.depth_view import PooledView
-from shapes.geometry.camera import Camera
 from tests.scene.observation.test_detection import CAMERA_FROM_TABLE
+from tests.scene.table_views import HALF_SIZE_M, HEIGHT, WIDTH, depth_of, view_of
 
-HALF_SIZE_M = np.array([0.3, 0.2])
-WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
-MIDDLE_PX = np.array([79.5, 59.5])
 TABLE = Support(world_from_support=np.eye(4), half_size_m=HALF_SIZE_M)
 SCREEN_M = np.array([0.12, 0.02, 0.1])
 CUBE_M = np.full(3, 0.02)
@@ -31,29 +26,10 @@ def box(name: str, half_m: np.ndarray) -> SceneObject:
     return scene_object(name, mesh.vertices, mesh.faces)
 
 
-def depth_of(boxes: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Depth (H, W) of upright boxes, middle and half size in the table's frame, on the plane z = 0: slabs."""
-    v, u = np.mgrid[:HEIGHT, :WIDTH]
-    rays = np.stack([(u - MIDDLE_PX[0]) / FOCAL, (v - MIDDLE_PX[1]) / FOCAL, np.ones(u.shape)], axis=-1)
-    turn, origin = CAMERA_FROM_TABLE[:3, :3], -CAMERA_FROM_TABLE[:3, :3].T @ CAMERA_FROM_TABLE[:3, 3]
-    rays = rays @ turn
-    depth = -origin[2] / rays[..., 2]
-    for middle, half in boxes:
-        ends = np.sort((middle + np.array([-1, 1])[:, None] * half - origin)[:, None, None] / rays, axis=0)
-        near, far = ends[0].max(axis=-1), ends[1].min(axis=-1)
-        depth = np.where(near < far, np.minimum(depth, near), depth)
-    return depth.astype(np.float32)
-
-
 def images_of(depth_m: np.ndarray, placed: list[PlacedObject]) -> DepthImages:
     """The image as the parse sees it."""
-    camera = Camera(*(jnp.asarray(value) for value in (FOCAL, FOCAL, *MIDDLE_PX)))
-    view = PooledView(
-        camera, jnp.asarray(depth_m), jnp.zeros((*depth_m.shape, 3)), jnp.zeros(depth_m.shape, bool)
-    )
-    return DepthImages(
-        [seen_image(view, CAMERA_FROM_TABLE, placed, 1.0)], DepthNoise(outlier_probability=0.1)
-    )
+    image = seen_image(view_of(depth_m), CAMERA_FROM_TABLE, placed, 1.0)
+    return DepthImages([image], DepthNoise(outlier_probability=0.1))
 
 
 def test_a_cube_is_hidden_where_the_image_is_the_same_without_it(seed: int) -> None:

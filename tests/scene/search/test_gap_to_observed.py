@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scene.search.support_prior import STEP_M, UNDERSIDE_M, UNDERSIDE_POINTS, gaps_to_seen, undersides
-from tests.scene.search.table_views import TABLE, depth_of, view_of
+from tests.scene.table_views import TABLE, depth_of, view_of
 
 CARRIER_M = np.array([0.0, 0.0, 0.04]), np.array([0.05, 0.05, 0.04])
 """Middle and half size of a thing that nobody knows."""

@@ -15,7 +15,7 @@ from scene.observation.detection import SupportPlane
 from scene.search.support_prior import UNKNOWN_CARRIER, Gravity
 from shapes.geometry.poses import poses_of
 from tests.scene.observation.test_detection import CAMERA_FROM_TABLE
-from tests.scene.search.table_views import depth_of, view_of
+from tests.scene.table_views import depth_of, view_of
 
 HALF_M = np.array([0.04, 0.05, 0.03])
 TABLE = SupportPlane(camera_from_table=CAMERA_FROM_TABLE, half_size_m=np.array([0.4, 0.3]), bend=np.zeros(6))

@@ -1,4 +1,4 @@
-"""Depth images of boxes on a table, and the views that the search has of them."""
+"""Depth images of boxes on a table, and the views that a parse has of them."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +29,7 @@ def depth_of(boxes: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 
 def view_of(depth_m: np.ndarray) -> PooledView:
-    """The image as the search sees it."""
+    """The image as a parse sees it."""
     camera = Camera(*(jnp.asarray(value) for value in (FOCAL, FOCAL, *MIDDLE_PX)))
     nothing = jnp.zeros(depth_m.shape, bool)
     return PooledView(camera, jnp.asarray(depth_m), jnp.zeros((*depth_m.shape, 3)), nothing)
