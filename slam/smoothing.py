@@ -13,9 +13,10 @@ from scipy.special import logsumexp
 
 from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS
 from recordings.types import CameraIntrinsics
+from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY, cluster, mean_and_covariance
 from shapes.geometry.poses import matrices_of
-from slam.filter.state import CameraParticles, FilterState, FrameInfo
+from slam.filter.state import CameraParticles, FilterState, FrameInfo, Ties
 from slam.pose_graph.refinement import RefinedKeyframes
 from slam.result import SlamResult
 
@@ -64,34 +65,38 @@ class History:
         draws = np.tile(np.asarray(IDENTITY, np.float32), (count, len(self.frames), 1))
         means = draws.copy()
         conditional = np.zeros((count, len(self.frames), 6, 6), np.float32)
+        is_best = np.zeros((count, len(self.frames), 1), bool)
         for index in range(len(self.frames) - 1, -1, -1):
             info = self.frames[index]
             if info.keyframe is None:
                 draws[:, index], means[:, index] = info.relative_poses[lineage], info.relative_means[lineage]
                 conditional[:, index] = info.component_covariances[info.component[lineage]]
+                is_best[:, index, 0] = info.component[lineage] == 0
             lineage = info.ancestors[lineage]
         anchors = particles.keyframe_poses[:, np.asarray(anchor_of)]
         of_nodes = np.stack([info.field_sensitivity for info in self.frames])
         following = np.einsum("tin,gnf->gtif", of_nodes, np.asarray(placed.factor))
+        ties: Ties = jax.tree.map(lambda *leaves: np.stack(leaves), *(info.ties for info in self.frames))
+        pulled, of_field = _by_ties(placed, ties)
+        pulls = jnp.where(is_best, pulled[placed.mode], 0.0)
+        draws, means = (_pulled(jnp.asarray(poses), pulls) for poses in (draws, means))
         known, spread = _with_placed(
             anchors,
-            jnp.asarray(means),
+            means,
             jnp.asarray(conditional),
             placed,
             jnp.asarray(anchor_of, jnp.int32),
-            jnp.asarray(following),
+            jnp.asarray(following) + of_field,
         )
         central = _of_the_heaviest_mode(particles.keyframe_poses[:, : len(state.keyframe_map)], log_weights)
-        mean, covariance = _marginals(
-            known, jnp.asarray(means), state.population.log_weights, spread, central
-        )
+        mean, covariance = _marginals(known, means, state.population.log_weights, spread, central)
         mode = int(np.argmax(np.bincount(np.asarray(placed.mode), np.exp(log_weights))))
         nodes = (NODE_ROWS, NODE_COLUMNS)
         untied = ~np.asarray(placed.held)[mode, anchor_of]
         displaced = np.asarray([info.doubt.displacements for info in self.frames], np.float64)
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
-            trajectories=matrices_of(_composed(anchors, jnp.asarray(draws))),
+            trajectories=matrices_of(_composed(anchors, draws)),
             log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
             covariance=np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
@@ -126,6 +131,51 @@ def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
 
 
 @jax.jit
+def _by_ties(placed: RefinedKeyframes, ties: Ties) -> tuple[jax.Array, jax.Array]:
+    """What other keyframes than the anchor add: displacements (G, T, 6) of frames, camera chart.
+
+    Leaves of the ties are stacked (T, ...). Also how they follow the distortion field (G, T, 6, F).
+    """
+
+    def of_mode(poses: jax.Array, held: jax.Array, sensitivity: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def of_frame(ties: Ties) -> tuple[jax.Array, jax.Array]:
+            keyframes = poses[ties.keyframes], ties.keyframes_from_camera
+            cameras = jax.vmap(lambda one, relative: (jaxlie.SE3(one) @ jaxlie.SE3(relative)).wxyz_xyz)(
+                *keyframes
+            )
+            apart = jax.vmap(pose_gaussian.coordinates, (None, 0))(cameras[0], cameras)
+            following = jax.vmap(_to_camera)(jnp.asarray(keyframes[1])) @ sensitivity[ties.keyframes]
+            shares = jnp.where(
+                held[ties.keyframes][:, None, None] & held[ties.keyframes[0]], ties.shares, 0.0
+            )
+            return (
+                jnp.einsum("mij,mj->i", shares, apart),
+                jnp.einsum("mij,mjf->if", shares, following - following[:1]),
+            )
+
+        return jax.lax.map(of_frame, ties)
+
+    return jax.vmap(of_mode)(placed.poses, placed.held, placed.sensitivity)
+
+
+@jax.jit
+def _pulled(relative: jax.Array, displacements: jax.Array) -> jax.Array:
+    """Poses (K, T, 7) displaced by (K, T, 6)."""
+    return jax.vmap(jax.vmap(pose_gaussian.displace))(relative, displacements)
+
+
+def _to_camera(relative: jax.Array) -> jax.Array:
+    """A displacement of an anchor in its own chart as one (6, 6) of a camera at anchor_from_camera (7,) R, t.
+
+    It is R^T (xi_t + xi_r x t) and R^T xi_r in the camera's.
+    """
+    pose = jaxlie.SE3(relative)
+    inverse = pose.rotation().as_matrix().T
+    lever = inverse @ jnp.cross(jnp.eye(3), pose.translation()).T
+    return jnp.block([[inverse, lever], [jnp.zeros((3, 3)), inverse]])
+
+
+@jax.jit
 def _with_placed(
     anchors: jax.Array,
     relative: jax.Array,
@@ -137,22 +187,14 @@ def _with_placed(
     """Anchors (K, T, 7) before particles drew them, and their spread added to the conditional (K, T, 6, 6).
 
     What noise gives is widened by `UNDERSTATED`; what the distortion field gives is not.
-    A displacement of an anchor in its own chart is one of the camera: R^T (xi_t + xi_r x t) and R^T xi_r in
-    the camera's, anchor_from_camera (K, T, 7) being R, t. Camera and anchor follow one distortion field, the
-    camera by (G, T, 6, F) itself.
+    Camera and anchor follow one distortion field, the camera by (G, T, 6, F) itself.
     """
-
-    def to_camera(relative: jax.Array) -> jax.Array:
-        pose = jaxlie.SE3(relative)
-        inverse = pose.rotation().as_matrix().T
-        lever = inverse @ jnp.cross(jnp.eye(3), pose.translation()).T
-        return jnp.block([[inverse, lever], [jnp.zeros((3, 3)), inverse]])
 
     def of_particle(
         particle: tuple[jax.Array, jax.Array, jax.Array],
     ) -> tuple[jax.Array, jax.Array]:
         mode, anchors, relative = particle
-        jacobian = jax.vmap(to_camera)(relative)
+        jacobian = jax.vmap(_to_camera)(relative)
         held = placed.held[mode, anchor_of][:, None, None]
         spread = jacobian @ placed.covariances[mode, anchor_of] @ jacobian.mT
         total = following[mode] + jnp.where(held, jacobian @ placed.sensitivity[mode, anchor_of], 0.0)

@@ -80,7 +80,7 @@ def track(
         if state is None:
             state, info = init(view, frame.time_ns, config)
             for number, time_ns in enumerate(waiting):
-                unseen = info_before_map(jax.random.fold_in(key, number), state)
+                unseen = info_before_map(jax.random.fold_in(key, number), state, config)
                 history.append(time_ns, unseen)
                 if on_frame is not None:
                     on_frame(unseen)

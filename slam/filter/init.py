@@ -14,7 +14,7 @@ from slam.filter import smc
 from slam.filter.map_update import LEAST_CAPACITY
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
 from slam.filter.rival_motion import CERTAIN, RivalMotion
-from slam.filter.state import CameraParticles, FilterState, FrameInfo, initial_particles
+from slam.filter.state import CameraParticles, FilterState, FrameInfo, Ties, initial_particles
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image
@@ -48,21 +48,22 @@ def init(view: CanvasView, time_ns: int, config: SlamConfig) -> tuple[FilterStat
         steps_were_wide=False,
         rival=RivalMotion.since(surface),
     )
-    return state, _first_frame_info(config.particles)
+    return state, _first_frame_info(config.particles, config.keyframes_compared)
 
 
-def info_before_map(key: jax.Array, state: FilterState) -> FrameInfo:
+def info_before_map(key: jax.Array, state: FilterState, config: SlamConfig) -> FrameInfo:
     """A frame before the first that shows anything: lost, anywhere that the motion prior leads from there.
 
     Args:
         key: consumed.
         state: after the first frame that does, by `init`.
+        config: settings.
     """
     count = len(state.population.log_weights)
     poses = _moved_unseen(jax.random.split(key, count), state)
     spread = spread_around(jnp.asarray(IDENTITY, jnp.float32), poses, state.population.log_weights)
     return replace(
-        _first_frame_info(count),
+        _first_frame_info(count, config.keyframes_compared),
         relative_poses=np.asarray(poses),
         component_covariances=np.asarray(spread)[None],
         lost=True,
@@ -82,7 +83,7 @@ def _moved_unseen(keys: jax.Array, state: FilterState) -> jax.Array:
     return jax.vmap(one)(keys, particles.pose, particles.pivot)
 
 
-def _first_frame_info(count: int) -> FrameInfo:
+def _first_frame_info(count: int, compared: int) -> FrameInfo:
     """The reference itself: certain, and no evidence for or against anything."""
     at_anchor = np.tile(np.asarray(IDENTITY, np.float32), (count, 1))
     return FrameInfo(
@@ -92,6 +93,7 @@ def _first_frame_info(count: int) -> FrameInfo:
         component=np.zeros(count, np.int32),
         component_covariances=np.zeros((1, 6, 6), np.float32),
         field_sensitivity=np.zeros((6, NODES), np.float32),
+        ties=Ties.none(compared),
         log_weights=np.full(count, -np.log(count), np.float32),
         ancestors=np.arange(count, dtype=np.int32),
         log_evidence=0.0,

@@ -46,6 +46,31 @@ class FilterState:
     rival: RivalMotion
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Ties:
+    """How a frame follows the keyframes that it was compared with, to first order (`slam.filter.proposal`).
+
+    Keyframes that disagree with each other, as where a camera comes back with a drift, pull it between them:
+    once they have been refined it follows each of them in what that one told of it.
+
+    Attributes:
+        keyframes: (M,) indices, the frame's anchor first.
+        keyframes_from_camera: (M, 7) where it was found.
+        shares: (M, 6, 6) of their displacements, camera chart; zero where the frame is lost or a keyframe.
+    """
+
+    keyframes: NDArray[np.int32]
+    keyframes_from_camera: NDArray[np.float32]
+    shares: NDArray[np.float32]
+
+    @classmethod
+    def none(cls, count: int) -> Ties:
+        """Of a frame that was compared with nothing; M is `count`."""
+        at_keyframes = np.tile(np.asarray(IDENTITY, np.float32), (count, 1))
+        return cls(np.zeros(count, np.int32), at_keyframes, np.zeros((count, 6, 6), np.float32))
+
+
 @dataclass(frozen=True)
 class FrameInfo:
     """What one frame gave. Poses are relative to the particle's keyframe `anchor`.
@@ -59,6 +84,7 @@ class FrameInfo:
         component_covariances: (J, 6, 6) of the draws around their centres, camera chart.
         field_sensitivity: (6, NODES) how the pose follows the sensor's distortion field, camera chart
             (`slam.registration.field_sensitivity`); zero where the frame is lost or became a keyframe.
+        ties: of the best component to the keyframes that it was compared with.
         log_weights: (K,) normalised, after this frame.
         ancestors: (K,) particle before this frame that each one continues.
         log_evidence: increment.
@@ -80,6 +106,7 @@ class FrameInfo:
     component: NDArray[np.int32]
     component_covariances: NDArray[np.float32]
     field_sensitivity: NDArray[np.float32]
+    ties: Ties
     log_weights: NDArray[np.float32]
     ancestors: NDArray[np.int32]
     log_evidence: float

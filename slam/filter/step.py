@@ -26,7 +26,7 @@ from slam.filter.motion import MotionHistory, MotionPrior
 from slam.filter.pose_hypotheses import MAX_HYPOTHESES, find_pose_hypotheses, last_motion, predict
 from slam.filter.proposal import Component, Proposed, component_at, propose_all
 from slam.filter.rival_motion import CERTAIN, Doubt, doubt_of_frame
-from slam.filter.state import CameraParticles, FilterState, FrameInfo
+from slam.filter.state import CameraParticles, FilterState, FrameInfo, Ties
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import stacked
 from slam.likelihood.distortion import NODES, NodeWeights
@@ -191,6 +191,7 @@ def frame_info(
         component=np.asarray(proposed.component),
         component_covariances=covariances,
         field_sensitivity=following,
+        ties=_ties(components, found[0], is_followed=not (lost or is_keyframe)),
         log_weights=np.asarray(state.population.log_weights),
         ancestors=np.asarray(info.ancestors),
         log_evidence=float(info.log_evidence),
@@ -205,6 +206,24 @@ def frame_info(
         components=0 if lost else len(found),
         doubt=doubt,
     )
+
+
+def _ties(components: Component, best: Registration, is_followed: bool) -> Ties:
+    """Of the first component, the best optimum's."""
+    if not is_followed:
+        return Ties.none(len(best.indices))
+    means = _from_keyframes(components.mean_keyframe_poses, components.pose)
+    return Ties(*(np.asarray(leaf)[0] for leaf in (components.keyframes, means, components.sensitivity)))
+
+
+@jax.jit
+def _from_keyframes(keyframes: jax.Array, cameras: jax.Array) -> jax.Array:
+    """keyframe_from_camera (J, M, 7) of keyframes (J, M, 7) and cameras (J, 7)."""
+
+    def one(keyframe: jax.Array, camera: jax.Array) -> jax.Array:
+        return (jaxlie.SE3(keyframe).inverse() @ jaxlie.SE3(camera)).wxyz_xyz
+
+    return jax.vmap(jax.vmap(one, (0, None)))(keyframes, cameras)
 
 
 def _field_sensitivity(

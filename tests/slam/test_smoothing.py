@@ -1,5 +1,7 @@
 """What is told of frames: the spread of the keyframe that carries a frame is part of the frame's."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -7,8 +9,9 @@ import numpy as np
 
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
+from slam.filter.state import Ties
 from slam.pose_graph.refinement import RefinedKeyframes
-from slam.smoothing import UNDERSTATED, _with_placed
+from slam.smoothing import UNDERSTATED, _by_ties, _with_placed
 
 
 def _pose(*tangent: float) -> jax.Array:
@@ -19,19 +22,73 @@ ANCHOR, DRAWN = _pose(0.3, 0.2, -0.1, 0.5, 0.2, -0.4), _pose(0.1, 0.0, 0.0, 0.0,
 RELATIVE = _pose(0.1, 0.7, 0.3, -0.3, 0.6, 0.2)
 
 
+def _placed(poses: jax.Array, held: list[bool], sensitivity: np.ndarray) -> RefinedKeyframes:
+    """One mode of keyframes (N, 7) without spread."""
+    return RefinedKeyframes(
+        mode=jnp.zeros(2, jnp.int32),
+        poses=poses[None],
+        covariances=jnp.zeros((1, len(poses), 6, 6)),
+        held=jnp.asarray([held]),
+        factor=jnp.zeros((1, 63, 3)),
+        disparity_per_m=jnp.zeros((1, 63)),
+        sd_per_m=jnp.ones((1, 63)),
+        sensitivity=jnp.asarray(sensitivity[None], jnp.float32),
+    )
+
+
+def test_a_frame_follows_each_keyframe_in_what_that_one_told_of_it(seed):
+    """Three have moved apart since: the frame goes where their quadratics, of different axes, are least.
+
+    The field's displacements are those of keyframes that follow it; one that nothing holds has no say.
+    """
+    rng = np.random.default_rng(seed)
+    factors = rng.normal(size=(3, 6, 3))
+    precisions = factors @ factors.transpose(0, 2, 1) + 0.1 * np.eye(6)
+    shares = np.linalg.inv(precisions.sum(axis=0)) @ precisions
+    keyframes_from_camera = jnp.stack([RELATIVE, ANCHOR, DRAWN])
+    found = jax.vmap(lambda relative: (jaxlie.SE3(DRAWN) @ jaxlie.SE3(relative).inverse()).wxyz_xyz)(
+        keyframes_from_camera
+    )
+    moves = rng.normal(scale=3e-3, size=(3, 6))
+    refined = jax.vmap(pose_gaussian.displace)(found, jnp.asarray(moves, jnp.float32))
+    of_field = rng.normal(size=(3, 6, 2))
+
+    def camera_moves(moved: jax.Array) -> np.ndarray:
+        cameras = jax.vmap(lambda one, relative: (jaxlie.SE3(one) @ jaxlie.SE3(relative)).wxyz_xyz)(
+            moved, keyframes_from_camera
+        )
+        return np.asarray(jax.vmap(pose_gaussian.coordinates, (None, 0))(DRAWN, cameras))
+
+    ties = Ties(
+        np.asarray([[0, 1, 2]], np.int32),
+        np.asarray(keyframes_from_camera)[None],
+        shares[None].astype(np.float32),
+    )
+    pulled, following = _by_ties(_placed(refined, [True] * 3, of_field), ties)
+    alone, _ = _by_ties(_placed(refined, [True, False, False], of_field), ties)
+
+    own = camera_moves(refined)
+    best = np.linalg.solve(precisions.sum(axis=0), np.einsum("mij,mj->i", precisions, own))
+    np.testing.assert_allclose(own[0] + np.asarray(pulled)[0, 0], best, atol=3e-4)
+    np.testing.assert_array_equal(alone, 0.0)
+    along = 1e-3 * np.asarray([0.7, -0.4])
+    steps = jnp.asarray(of_field @ along, jnp.float32)
+    by_field = camera_moves(jax.vmap(pose_gaussian.displace)(found, steps))
+    expected = np.einsum("mij,mj->i", shares, by_field - by_field[0])
+    np.testing.assert_allclose(np.asarray(following)[0, 0] @ along, expected, atol=3e-5)
+
+
 def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
     """As by autodiff, the distortion field's included; keyframes that nothing holds stay as they were."""
     rng = np.random.default_rng(seed)
     factor, of_keyframe, of_frame = rng.normal(size=(6, 6)), rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
-    placed = RefinedKeyframes(
-        mode=jnp.zeros(2, jnp.int32),
-        poses=jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR])[None],
+    placed = replace(
+        _placed(
+            jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR]),
+            [True, True, False],
+            np.stack([0 * of_keyframe, of_keyframe, of_keyframe]),
+        ),
         covariances=jnp.asarray(np.stack([0 * factor, *[factor @ factor.T] * 2])[None], jnp.float32),
-        held=jnp.asarray([[True, True, False]]),
-        factor=jnp.zeros((1, 63, 3)),
-        disparity_per_m=jnp.zeros((1, 63)),
-        sd_per_m=jnp.ones((1, 63)),
-        sensitivity=jnp.asarray(np.stack([0 * of_keyframe, of_keyframe, of_keyframe])[None], jnp.float32),
     )
     own = jnp.eye(6)
     drawn, relative = (jnp.tile(pose, (2, 2, 1)) for pose in (DRAWN, RELATIVE))
