@@ -23,7 +23,7 @@ HEIGHT_M = 0.06
 WIDE_M, NARROW_M = 0.04, 0.035
 SENSOR_M = 0.0015
 OFF_M = 0.0065
-"""By which the search misplaced the right box: more than the narrow one lacks on each side, and than a pixel."""
+"""By which the search misplaced the right box: more than the narrow one lacks on each side and a pixel."""
 
 
 def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Array, seed: int) -> None:
