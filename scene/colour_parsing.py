@@ -1,13 +1,13 @@
 """`parse` without depth: things that stand upright on a known table, from one colour image.
 
-The search of `scene.colour` finds number, kinds and poses; Metropolis chains on the exact posterior tell how
-sure the poses are.
+The search of `scene.colour` finds number, kinds and poses; chains on the exact posterior over scenes and
+lamps tell how sure they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import trimesh
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics
 from scene.colour.camera_view import pooled_image, square_in_view
 from scene.colour.density import ColourNoise
-from scene.colour.light import most_probable_light
-from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior, visible
-from scene.colour.search import FoundScene, Searcher, Weighed
+from scene.colour.light import LampShares
+from scene.colour.posterior import ColourImage, Scene, colour_image, visible
+from scene.colour.scene_samples import SceneSamples, sampled
+from scene.colour.search import FoundScene, Searcher
 from scene.colour.world import Kind, Light, TableWorld, render
 from scene.config import ParseConfig
 from scene.copies import slot_names
@@ -27,31 +28,10 @@ from scene.result import SceneResult
 from scene.summary import MODES, pose_modes, second_moment
 from shapes.geometry.poses import matrices_of, poses_of
 
-STEPS = (0.2, 0.6, 2.0)
-"""Of proposals, in standard deviations by curvature: pixels make the posterior rough within one."""
-LEAST = 0.1
-"""Share of the curvature's standard deviations that a taught proposal keeps in directions not yet visited."""
 STRANGE_NATS = 8.0
 """Below the density of the table's own colour: four standard deviations in one channel."""
 BOTTOM, TOP = 4, 5
 """Faces -z and +z of `scene.result.FACES`: a thing's own bottom rests on the top of the table."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """Of the best scene's poses.
-
-    Attributes:
-        poses: (S, T, 3) of the T things found, all chains of a sweep after each other.
-        log_posterior: (S,).
-        accepted: share of moves.
-        chains: how many.
-    """
-
-    poses: NDArray[np.float64]
-    log_posterior: NDArray[np.float64]
-    accepted: float
-    chains: int
 
 
 def parse_colour(
@@ -89,13 +69,14 @@ def parse_colour(
         noise=ColourNoise(),
     )
     found = Searcher.of(world).find(image)
+    seen, lamps = colour_image(world, image), LampShares.known(world.light)
     if not config.light and len(found.best.scene):
-        light = most_probable_light(world, colour_image(world, image), found.best.scene)
-        if light != world.light:
-            world = replace(world, light=light)
+        lamps = LampShares.of(world, seen, found.best.scene)
+        if lamps.most_probable != world.light:
+            world = replace(world, light=lamps.most_probable)
             found = Searcher.of(world).find(image)
-    seen = colour_image(world, image)
-    samples = _sample(np.random.default_rng(seed), world, seen, found.best, config)
+    rng = np.random.default_rng(seed)
+    samples = sampled(rng, world, seen, found, lamps, config.sweeps, config.chains)
     return _summary(world, found, samples, frame), _strange_share(world, seen, found.best.scene)
 
 
@@ -107,54 +88,11 @@ def _light(config: ParseConfig) -> Light:
     return Light(direction=(x, y, z), ambient=ambient)
 
 
-def _sample(
-    rng: np.random.Generator, world: TableWorld, image: ColourImage, best: Weighed, config: ParseConfig
-) -> _Samples:
-    """Metropolis chains from round the best scene: in a sweep each thing is moved once (Metropolis 1953).
-
-    Number and kinds stay as they were found. The first third teaches every thing's proposal its covariance
-    and is dropped. The yaw of a round thing is drawn from the prior.
-    """
-    things, burn_in = len(best.scene), config.sweeps // 3
-    kept = config.sweeps - burn_in
-    round_ones = [world.kinds[kind].turns == 0 for kind in best.scene.kinds]
-    sd = best.sd * ~np.stack([np.zeros(things, np.bool_)] * 2 + [np.array(round_ones, np.bool_)], axis=1)
-    poses = np.empty((kept, config.chains, things, 3))
-    values, accepted = np.empty((kept, config.chains)), 0
-    for chain in range(config.chains):
-        state, value = best.scene.poses, best.log_density
-        roots, visited = np.stack([np.diag(one) for one in sd]) if things else np.zeros((0, 3, 3)), []
-        for sweep in range(config.sweeps):
-            if sweep == burn_in and things:
-                roots = _roots(np.array(visited), sd)
-            for one in range(things):
-                offered = state.copy()
-                offered[one] += rng.choice(STEPS) * roots[one] @ rng.standard_normal(3)
-                there = log_posterior(world, image, Scene(best.scene.kinds, offered))
-                if np.log(rng.random()) < there - value:
-                    state, value, accepted = offered, there, accepted + 1
-            if sweep < burn_in:
-                visited.append(state)
-            else:
-                poses[sweep - burn_in, chain], values[sweep - burn_in, chain] = state, value
-    poses[..., round_ones, 2] = rng.uniform(0, 2 * np.pi, (kept, config.chains, sum(round_ones)))
-    share = accepted / max(config.chains * config.sweeps * things, 1)
-    return _Samples(poses.reshape(-1, things, 3), values.ravel(), share, config.chains)
-
-
-def _roots(visited: NDArray[np.float64], sd: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Roots (T, 3, 3) of the covariances of each thing's poses (S, T, 3), no narrower than a part of `sd`."""
-    apart = visited - visited.mean(axis=0)
-    covariance = np.einsum("sti,stj->tij", apart, apart) / max(len(visited), 1)
-    least = (LEAST * np.maximum(sd, sd[sd > 0].min(initial=1.0))) ** 2
-    return np.linalg.cholesky(covariance + least[:, None] * np.eye(3))
-
-
-def _summary(world: TableWorld, found: FoundScene, samples: _Samples, frame: int) -> SceneResult:
+def _summary(world: TableWorld, found: FoundScene, samples: SceneSamples, frame: int) -> SceneResult:
     """In the camera and in the meshes' own frames; copies that were not found stand at the origin."""
     names = [kind.name for kind in world.kinds]
     slots = slot_names(names, world.most)
-    count, kept = len(slots), len(samples.poses)
+    count, kept, chains = len(slots), len(samples.poses), len(samples.kinds)
     taken = _slots_of(found.best.scene.kinds, world.most)
     boxes = np.tile(world.camera_from_world, (kept, count, 1, 1))
     boxes[:, taken] = world.camera_from_world @ _standing(samples.poses)
@@ -170,14 +108,15 @@ def _summary(world: TableWorld, found: FoundScene, samples: _Samples, frame: int
     shown = np.zeros(count)
     shown[taken] = _visible_share(world, found.best.scene)
     numbers = [(kind, copy + 1) for kind in range(len(names)) for copy in range(world.most)]
+    shares = np.array([samples.at_least(*one) for one in numbers])
     return SceneResult(
         names=np.array(slots),
         frames=np.array([frame], np.int64),
         camera_from_object=means,
         covariance=np.stack([second_moment(poses[:, one], means[one]) for one in range(count)]),
         most_probable=poses[int(samples.log_posterior.argmax())],
-        presence=np.array([found.at_least(*one) for one in numbers]),
-        presence_std=np.zeros(len(slots)),
+        presence=shares.mean(axis=1),
+        presence_std=shares.std(axis=1) / np.sqrt(shares.shape[1]),
         hidden_share=np.zeros(len(slots)),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(slots), 1, 1)),
         visible_fraction=shown,
@@ -189,8 +128,8 @@ def _summary(world: TableWorld, found: FoundScene, samples: _Samples, frame: int
         sample_poses=poses_of(poses),
         sample_parents=parents,
         sample_log_posteriors=samples.log_posterior,
-        chain=np.tile(np.arange(samples.chains, dtype=np.int32), kept // samples.chains),
-        acceptance=np.asarray(samples.accepted),
+        chain=np.tile(np.arange(chains, dtype=np.int32), kept // chains),
+        acceptance=np.asarray(samples.moved),
         log_estimate_variance=np.asarray(0.0),
     )
 

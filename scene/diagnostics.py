@@ -109,11 +109,16 @@ def convergence(traces: NDArray[np.float64]) -> Convergence:
 
 
 def _r_hat(trace: NDArray[np.float64]) -> float:
-    """Of (chains, draws); infinite where every half of a chain stands still at its own place."""
+    """Of (chains, draws); infinite where every half of a chain stands still at its own place.
+
+    What takes two values, each half the time, is always as far from their middle: its spread says nothing.
+    """
     halves = trace[:, : trace.shape[1] // 2 * 2].reshape(2 * len(trace), -1)
     if not np.ptp(halves, axis=1).any():
         return float("inf")
-    return float(np.asarray(array_stats.rhat(trace if len(trace) > 1 else halves, method="rank")))
+    spreads = np.ptp(np.abs(halves - np.median(halves)), axis=1)
+    method = "rank" if spreads.any() else "z_scale"
+    return float(np.asarray(array_stats.rhat(trace if len(trace) > 1 else halves, method=method)))
 
 
 def _samples(trace: NDArray[np.float64], method: str) -> float:

@@ -1,10 +1,12 @@
-"""Which lamp lights a scene: of a fixed set, the one under which its image is most probable."""
+"""Which lamp lights a scene: of a fixed set, how probable each is."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scene.colour.posterior import ColourImage, Scene, log_likelihood
 from scene.colour.world import Light, TableWorld
@@ -12,6 +14,8 @@ from scene.colour.world import Light, TableWorld
 DIRECTIONS = 32
 """Spread over the upper half of the sphere, 25 degrees from each other: shades differ by a tenth."""
 AMBIENTS = (0.2, 0.4, 0.6, 0.8)
+EVENLY = 0.1
+"""Share of a chain's proposals that takes any lamp."""
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
@@ -28,8 +32,32 @@ def lights() -> list[Light]:
     ]
 
 
-def most_probable_light(world: TableWorld, image: ColourImage, scene: Scene) -> Light:
-    """Of `lights` and the world's own, that under which the scene explains the image best."""
-    tried = [world.light, *lights()]
-    values = [log_likelihood(replace(world, light=light), image, scene) for light in tried]
-    return tried[int(np.argmax(values))]
+@dataclass(frozen=True, eq=False)
+class LampShares:
+    """Lamps that may light a scene, equally probable before the image is seen.
+
+    Attributes:
+        lights: (L,).
+        log_shares: (L,) by what one scene says; a chain proposes by them.
+    """
+
+    lights: Sequence[Light]
+    log_shares: NDArray[np.float64]
+
+    @classmethod
+    def known(cls, light: Light) -> LampShares:
+        """One alone."""
+        return cls([light], np.zeros(1))
+
+    @classmethod
+    def of(cls, world: TableWorld, image: ColourImage, scene: Scene) -> LampShares:
+        """Of `lights` and the world's own, given a scene."""
+        tried = [world.light, *lights()]
+        values = np.array([log_likelihood(replace(world, light=light), image, scene) for light in tried])
+        shares = np.exp(values - np.logaddexp.reduce(values))
+        return cls(tried, np.log((1 - EVENLY) * shares + EVENLY / len(tried)))
+
+    @property
+    def most_probable(self) -> Light:
+        """Of them."""
+        return self.lights[int(self.log_shares.argmax())]

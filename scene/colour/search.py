@@ -56,15 +56,13 @@ class FoundScene:
         best: the scene of the greatest evidence.
         kinds: probabilities of the kinds of things there, ascending, over the scenes that the search weighed.
         count: (most + 1,) of each number of things, likewise.
+        weighed: the best scene of each number and kinds.
     """
 
     best: Weighed
     kinds: Mapping[tuple[int, ...], float]
     count: NDArray[np.float64]
-
-    def at_least(self, kind: int, number: int) -> float:
-        """Probability that so many things of a kind are there, or more."""
-        return sum(share for kinds, share in self.kinds.items() if kinds.count(kind) >= number)
+    weighed: tuple[Weighed, ...]
 
 
 @dataclass(eq=False)
@@ -201,4 +199,4 @@ def _summed(table: _Table, best: Weighed) -> FoundScene:
     kinds = dict(zip(table.found, (mass / mass.sum()).tolist(), strict=True))
     numbers = [len(one) for one in kinds]
     count = np.bincount(numbers, weights=np.array(list(kinds.values())), minlength=table.world.most + 1)
-    return FoundScene(best, kinds, np.asarray(count, np.float64))
+    return FoundScene(best, kinds, np.asarray(count, np.float64), tuple(table.found.values()))

@@ -72,3 +72,9 @@ def test_half_a_turn_moves_no_centre(seed: int) -> None:
     assert told.centres[0].converged
     assert not told.modes[0].converged
     assert scene_convergence(scene, np.zeros((1, 3))).overall.r_hat > 1.5
+
+
+def test_a_trace_of_two_values_by_halves_has_an_r_hat() -> None:
+    """Folded about its median it is one value, which no variance can be divided by."""
+    trace = np.tile([0.0, 1.0], (1, 4, 20))
+    assert convergence(trace).r_hat == pytest.approx(1.0, abs=0.1)

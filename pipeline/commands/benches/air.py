@@ -21,16 +21,30 @@ from pipeline.options import Common, common_options
     type=click.Path(path_type=Path, dir_okay=False),
     help="Add a row for each scene as it is done; scenes that the file holds already are not run again.",
 )
+@click.option(
+    "--lattice",
+    type=click.IntRange(min=1),
+    metavar="IMAGES",
+    help="Instead: chains against the exact sum over all 41,905 scenes of a world of few states, on so many.",
+)
 @common_options()
-def command(common: Common, scenes: int, side: int, csv_path: Path | None) -> None:
+def command(common: Common, scenes: int, side: int, csv_path: Path | None, lattice: int | None) -> None:
     """Number, kind and place of 0 to 3 things from one colour image.
 
     Balls, cubes, cylinders and mugs of unknown colour on a plain table, rendered by Embree with mixed
     silhouettes and noise; camera and lamp known, no depth, no training. The scenes are numbered from --seed
     on. Set-up is told apart.
     """
-    from pipeline.benchmarks.air import measure_air
     from pipeline.quiet_stdout import stdout_to_stderr
+
+    if lattice:
+        from pipeline.benchmarks.air_lattice import lattice_lines, measure_lattice
+
+        with common.progress("air", "images") as progress, stdout_to_stderr():
+            summed = measure_lattice(lattice, common.seed, progress)
+        common.report(summed, lattice_lines(summed))
+        return
+    from pipeline.benchmarks.air import measure_air
 
     with common.progress("air", "scenes") as progress, stdout_to_stderr():
         document = measure_air(common.seed, scenes, side, csv_path, progress)
