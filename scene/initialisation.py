@@ -61,13 +61,14 @@ def initialise(
                 masks = unexplained_by_others(pools, scene)
         pools, scene = compare_refined(last_key, pools, scene, noise)
         pools, scene = search_missing(again_key, search_round, pools, scene, noise)
-    _, log_odds = rivals_of(pools, scene)
+    others, _ = rivals_of(pools, scene)
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
         found=scene < pools.absent,
-        log_odds=log_odds.astype(np.float64),
+        rivals=pools.placed(others.diagonal()).astype(np.float64),
         pools=pools.poses.astype(np.float64),
         log_gains=np.asarray(log_gains(pools.layers, scene), np.float64),
+        log_alone=np.asarray(log_gains(pools.layers, np.full_like(scene, pools.absent)), np.float64),
         atoms=search_round.boltzmann_atoms(pools),
     )
 

@@ -18,14 +18,16 @@ from scene.hidden.pose_priors import PlacedObject, Support
 from scene.initialisation import initialise
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
+from scene.mcmc.chain_model import carrying
 from scene.mcmc.colour_turns import SeenColours, with_drawn_turns
-from scene.mcmc.sampling import carrying, sample_posterior
+from scene.mcmc.sampling import sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.depth_view import unproject
 from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import frame_data, scene_data
+from scene.presence.inference import presence_in_scene
 from scene.result import SceneResult
 from scene.search.colour_layers import ColourLayers
 from scene.search.importance_sampling import refine
@@ -91,7 +93,7 @@ def parse_scene(
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
     poses = np.stack([np.linalg.inv(world_from_first @ pose) for pose in first_camera_from_camera])
     with jax.enable_x64(True):
-        samples, variance = sample_posterior(
+        chains = sample_posterior(
             chain_key,
             views,
             densities,
@@ -104,23 +106,41 @@ def parse_scene(
             config,
             progress,
         )
+    rng = np.random.default_rng(seed)
+    colours = None
     if data.rgb is not None:
         colours = ColourLayers.of(data, objects, densities[number], config.gamma)
-        best, rng = their_start.poses[found.present], np.random.default_rng(seed)
+        best = their_start.poses[found.present]
         seen = SeenColours(data, colours, renderer, objects, found.indices, best)
-        samples = with_drawn_turns(rng, seen, world_from_camera, samples)
+        turned = with_drawn_turns(rng, seen, world_from_camera, chains.samples)
+        chains = replace(chains, samples=turned)
     used = carrying(data.supports, objects, start)
+    hidden = _hidden(hidden_key, views, poses, used, world_from_camera, objects, start, seen_noise, config)
+    presence = presence_in_scene(
+        rng,
+        views,
+        densities,
+        poses,
+        world_from_camera,
+        used,
+        objects,
+        start,
+        found,
+        chains,
+        hidden,
+        colours and (number, colours),
+        config,
+    )
     scene = summarise(
-        samples,
+        chains,
         found,
         start,
         found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0],
-        _hidden(hidden_key, views, poses, used, world_from_camera, objects, start, seen_noise, config),
+        hidden,
+        presence,
         world_from_camera,
         objects,
         np.asarray(frame_indices),
-        config,
-        variance,
     )
     return scene.in_camera(first_from_searched)
 

@@ -9,15 +9,14 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
-from scipy.special import expit
 
-from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces
 from scene.mcmc.samples import Samples
-from scene.model.presence import log_odds_of_presence
+from scene.mcmc.sampling import SampledScenes
 from scene.model.scene_graph import ROOT
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
+from scene.presence.posterior import Presence
 from scene.result import SceneResult
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, motions_of, poses_of, tangents_of
@@ -35,34 +34,32 @@ MEAN_STEPS = 5
 
 
 def summarise(
-    samples: Samples,
+    chains: SampledScenes,
     chosen: FoundObjects,
     start: Initialisation,
     visible_fraction: NDArray[np.float64],
     hidden: HiddenPlaces,
+    presence: Presence,
     world_from_camera: NDArray[np.float64],
     objects: Sequence[SceneObject],
     frames: NDArray[np.int64],
-    config: ParseConfig,
-    log_estimate_variance: float,
 ) -> SceneResult:
     """The result in the first camera and in the objects' own frames; what was not found stands still.
 
     Args:
-        samples: of the chosen objects.
+        chains: over the chosen objects.
         chosen: which of all these are.
         start: the best scene of all objects.
         visible_fraction: (N,).
         hidden: what is known of objects that were not found.
+        presence: of all, but for those in `hidden` that were asked for exactly.
         world_from_camera: (4, 4).
         objects: all N.
         frames: numbers of the frames used.
-        config: settings.
-        log_estimate_variance: of the log likelihood's estimate.
     """
-    count = len(objects)
-    kept, chains = samples.log_posterior.shape
-    flat = jax.tree.map(lambda leaf: leaf.reshape(kept * chains, *leaf.shape[2:]), samples)
+    samples, count = chains.samples, len(objects)
+    kept, runs = samples.log_posterior.shape
+    flat = jax.tree.map(lambda leaf: leaf.reshape(kept * runs, *leaf.shape[2:]), samples)
     flat = _of_all(flat, chosen)
     box_from_object = matrices_of(np.stack([[1.0, 0, 0, 0, *(-one.centre_m)] for one in objects]))
     starts, in_world = matrices_of(start.poses), matrices_of(flat.poses)
@@ -70,7 +67,8 @@ def summarise(
     modes = [pose_modes(boxes[:, one]) for one in range(count)]
     means = np.stack([one.centres[0] for one in modes]) @ box_from_object
     poses = boxes @ box_from_object
-    presence, presence_std = _presence(start, hidden, config)
+    for one, told in hidden.exact.items():
+        presence.probability[one], presence.standard_error[one] = told
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
     return SceneResult(
         names=np.array([one.name for one in objects]),
@@ -78,8 +76,8 @@ def summarise(
         camera_from_object=means,
         covariance=np.stack([second_moment(poses[:, one], means[one]) for one in range(count)]),
         most_probable=poses[int(flat.log_posterior.argmax())],
-        presence=presence,
-        presence_std=presence_std,
+        presence=presence.probability,
+        presence_std=presence.standard_error,
         hidden_share=hidden.share,
         hidden_poses=poses_of(np.linalg.inv(world_from_camera) @ hidden.poses @ box_from_object[:, None]),
         visible_fraction=visible_fraction,
@@ -91,24 +89,10 @@ def summarise(
         sample_poses=poses_of(poses),
         sample_parents=flat.parents,
         sample_log_posteriors=flat.log_posterior,
-        chain=np.tile(np.arange(chains, dtype=np.int32), kept),
+        chain=np.tile(np.arange(runs, dtype=np.int32), kept),
         acceptance=np.asarray(np.mean(flat.accepted), np.float64),
-        log_estimate_variance=np.asarray(log_estimate_variance),
+        log_estimate_variance=np.asarray(chains.log_estimate_variance),
     )
-
-
-def _presence(
-    start: Initialisation, hidden: HiddenPlaces, config: ParseConfig
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Presence (N,) and its standard error (N,) from the draws of hidden poses."""
-    presence, above = (
-        expit(log_odds_of_presence(start.log_odds, share, config.presence))
-        for share in (hidden.share, hidden.share + hidden.share_std)
-    )
-    std = np.where(start.found, 0.0, above - presence)
-    for one, told in hidden.exact.items():
-        presence[one], std[one] = told
-    return presence, std
 
 
 def _of_all(flat: Samples, chosen: FoundObjects) -> Samples:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -18,6 +18,7 @@ from scene.likelihood.depth_images import DepthLikelihood, log_estimates
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.point_clouds import CloudLikelihood
+from scene.mcmc.chain_model import carrying, prior_space, scene_model, slabs_under
 from scene.mcmc.edges import EdgeMove
 from scene.mcmc.kernel import Kernel, run_block, scene_kernel
 from scene.mcmc.mixture_adaptation import adapt_mixture, modes_of
@@ -25,27 +26,15 @@ from scene.mcmc.mixture_init import pose_proposals, round_axis
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.mcmc.samples import Samples
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
-from scene.model.contact import TOP_FACE
 from scene.model.posterior import ChainState, SceneModel, start_chain
-from scene.model.prior import FLOATING_HEIGHT_M, PosePrior, WeightedTrees
-from scene.model.scene_graph import Bodies, SceneGraph, floating_scene
+from scene.model.scene_graph import SceneGraph, floating_scene
 from scene.objects.scene_object import SceneObject
 from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 from scene.search.importance_sampling import Refinement
 from scene.search.search_result import Initialisation
-from shapes.geometry.poses import compose, matrices_of, pose_of, poses_of
+from shapes.geometry.poses import compose, pose_of
 
-TABLE_HALF_THICKNESS_M = 0.01
-
-FREE_HALF_SIZE_M = 1.5
-"""Of the cuboid in front of the camera that holds objects where there is no table."""
-
-SPACE_MARGIN_M = 0.05
-"""Of that cuboid round the places where chains start."""
-
-CARRIED_M = 0.05
-"""An object whose lowest point is no further from a support may stand on it: some errors of supports."""
 WALK_M, WALK_RAD = 0.004, 0.05
 
 PRIOR_SHARE = 0.05
@@ -64,6 +53,23 @@ TOGETHER = 2
 """Chains in a kernel; kernels run side by side, each on a core."""
 
 
+@dataclass(frozen=True, eq=False)
+class SampledScenes:
+    """What chains left.
+
+    Attributes:
+        samples: that are kept.
+        log_estimate_variance: of the log likelihood's estimate.
+        model: their target.
+        mixture: what they learned of where each object is.
+    """
+
+    samples: Samples
+    log_estimate_variance: float
+    model: SceneModel
+    mixture: PoseMixture
+
+
 def sample_posterior(
     key: jax.Array,
     views: Sequence[SceneData],
@@ -76,8 +82,8 @@ def sample_posterior(
     refined: Refinement,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Samples, float]:
-    """Samples of the scenes that the views show, and the variance of the log likelihood's estimate.
+) -> SampledScenes:
+    """Samples of the scenes that the views show.
 
     Args:
         key: random key.
@@ -97,9 +103,10 @@ def sample_posterior(
     starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
     table = supports[0] if supports else None
     supports = carrying(supports, objects, start)
-    model = _model(supports, objects, likelihood, prior_space(table, starts), config)
+    space = prior_space(table, starts)
+    model = scene_model(supports, objects, likelihood, space, config)
     world = pose_of(jnp.asarray(world_from_camera))
-    slabs = jnp.asarray(_slabs(supports, world_from_camera))
+    slabs = jnp.asarray(slabs_under(supports, world_from_camera))
     bodies = len(model.bodies.movable)
     axes = jax.device_put(np.array([round_axis(one) for one in objects] + [-1] * (bodies - len(objects))))
     kernel = scene_kernel(
@@ -141,82 +148,6 @@ def _likelihood(
     )
 
 
-def carrying(
-    supports: Sequence[SupportPlane], objects: Sequence[SceneObject], start: Initialisation
-) -> list[SupportPlane]:
-    """The first support, and those of the others that an object of the best scene may stand on."""
-    placed_m = [
-        objects[one].points_m @ matrices_of(start.poses[one])[:3, :3].T + start.poses[one, 4:]
-        for one in np.flatnonzero(start.found).tolist()
-    ]
-
-    def carries(support: SupportPlane) -> bool:
-        inside = [support.in_table_frame(points_m) for points_m in placed_m]
-        feet = [points_m[np.argmin(points_m[:, 2])] for points_m in inside]
-        return any(
-            abs(foot[2]) < CARRIED_M and (np.abs(foot[:2]) < support.half_size_m).all() for foot in feet
-        )
-
-    return [one for number, one in enumerate(supports) if number == 0 or carries(one)]
-
-
-def _slabs(supports: Sequence[SupportPlane], world_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (S, 7) of the slabs under the supports in the world."""
-    down = np.eye(4)
-    down[2, 3] = -TABLE_HALF_THICKNESS_M
-    matrices = [world_from_camera @ one.camera_from_table @ down for one in supports]
-    return poses_of(np.stack(matrices)) if matrices else np.zeros((0, 7))
-
-
-def prior_space(
-    table: SupportPlane | None, starts_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of the cuboid that holds floating objects: over the table, or before the camera without one.
-
-    It is widened to hold the centres (N, 3) where chains start, so that none starts where it cannot be.
-    """
-    if table is None:
-        low = np.array([-FREE_HALF_SIZE_M, -FREE_HALF_SIZE_M, 0.0])
-        high = np.array([FREE_HALF_SIZE_M, FREE_HALF_SIZE_M, 2 * FREE_HALF_SIZE_M])
-    else:
-        low = np.append(-table.half_size_m, -TABLE_HALF_THICKNESS_M)
-        high = np.append(table.half_size_m, FLOATING_HEIGHT_M)
-    return (
-        np.minimum(low, np.min(starts_m - SPACE_MARGIN_M, axis=0, initial=np.inf)),
-        np.maximum(high, np.max(starts_m + SPACE_MARGIN_M, axis=0, initial=-np.inf)),
-    )
-
-
-def _model(
-    supports: Sequence[SupportPlane],
-    objects: Sequence[SceneObject],
-    likelihood: DepthLikelihood,
-    space: tuple[NDArray[np.float64], NDArray[np.float64]],
-    config: ParseConfig,
-) -> SceneModel:
-    """The target in the table's frame; supports are the last bodies, slabs under them."""
-    half_extents = [one.half_extents_m for one in objects]
-    movable = [True] * len(objects)
-    supporting = [[True] * 6 for _ in objects]
-    for support in supports:
-        half_extents.append(np.append(support.half_size_m, TABLE_HALF_THICKNESS_M))
-        movable.append(False)
-        supporting.append([face == TOP_FACE for face in range(6)])
-    leaves = np.stack(half_extents), np.array(movable), np.array(supporting)
-    bodies = Bodies(*map(jax.device_put, leaves))
-    prior = PosePrior(
-        low_m=jax.device_put(space[0]),
-        high_m=jax.device_put(space[1]),
-        contact_sigma_m=jnp.asarray(config.contact_sigma_m),
-        loose_sigma_m=jnp.asarray(config.loose_sigma_m),
-        contact_concentration=jnp.asarray(config.contact_concentration),
-        slack_share=jnp.asarray(config.slack_share),
-        upward_concentration=jnp.asarray(config.upward_concentration if supports else 0.0),
-    )
-    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if supports else WeightedTrees.uniform()
-    return SceneModel(bodies, prior, trees, likelihood)
-
-
 def _sample(
     key: jax.Array,
     model: SceneModel,
@@ -227,11 +158,11 @@ def _sample(
     slabs: jax.Array,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Samples, float]:
+) -> SampledScenes:
     """Chains from the best scene found; the first third of their sweeps teaches the proposals.
 
-    Then the variance of the log likelihood's estimate, which is returned too, tells whether all shapes are
-    drawn anew for a new pose, or a share of them.
+    Then the variance of the log likelihood's estimate tells whether all shapes are drawn anew for a new pose,
+    or a share of them.
     """
     start_key, run_key, variance_key = jax.random.split(key, 3)
     keys = jax.random.split(start_key, config.chains)
@@ -239,7 +170,7 @@ def _sample(
     if not start.found.any():
         nothing = jnp.zeros_like(states.log_prior)
         recorded = _samples(_scene_and_value(states), nothing)
-        return jax.tree.map(lambda leaf: leaf[None], recorded), 0.0
+        return SampledScenes(jax.tree.map(lambda leaf: leaf[None], recorded), 0.0, model, kernel.mixture)
     groups = [
         jax.tree.map(lambda leaf, first=first: np.asarray(leaf)[first : first + TOGETHER], states)
         for first in range(0, config.chains, TOGETHER)
@@ -265,7 +196,7 @@ def _sample(
                 model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
             if progress:
                 progress(block + 1, blocks)
-    return Samples.joined(kept), variance
+    return SampledScenes(Samples.joined(kept), variance, model, kernel.mixture)
 
 
 def _advanced(

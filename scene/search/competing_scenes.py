@@ -133,9 +133,10 @@ def _refined(
     start = Initialisation(
         poses=found.poses(poses),
         found=found.present,
-        log_odds=np.zeros(found.slots),
+        rivals=found.poses(poses),
         pools=np.zeros((found.slots, 0, 7)),
         log_gains=np.zeros((found.slots, 1)),
+        log_alone=np.zeros((found.slots, 1)),
     )
     lines = np.zeros((found.slots, 2, 3))
     moves = found.present & moving[found.placed]

@@ -190,7 +190,7 @@ def _first(start: Initialisation, spins: list[NDArray[np.float64]]) -> _Fits:
         for place in np.argsort(-gains):
             if gains[place] < -WORSE or len(seen) == SOUGHT:
                 break
-            if _apart(start.pools[one, place], seen, 1.0).all():
+            if apart(start.pools[one, place], seen, 1.0).all():
                 seen = np.append(seen, start.pools[one, place][None], axis=0)
         owners += [one] * (len(seen) - 1)
         means += list(seen[1:])
@@ -202,7 +202,7 @@ def _first(start: Initialisation, spins: list[NDArray[np.float64]]) -> _Fits:
     )
 
 
-def _apart(pose: NDArray[np.float64], others: NDArray[np.float64], share: float) -> NDArray[np.bool_]:
+def apart(pose: NDArray[np.float64], others: NDArray[np.float64], share: float) -> NDArray[np.bool_]:
     """Whether a pose (7,) is further than a share of APART from others (K, 7)."""
     angle = 2 * np.arccos(np.minimum(np.abs(others[:, :4] @ pose[:4]), 1.0))
     offset = np.linalg.norm(others[:, 4:] - pose[4:], axis=1)
@@ -233,7 +233,7 @@ def _put(fits: _Fits, places: NDArray[np.intp], parts: list[_Fits]) -> _Fits:
 
 def _fitted(fits: _Fits, tangents: NDArray[np.float64], log_weights: NDArray[np.float64]) -> _Fits:
     """The Gaussians of weighted draws (J, S, 6) from these ones, and the masses that the draws tell."""
-    weights = np.stack([_tempered(one) for one in log_weights])
+    weights = np.stack([tempered(one, ALIVE) for one in log_weights])
     steps = np.einsum("ns,nsi->ni", weights, tangents)
     spread = tangents - steps[:, None]
     covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread) + np.diag(LEAST_SIGMA**2)
@@ -254,7 +254,7 @@ def _kept(fits: _Fits, visible: NDArray[np.float64]) -> Refinement:
         mine = np.flatnonzero(fits.owners == one)
         kept: list[int] = []
         for place in mine[np.argsort(-fits.log_masses[mine])]:
-            if len(kept) < MODES and _apart(fits.means[place], fits.means[kept], 0.5).all():
+            if len(kept) < MODES and apart(fits.means[place], fits.means[kept], 0.5).all():
                 kept.append(int(place))
         places[one] = np.resize(kept, MODES)
         log_masses[one, : len(kept)] = fits.log_masses[kept] - fits.log_masses[kept[0]]
@@ -267,18 +267,18 @@ def _kept(fits: _Fits, visible: NDArray[np.float64]) -> Refinement:
     )
 
 
-def _tempered(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalised weights (S,) to the largest power up to 1 that leaves ALIVE effective draws."""
+def tempered(log_weights: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """Normalised weights (S,) to the largest power up to 1 that leaves so many effective draws."""
 
     def alive(power: float) -> float:
         return float(1 / (softmax(power * log_weights) ** 2).sum())
 
-    if alive(1.0) >= ALIVE:
+    if alive(1.0) >= least:
         return softmax(log_weights)
     low, high = 0.0, 1.0
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        low, high = (middle, high) if alive(middle) >= ALIVE else (low, middle)
+        low, high = (middle, high) if alive(middle) >= least else (low, middle)
     return softmax(low * log_weights)
 
 

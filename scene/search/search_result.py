@@ -32,18 +32,20 @@ class Initialisation:
     Attributes:
         poses: (N, 7) camera_from_box, wxyz_xyz; meaningless where not found.
         found: (N,) bool.
-        log_odds: (N,) of each object being there against not, or another thing in its place.
+        rivals: (N, 7) where each object is in the best scene with it, of those not found.
         pools: (N, K, 7).
         log_gains: (N, K) log density of the scene with each pose of the pool in place of the best one,
             less that of the best scene; the last column is without the object.
+        log_alone: (N, K) the same where nothing else is in the scene.
         atoms: of masks, where they were asked for.
     """
 
     poses: NDArray[np.float64]
     found: NDArray[np.bool_]
-    log_odds: NDArray[np.float64]
+    rivals: NDArray[np.float64]
     pools: NDArray[np.float64]
     log_gains: NDArray[np.float64]
+    log_alone: NDArray[np.float64]
     atoms: BoltzmannAtoms | None = None
 
     def of_slots(self, found: FoundObjects) -> Initialisation:
@@ -51,9 +53,10 @@ class Initialisation:
         return Initialisation(
             poses=found.poses(self.poses),
             found=found.present,
-            log_odds=self.log_odds[found.placed],
+            rivals=self.rivals[found.placed],
             pools=self.pools[found.placed],
             log_gains=self.log_gains[found.placed],
+            log_alone=self.log_alone[found.placed],
             atoms=self.atoms
             and replace(
                 self.atoms,

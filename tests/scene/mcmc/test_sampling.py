@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from scene.mcmc.sampling import carrying, prior_space
+from scene.mcmc.chain_model import carrying, prior_space
 from scene.objects.scene_object import scene_object
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.detection import SupportPlane
@@ -40,9 +40,10 @@ def test_supports_that_carry_nothing_are_left_out() -> None:
     start = Initialisation(
         poses=np.stack([poses_of(pose), np.array(OUT_OF_SIGHT)]),
         found=np.array([True, False]),
-        log_odds=np.zeros(2),
+        rivals=np.zeros((2, 7)),
         pools=np.zeros((2, 0, 7)),
         log_gains=np.zeros((2, 1)),
+        log_alone=np.zeros((2, 1)),
     )
     table, floor, shelf, beside = support(0.0), support(-0.7), support(0.3), support(0.3, 0.5)
 

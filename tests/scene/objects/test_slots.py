@@ -13,9 +13,10 @@ def beginning(found: np.ndarray, rng: np.random.Generator) -> Initialisation:
     return Initialisation(
         poses=rng.normal(size=(count, 7)),
         found=found,
-        log_odds=rng.normal(size=count),
+        rivals=rng.normal(size=(count, 7)),
         pools=rng.normal(size=(count, 4, 7)),
         log_gains=rng.normal(size=(count, 5)),
+        log_alone=rng.normal(size=(count, 5)),
     )
 
 

@@ -78,9 +78,10 @@ def test_only_what_moves_is_refined(key: jax.Array, seed: int) -> None:
         start = Initialisation(
             poses=placed,
             found=np.ones(2, bool),
-            log_odds=np.zeros(2),
+            rivals=np.zeros((2, 7)),
             pools=np.zeros((2, 0, 7)),
             log_gains=np.zeros((2, 1)),
+            log_alone=np.zeros((2, 1)),
         )
         refined = refine(
             key,

@@ -1,0 +1,79 @@
+"""The prior of poses with the scene graph summed out: a determinant.
+
+Given the poses of n objects a graph's prior is a product over its edges, so that the sum over all graphs is
+the sum over spanning trees from the root, and that is a determinant (the matrix-tree theorem; Tutte 1948):
+with w_i the weight of object i on the root or on what does not move, and w_ij that of i on j,
+
+    sum over graphs of prod of edges = det(diag_i(w_i + sum_j w_ij) - [w_ij]).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class ForestPrior:
+    """Log prior of which of N slots hold an object, and of candidate poses of those that do.
+
+    Attributes:
+        on_root: (N, K) weight of each candidate by itself: floating, or on a support.
+        on_others: (N, K, N, K) weight of a candidate on another one.
+        log_trees: (N + 1,) log of the sum of the weights of all trees over so many objects.
+        log_sets: (N + 1,) log probability of one given set of slots, by its size.
+    """
+
+    on_root: NDArray[np.float64]
+    on_others: NDArray[np.float64]
+    log_trees: NDArray[np.float64]
+    log_sets: NDArray[np.float64]
+
+    def log_density(self, taken: Sequence[tuple[int, int]], hidden: int) -> float:
+        """Of slots at candidates (slot, place), and so many others somewhere out of sight."""
+        return float(self._log_forests(*self._weights(taken))) + self._log_number(len(taken), hidden)
+
+    def log_densities(self, taken: Sequence[tuple[int, int]], slot: int, hidden: int) -> NDArray[np.float64]:
+        """(K,) the same with one slot more, at each of its candidates."""
+        count = len(taken)
+        root, others = self._weights(taken)
+        slots, places = (np.array(part, np.intp) for part in zip(*taken, strict=True)) if taken else ([], [])
+        candidates = self.on_root.shape[1]
+        roots = np.empty((candidates, count + 1))
+        roots[:, :count], roots[:, count] = root, self.on_root[slot]
+        every = np.zeros((candidates, count + 1, count + 1))
+        every[:, :count, :count] = others
+        if taken:
+            every[:, count, :count] = self.on_others[slot][:, slots, places]
+            every[:, :count, count] = self.on_others[slots, places, slot].T
+        return self._log_forests(roots, every) + self._log_number(count + 1, hidden)
+
+    def _weights(self, taken: Sequence[tuple[int, int]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """On the root (n,), and of each on each (n, n)."""
+        if not taken:
+            return np.zeros(0), np.zeros((0, 0))
+        slots, places = (np.array(part, np.intp) for part in zip(*taken, strict=True))
+        others = self.on_others[slots[:, None], places[:, None], slots[None], places[None]]
+        return self.on_root[slots, places], np.where(np.eye(len(slots), dtype=bool), 0.0, others)
+
+    @staticmethod
+    def _log_forests(on_root: NDArray[np.float64], on_others: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log sum over graphs (...) of weights (..., n) and (..., n, n)."""
+        laplacian = -on_others
+        diagonal = np.arange(on_root.shape[-1])
+        laplacian[..., diagonal, diagonal] += on_root + on_others.sum(axis=-1)
+        sign, log_sum = np.linalg.slogdet(laplacian)
+        return np.where(sign > 0, log_sum, -np.inf)
+
+    def _log_number(self, count: int, hidden: int) -> float:
+        return float(self.log_sets[count + hidden] - self.log_trees[count])
+
+
+def log_weighted_trees(floating_weight: float, supports: int, slots: int) -> NDArray[np.float64]:
+    """`ForestPrior.log_trees` (slots + 1,) where what floats counts so much (Cayley's formula)."""
+    free = np.arange(slots + 1)
+    grounded = floating_weight + supports
+    return np.where(free > 0, np.log(grounded) + (free - 1) * np.log(grounded + free), 0.0)

@@ -1,0 +1,116 @@
+"""What the images say of which objects are there: moves among candidates that are drawn anew between them.
+
+Where chains have been, candidates are drawn from what they learned of an object's pose; elsewhere from
+Gaussians round the places that the search had for it. Every chain has candidates of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.execution import FAST_COMPILE
+from scene.hidden.hidden_places import HiddenPlaces
+from scene.mcmc import pose_mixture
+from scene.mcmc.pose_mixture import PoseMixture
+from scene.presence.depth_candidates import PosePriors, PresenceFrames, candidates_of
+from scene.presence.toggling import ABSENT, toggle
+
+CANDIDATES = 32
+"""K of a slot: of draws from a fitted Gaussian in six dimensions some ten then count."""
+
+DRAWN, SWEEPS = 2, 12
+"""How often candidates are drawn in a chain, and sweeps with each."""
+
+BURN_IN = 4
+"""Sweeps that are dropped: what is there may first take another's place."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Presence:
+    """Which of N objects are there.
+
+    Attributes:
+        probability: (N,).
+        standard_error: (N,) of it, from how chains differ, and from the draws of hidden poses.
+    """
+
+    probability: NDArray[np.float64]
+    standard_error: NDArray[np.float64]
+
+
+def presence_posterior(
+    rng: np.random.Generator,
+    frames: PresenceFrames,
+    priors: PosePriors,
+    mixture: PoseMixture,
+    starts: NDArray[np.float64],
+    taken: NDArray[np.bool_],
+    hidden: HiddenPlaces,
+) -> Presence:
+    """Presence of N objects by chains (B) that start where others ended.
+
+    Args:
+        rng: random numbers.
+        frames: what is seen.
+        priors: of sets and poses.
+        mixture: of the objects, from which candidates are drawn.
+        starts: (B, N, 7) world_from_box of those that are there at first.
+        taken: (N,) which are.
+        hidden: what objects that were not found do to the likelihood out of sight.
+    """
+    with np.errstate(divide="ignore"):
+        log_hidden = np.log(hidden.share)
+    by_chain = []
+    for start in starts:
+        choice, poses = np.where(taken, 0, ABSENT), start
+        sums = np.zeros((len(taken), 3))
+        for drawing in range(DRAWN):
+            drawn, log_offered = _drawn(mixture, rng, poses, choice >= 0)
+            candidates = candidates_of(rng, frames, priors, drawn, log_offered, log_hidden)
+            choice = np.where(choice >= 0, 0, choice)
+            if drawing == 0:
+                choice, _ = toggle(rng, candidates, choice, BURN_IN)
+            choice, expected = toggle(rng, candidates, choice, SWEEPS)
+            poses = drawn[np.arange(len(taken)), np.maximum(choice, 0)]
+            sums += expected
+        by_chain.append(sums[:, :2] / sums[:, 2:])
+    there, unseen = np.moveaxis(np.stack(by_chain), 2, 0)
+    told = there.mean(axis=0)
+    of_share = (
+        unseen.mean(axis=0) * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
+    )
+    of_chains = there.std(axis=0, ddof=1) / np.sqrt(len(starts))
+    return Presence(probability=told, standard_error=np.hypot(of_chains, of_share))
+
+
+def _drawn(
+    mixture: PoseMixture, rng: np.random.Generator, poses: NDArray[np.float64], kept: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Candidates (N, K, 7) and their log densities (N, K); the first is a pose (N, 7) where that is kept."""
+    shape = len(kept), CANDIDATES
+    uniform, normal = rng.random(shape), rng.standard_normal((*shape, 6))
+    with jax.enable_x64(True):
+        drawn, log_offered = _sampled(mixture, uniform, normal, poses, kept)
+    return np.asarray(drawn), np.asarray(log_offered)
+
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _sampled(
+    mixture: PoseMixture, uniform: jax.Array, normal: jax.Array, poses: jax.Array, kept: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The same of numbers (N, K) and (N, K, 6)."""
+
+    def of_slot(
+        mixture: PoseMixture, uniform: jax.Array, normal: jax.Array, pose: jax.Array, keep: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        drawn = jax.vmap(lambda one, other: pose_mixture.sample(one, other, mixture))(uniform, normal)
+        drawn = drawn.at[0].set(jnp.where(keep, pose, drawn[0]))
+        return drawn, jax.vmap(partial(pose_mixture.log_density, mixture))(drawn)
+
+    return jax.vmap(of_slot)(mixture, uniform, normal, poses, kept)
