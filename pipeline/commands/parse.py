@@ -213,10 +213,10 @@ def _corner(point_m: list[float]) -> str:
 
 def _line(one: dict[str, Any], graph: list[dict[str, Any]]) -> str:
     """What a person wants to know of an object."""
-    from pipeline.publishing.told_spread import agreement_text, modes_text, position_text
+    from pipeline.publishing.told_spread import agreement_text, modes_text, position_text, presence_text
 
     place = ", ".join(f"{metres * 100:.1f}" for metres in one["middle_m"])
-    text = f"{one['name']}: ({place}) cm {position_text(one)}, presence {one['presence']:.2f}"
+    text = f"{one['name']}: ({place}) cm {position_text(one)}, presence {presence_text(one)}"
     edges = {edge["parent"]: edge["probability"] for edge in graph if edge["child"] == one["name"]}
     floating = 1 - sum(edges.values())
     best = max(edges, key=edges.__getitem__, default=None)

@@ -142,6 +142,7 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
             {
                 "name": names[one],
                 "presence": float(scene.presence[one]),
+                "presence_std": float(scene.presence_std[one]),
                 "camera_from_object": scene.camera_from_object[one].tolist(),
                 "position_std_m": float(scene.position_std_m[one]),
                 "rotation_std_rad": float(scene.rotation_std_rad[one]),

@@ -49,6 +49,12 @@ def rotation_text(one: Mapping[str, Any]) -> str:
     return f"+- {_digits(degrees, 2 if one['converged'] and one['modes_converged'] else 1)} deg"
 
 
+def presence_text(one: Mapping[str, Any]) -> str:
+    """Probability that an object is there, with its standard error where that shows."""
+    error = one.get("presence_std") or 0.0
+    return f"{one['presence']:.2f}" + (f" ± {error:.2f}" if error >= 0.005 else "")
+
+
 def label_text(one: Mapping[str, Any]) -> str:
     """What stands beside an object in a picture; a question mark where chains do not agree on the spread."""
     share = one["modes"][0]["probability"] if one["modes"] else 1.0

@@ -13,7 +13,13 @@ from pipeline.errors import PipelineError
 from pipeline.export.models import learned_model
 from pipeline.export.sources import is_project, is_run
 from pipeline.publishing.summary import summary_of, timing_of
-from pipeline.publishing.told_spread import agreement_text, camera_text, position_text, rotation_text
+from pipeline.publishing.told_spread import (
+    agreement_text,
+    camera_text,
+    position_text,
+    presence_text,
+    rotation_text,
+)
 from pipeline.publishing.values import RunValues
 from pipeline.report import charts
 from pipeline.report.page import Page
@@ -251,12 +257,12 @@ def _objects(page: Page, run: ReportedRun) -> None:
         edge = rests.get(one["name"])
         support = f"{edge['parent']} ({edge['probability']:.0%})" if edge else "nothing"
         spread = ", ".join((position_text(one), rotation_text(one), agreement_text(one))).removesuffix(", ")
-        presence, visible = f"{one['presence']:.2f}", f"{one['visible_fraction']:.0%}"
+        presence, visible = presence_text(one), f"{one['visible_fraction']:.0%}"
         rows.append([one["name"], presence, f"({place}) cm", spread, f"{share:.0%}", visible, support])
     header = ["object", "presence", "centre", "spread, all samples", "share of its mode", "visible"]
     page.table([*header, "rests on"], rows)
     if parse["not_found"]:
-        told = ", ".join(f"{one['name']} ({one['presence']:.2f})" for one in parse["not_found"])
+        told = ", ".join(f"{one['name']} ({presence_text(one)})" for one in parse["not_found"])
         page.text(f"Not found, with the probability that it is there unseen: {told}.", soft=True)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.publishing.told_spread import (
     camera_text,
     position_text,
+    presence_text,
     rotation_text,
     shares_text,
     verdict_text,
@@ -76,12 +77,12 @@ def _scene(parse: Mapping[str, Any]) -> list[str]:
             if edge["child"] == one["name"] and edge["probability"] >= 0.005
         ]
         doubt = "" if one["converged"] else "?"
-        cells = [one["name"], f"{one['presence']:.0%}", position_text(one) + doubt, rotation_text(one)]
+        cells = [one["name"], presence_text(one), position_text(one) + doubt, rotation_text(one)]
         cells += [shares_text(one), ", ".join(rests) or "nothing"]
         lines.append(f"| {' | '.join(cells)} |")
     return [
         *lines,
-        *(f"| {one['name']} | {one['presence']:.0%} | | | | not found |" for one in parse["not_found"]),
+        *(f"| {one['name']} | {presence_text(one)} | | | | not found |" for one in parse["not_found"]),
         "",
         "- +-: root mean square over all samples, of the middle's place and of the orientation; "
         "poses: shares of those that are told apart; ?: chains do not agree",

@@ -235,18 +235,18 @@ class PosePriors:
             with jax.enable_x64(True):
                 found = np.asarray(_on_another(self.prior, self.bodies, bodies[pairs], poses[pairs]))
             densities[part] = found[: len(densities[part])]
-        return densities
+        return np.exp(LOG_CONTACT_JACOBIAN) * densities
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
 def _on_another(prior: PosePrior, bodies: Bodies, pairs: jax.Array, poses: jax.Array) -> jax.Array:
-    """Densities (P,) of the second of two bodies (P, 2) at poses (P, 2, 7) resting on the first."""
+    """Densities (P,), of contacts, of the second of two bodies (P, 2) at poses (P, 2, 7) on the first."""
 
     def one(pair: jax.Array, poses: jax.Array) -> jax.Array:
         two = jax.tree.map(lambda leaf: leaf[pair], bodies)
         return jnp.sum(contact_densities(prior, two, poses, jnp.int32(1))[0])
 
-    return jnp.exp(LOG_CONTACT_JACOBIAN) * jax.vmap(one)(pairs, poses)
+    return jax.vmap(one)(pairs, poses)
 
 
 def candidates_of(

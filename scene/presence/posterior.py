@@ -6,6 +6,7 @@ Gaussians round the places that the search had for it. Every chain has candidate
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,7 +20,7 @@ from scene.hidden.hidden_places import HiddenPlaces
 from scene.mcmc import pose_mixture
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.presence.depth_candidates import PosePriors, PresenceFrames, candidates_of
-from scene.presence.toggling import ABSENT, toggle
+from scene.presence.toggling import ABSENT, Candidates, toggle
 
 CANDIDATES = 32
 """K of a slot: of draws from a fitted Gaussian in six dimensions some ten then count."""
@@ -44,6 +45,40 @@ class Presence:
     standard_error: NDArray[np.float64]
 
 
+DrawCandidates = Callable[[NDArray[np.float64], NDArray[np.bool_]], tuple[NDArray[np.float64], Candidates]]
+"""Poses (N, K, 7), of which the first is a given one (N, 7) where that is kept (N,), and what they show."""
+
+
+def chain_presence(
+    rng: np.random.Generator,
+    draw: DrawCandidates,
+    poses: NDArray[np.float64],
+    taken: NDArray[np.bool_],
+    drawings: int = DRAWN,
+    sweeps: int = SWEEPS,
+) -> NDArray[np.float64]:
+    """Presence (N, 2) by a chain, all and hidden.
+
+    Args:
+        rng: random numbers.
+        draw: draws candidates anew.
+        poses: (N, 7) of those that are there at first.
+        taken: (N,) which are.
+        drawings: of candidates.
+        sweeps: with each.
+    """
+    choice, sums = np.where(taken, 0, ABSENT), np.zeros((len(taken), 3))
+    for drawing in range(drawings):
+        drawn, candidates = draw(poses, choice >= 0)
+        choice = np.where(choice >= 0, 0, choice)
+        if drawing == 0:
+            choice, _ = toggle(rng, candidates, choice, BURN_IN)
+        choice, expected = toggle(rng, candidates, choice, sweeps)
+        poses = drawn[np.arange(len(taken)), np.maximum(choice, 0)]
+        sums += expected
+    return sums[:, :2] / sums[:, 2:]
+
+
 def presence_posterior(
     rng: np.random.Generator,
     frames: PresenceFrames,
@@ -66,20 +101,12 @@ def presence_posterior(
     """
     with np.errstate(divide="ignore"):
         log_hidden = np.log(hidden.share)
-    by_chain = []
-    for start in starts:
-        choice, poses = np.where(taken, 0, ABSENT), start
-        sums = np.zeros((len(taken), 3))
-        for drawing in range(DRAWN):
-            drawn, log_offered = _drawn(mixture, rng, poses, choice >= 0)
-            candidates = candidates_of(rng, frames, priors, drawn, log_offered, log_hidden)
-            choice = np.where(choice >= 0, 0, choice)
-            if drawing == 0:
-                choice, _ = toggle(rng, candidates, choice, BURN_IN)
-            choice, expected = toggle(rng, candidates, choice, SWEEPS)
-            poses = drawn[np.arange(len(taken)), np.maximum(choice, 0)]
-            sums += expected
-        by_chain.append(sums[:, :2] / sums[:, 2:])
+
+    def draw(poses: NDArray[np.float64], kept: NDArray[np.bool_]) -> tuple[NDArray[np.float64], Candidates]:
+        drawn, log_offered = _drawn(mixture, rng, poses, kept)
+        return drawn, candidates_of(rng, frames, priors, drawn, log_offered, log_hidden)
+
+    by_chain = [chain_presence(rng, draw, start, taken) for start in starts]
     there, unseen = np.moveaxis(np.stack(by_chain), 2, 0)
     told = there.mean(axis=0)
     of_share = (

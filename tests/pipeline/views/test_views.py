@@ -72,8 +72,8 @@ def test_a_parsed_scene_is_drawn(parsed_run: RunValues, tmp_path: Path) -> None:
     assert parts | {"/world/objects/box/surface", "/graph", "/presence"} <= entities
     assert "/world/objects/can/surface" not in entities
     report = report_markdown(parsed_run, summary_of(parsed_run))
-    assert "| mug | 99% | +- 2 mm? | +- 0.1 deg | 100% | box 90% |" in report
-    assert "| can | 10% | | | | not found |" in report
+    assert "| mug | 0.99 | +- 2 mm? | +- 0.1 deg | 100% | box 90% |" in report
+    assert "| can | 0.10 | | | | not found |" in report
     assert "not converged: R-hat" in report
 
 

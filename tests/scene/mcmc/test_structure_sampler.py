@@ -54,7 +54,7 @@ def test_trees_are_visited_as_often_as_they_are_likely(key: jax.Array, strength:
     assert_mean(frequencies, posterior / posterior.sum(), detectable=0.06)
 
 
-@pytest.mark.slow  # tests/scene/mcmc/test_pair_toggle.py returns the prior with absent objects
+@pytest.mark.slow  # tests/scene/presence returns the prior with absent objects
 @pytest.mark.parametrize("weight", [1.0, 0.3])
 def test_no_data_returns_the_prior_beside_an_empty_slot(key: jax.Array, weight: float) -> None:
     """Likelihood constant, two objects, a table and a slot for one that is not there: 8 trees.

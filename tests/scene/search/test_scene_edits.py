@@ -7,10 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.special import betaln, expit, logit
 
-from scene.model.number_prior import SHAPES
-from scene.model.presence import log_odds_of_presence, log_prior_odds
+from scene.model.presence import log_prior_odds
 from scene.search.assignment import PoseLayers, log_density_of_choice
 from scene.search.scene_edits import best_scene, filled, rivals
 from scene.search.support_table import SupportTable
@@ -56,19 +54,6 @@ def test_odds_are_prior_odds_times_the_bayes_factor() -> None:
         there = scenes[:, one] == 0
         exact = np.log(np.exp(log_posterior[there]).sum() / np.exp(log_posterior[~there]).sum())
         assert float(log_odds[one]) == pytest.approx(exact, abs=1e-4)
-
-
-@pytest.mark.parametrize("presence", [0.2, 0.9])
-def test_how_many_are_there_is_inferred_too(seed: int, presence: float) -> None:
-    """Five shapes, all 32 scenes weighted by a beta-binomial count; one alone keeps its prior odds."""
-    log_ratios = np.random.default_rng(seed).normal(0, 2, 5)
-    scenes = np.array(list(itertools.product((0, 1), repeat=5)))
-    there = SHAPES * presence + scenes.sum(axis=1)
-    weight = np.exp(scenes @ log_ratios + betaln(there, SHAPES + 5 - there))
-    exact = weight @ scenes / weight.sum()
-    found = log_odds_of_presence(log_ratios + logit(presence), np.zeros(5), presence)
-    np.testing.assert_allclose(expit(found), exact)
-    assert log_odds_of_presence([1.3], [0.0], presence) == pytest.approx(1.3)
 
 
 def test_an_object_that_nothing_shows_has_its_prior_odds() -> None:

@@ -1,0 +1,169 @@
+"""The prior of poses with graphs summed out: against all trees, and what comes back without data."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pipeline.benchmarks.cubes import cube_model
+from scene.hidden.hidden_places import HiddenPlaces
+from scene.mcmc.pose_mixture import PoseMixture
+from scene.model.number_prior import (
+    BinomialNumber,
+    FixedNumber,
+    NumberPrior,
+    PoissonNumber,
+    UncertainBinomialNumber,
+)
+from scene.model.prior import WeightedTrees
+from scene.model.scene_graph import ROOT, SceneGraph, all_trees
+from scene.presence.depth_candidates import PosePriors, PresenceFrames
+from scene.presence.forests import ForestPrior, log_weighted_trees
+from scene.presence.posterior import Presence, presence_posterior
+from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
+
+WEIGHT = 0.5
+"""Odds of floating."""
+
+
+def random_poses(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Anywhere within half a metre."""
+    wxyz = rng.standard_normal((*shape, 4))
+    wxyz /= np.linalg.norm(wxyz, axis=-1, keepdims=True)
+    return np.concatenate([wxyz, rng.uniform(-0.5, 0.5, (*shape, 3))], axis=-1)
+
+
+TABLE_POSE = np.array([1.0, 0, 0, 0, 0, 0, -0.6])
+
+
+def priors_of(free: int, number: NumberPrior) -> PosePriors:
+    """Cubes over a table."""
+    model = cube_model(free, table=True, upward_concentration=2.0)
+    return PosePriors(
+        prior=jax.device_get(model.prior),
+        bodies=jax.device_get(model.bodies),
+        supports=TABLE_POSE[None],
+        floating_weight=WEIGHT,
+        log_sets=number.log_set_probabilities(free),
+        grafts=True,
+    )
+
+
+def test_forests_are_summed(seed: int) -> None:
+    """Four objects with weights that are any: all graphs without a circle, to 1e-12."""
+    rng = np.random.default_rng(seed)
+    root, others = rng.random((4, 1)), rng.random((4, 1, 4, 1))
+    prior = ForestPrior(root, others, np.zeros(5), np.zeros(5))
+    taken = [(slot, 0) for slot in range(4)]
+
+    total = 0.0
+    for parents in itertools.product(range(-1, 4), repeat=4):
+        if all(leads_to_root(parents, one) for one in range(4)):
+            edges = [root[one, 0] if to < 0 else others[one, 0, to, 0] for one, to in enumerate(parents)]
+            total += np.prod(edges)
+
+    np.testing.assert_allclose(np.exp(prior.log_density(taken, 0)), total, rtol=1e-12)
+    np.testing.assert_allclose(np.exp(prior.log_densities(taken[:3], 3, 0)), total, rtol=1e-12)
+
+
+def leads_to_root(parents: tuple[int, ...], one: int) -> bool:
+    """Whether there is no circle."""
+    for _ in parents:
+        one = parents[one] if one >= 0 else one
+    return one < 0
+
+
+def test_the_prior_is_that_of_the_chains(seed: int) -> None:
+    """Two cubes and a table: the chains' own prior, with its 8, over 8 trees and all pairs of faces."""
+    model = cube_model(2, table=True, upward_concentration=2.0, structure=WeightedTrees(jnp.asarray(WEIGHT)))
+    poses = random_poses(np.random.default_rng(seed), 2)
+    placed = jnp.asarray(np.concatenate([poses, TABLE_POSE[None]]))
+    rows = []
+    for parents in np.asarray(all_trees(2, table=True)):
+        on = np.flatnonzero(parents[:2] != ROOT)
+        pairs = np.zeros((36 ** len(on), 3), int)
+        pairs[:, on] = np.array(list(itertools.product(range(36), repeat=len(on))))
+        rows.append(np.stack([np.tile(parents, (len(pairs), 1)), pairs // 6, pairs % 6], axis=1))
+    parents, parent_faces, child_faces = np.moveaxis(np.concatenate(rows), 1, 0)
+
+    def log_prior(parents: jax.Array, parent_faces: jax.Array, child_faces: jax.Array) -> jax.Array:
+        return model.log_prior(SceneGraph(parents, child_faces, parent_faces, placed, jnp.ones(3, bool)))
+
+    log_priors = np.asarray(jax.jit(jax.vmap(log_prior))(parents, parent_faces, child_faces))
+    contacts = (parents[:, :2] != ROOT).sum(axis=1)
+    total = np.exp(log_priors + LOG_CONTACT_JACOBIAN * contacts).sum()
+
+    found = priors_of(2, FixedNumber(2)).of(poses[:, None]).log_density([(0, 0), (1, 0)], 0)
+    np.testing.assert_allclose(found, np.log(total), atol=1e-9)
+
+
+class NothingSeen(PresenceFrames):
+    """Images that say nothing: every candidate is seen at one pixel, which it leaves as likely as it is."""
+
+    def __init__(self) -> None:
+        pass
+
+    @property
+    def pixels(self) -> int:
+        """One."""
+        return 1
+
+    def shown(
+        self, rng: np.random.Generator, slots: np.ndarray, poses: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Depth 1, no gain."""
+        del rng, poses
+        return np.ones((len(slots), 1), np.float32), np.zeros((len(slots), 1), np.float32)
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        FixedNumber(2),
+        pytest.param(BinomialNumber(0.5), marks=pytest.mark.slow),
+        pytest.param(PoissonNumber(1.5), marks=pytest.mark.slow),
+        UncertainBinomialNumber(0.7),
+    ],
+)
+def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int) -> None:
+    """Three cubes over a table, graph inferred, candidates from a cloud: presence is the prior's for each.
+
+    Within five standard errors, each 0.025 at most.
+    """
+    told = presence_without_data(priors_of(3, number), seed)
+    expected = np.exp(number.log_set_probabilities(3)) @ (np.array([1, 3, 3, 1]) * np.arange(4)) / 3
+
+    error = told.standard_error
+    assert (error < 0.025).all()
+    assert (np.abs(told.probability - expected) < 5 * np.maximum(error, 1e-9)).all()
+
+
+def presence_without_data(priors: PosePriors, seed: int, chains: int = 24) -> Presence:
+    """Of three slots, two of them taken at first."""
+    rng = np.random.default_rng(seed)
+    cloud = PoseMixture.build(
+        jnp.zeros((3, 1)),
+        jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0.2]), (3, 1, 1)),
+        jnp.tile(jnp.diag(jnp.array([0.7, 0.7, 0.8, 1.2, 1.2, 1.2]) ** 2), (3, 1, 1, 1)),
+    )
+    starts = random_poses(rng, chains, 3)
+    return presence_posterior(
+        rng, NothingSeen(), priors, cloud, starts, np.array([True, True, False]), HiddenPlaces.none(3)
+    )
+
+
+@pytest.mark.parametrize("mutant", ["trees", "eight"])
+def test_mutants_do_not_return_it(mutant: str, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The number-dependence of p(G) left out, and the 8 of a contact."""
+    from scene.presence import depth_candidates
+
+    if mutant == "trees":
+        monkeypatch.setattr(
+            depth_candidates, "log_weighted_trees", lambda *given: np.zeros_like(log_weighted_trees(*given))
+        )
+    else:
+        monkeypatch.setattr(depth_candidates, "LOG_CONTACT_JACOBIAN", 0.0)
+    told = presence_without_data(priors_of(3, UncertainBinomialNumber(0.7)), seed, chains=12)
+    assert np.abs(told.probability.mean() - 0.7) > 5 * told.standard_error.mean()

@@ -1,0 +1,145 @@
+"""Moves among candidates: a transition matrix, a world of strips, calibration on its own draws."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from scene.model.number_prior import BinomialNumber
+from scene.presence import toggling
+from scene.presence.forests import ForestPrior
+from scene.presence.posterior import chain_presence
+from scene.presence.toggling import ABSENT, Candidates, SlotLayers
+from tests.scene.presence import strips
+from tests.statistical import assert_mean
+
+TOY_PLACES, TOY_COUNT = 3, 2
+
+
+def toy_candidates(target: np.ndarray, chances: np.ndarray, places: np.ndarray) -> Candidates:
+    """Of two slots at places (2, K), one of which at most is there: seven states of any density (7,)."""
+    gains = np.log(target[1:].reshape(2, TOY_PLACES) / target[0]).astype(np.float32)
+    layers = [
+        SlotLayers(np.array([slot]), np.ones((places.shape[1], 1), np.float32), gains[slot, mine, None])
+        for slot, mine in enumerate(places)
+    ]
+    slots, count = places.shape
+    prior = ForestPrior(
+        np.ones((slots, count)), np.zeros((slots, count, slots, count)), np.zeros(3), np.zeros(3)
+    )
+    log_offered = np.log(chances[np.arange(2)[:, None], places])
+    return Candidates(layers, log_offered, prior, np.full(2, -np.inf), 2)
+
+
+def toy_error() -> float:
+    """Largest |pi_i P_ij - pi_j P_ji| of a move of the pair, the target and the draws being any."""
+    rng = np.random.default_rng(0)
+    target, chances = rng.dirichlet(np.ones(7)), rng.dirichlet(np.ones(TOY_PLACES), 2)
+    matrix = np.zeros((7, 7))
+    states = [(ABSENT, ABSENT)] + [(slot, place) for slot in range(2) for place in range(TOY_PLACES)]
+    for row, (slot, place) in enumerate(states):
+        for draw in itertools.product(range(TOY_PLACES), repeat=2 * TOY_COUNT):
+            places = np.array(draw).reshape(2, TOY_COUNT)
+            probability = chances[np.arange(2)[:, None], places].prod()
+            choice = np.full(2, ABSENT)
+            if row:
+                if places[slot, 0] != place:
+                    continue
+                probability /= chances[slot, place]
+                choice[slot] = 0
+            candidates = toy_candidates(target, chances, places)
+            weights = np.exp(candidates.log_weights(choice, [0, 1]).reshape(-1))
+            options = [0] + [
+                1 + one * TOY_PLACES + at for one in range(2) for at in [*places[one], 0]
+            ]  # the last of each is hidden, which cannot be
+            np.add.at(matrix[row], options, probability * weights / weights.sum())
+    np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-12)
+    flow = target[:, None] * matrix
+    return float(np.abs(flow - flow.T).max())
+
+
+def test_the_toy_chain_is_reversible() -> None:
+    """Seven states, two candidates a slot: the flow between any two is the same both ways (float32 gains)."""
+    assert toy_error() < 1e-7
+
+
+def test_a_toy_chain_that_forgets_the_number_of_candidates_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant without 1 / K."""
+
+    class WithoutLog:
+        def __getattr__(self, name: str) -> object:
+            return (lambda _: 0.0) if name == "log" else getattr(np, name)
+
+    monkeypatch.setattr(toggling, "np", WithoutLog())
+    assert toy_error() > 1e-3
+
+
+def strip(seed: int) -> np.ndarray:
+    """What is seen of the first object at place 6, in twice the noise that is reckoned with."""
+    rng = np.random.default_rng(seed)
+    return strips.depth_m(np.array([0]), np.array([6])) + 2 * strips.SIGMA_M * rng.standard_normal(
+        strips.WIDTH
+    )
+
+
+@pytest.mark.parametrize("kinds", [(0, 1), (0, 0)])
+def test_scenes_among_candidates_have_their_density(kinds: tuple[int, int], seed: int) -> None:
+    """All 441 scenes of the world of strips, whichever hides the other, to float32's rounding."""
+    observed_m, which, number = strip(seed), np.array(kinds), BinomialNumber(0.3)
+    places = np.tile(np.arange(strips.PLACES), (2, 1))
+    candidates = strips.candidates_at(observed_m, which, number, places)
+    scenes = strips.all_scenes(2)
+    found = np.array([candidates.log_density(np.where(one < 0, ABSENT, one)) for one in scenes])
+
+    shown = np.stack([strips.depth_m(which, one) for one in scenes])
+    exact = strips.log_density(observed_m, shown).sum(axis=1)
+    there = (scenes >= 0).sum(axis=1)
+    exact += number.log_set_probabilities(2)[there] - there * np.log(strips.PLACES)
+    np.testing.assert_allclose(found - found[0], exact - exact[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("kinds", [(0, 1), pytest.param((0, 0), marks=pytest.mark.slow)])
+def test_presence_in_a_world_of_strips(kinds: tuple[int, int], seed: int) -> None:
+    """Chains with few candidates that are drawn anew, against the sum over 441 scenes."""
+    observed_m, which, number = strip(seed), np.array(kinds), BinomialNumber(0.5)
+    exact = strips.exact_presence(observed_m, which, number)
+    assert ((exact > 0.02) & (exact < 0.98)).any()
+
+    told = np.stack([chain_in_strips(seed + 1000 * run, observed_m, which, number) for run in range(40)])
+
+    assert_mean(told, exact, detectable=0.1)
+
+
+def chain_in_strips(
+    seed: int, observed_m: np.ndarray, kinds: np.ndarray, number: BinomialNumber
+) -> np.ndarray:
+    """Presence (N,) by one chain from the empty scene."""
+    rng = np.random.default_rng(seed)
+
+    def draw(places: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, Candidates]:
+        return strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
+
+    nowhere = np.zeros(len(kinds), int)
+    return chain_presence(rng, draw, nowhere, nowhere > 0, drawings=60, sweeps=2)[:, 0]
+
+
+@pytest.mark.parametrize("worlds", [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_presence_is_calibrated_on_worlds_of_its_own(worlds: int, seed: int) -> None:
+    """Worlds drawn from the model: what is told in bins of presence is there that often (1e-6 a bin)."""
+    rng = np.random.default_rng(seed)
+    number, kinds = BinomialNumber(0.5), np.array([0, 1])
+    told, there = [], []
+    for world in range(worlds):
+        present = rng.random(2) < 0.5
+        places = np.where(present, rng.integers(strips.PLACES, size=2), -1)
+        observed_m = strips.observed(rng, strips.depth_m(kinds, places))
+        told.append(chain_in_strips(int(rng.integers(2**31)) + world, observed_m, kinds, number))
+        there.append(present)
+    presence, truth = np.concatenate(told), np.concatenate(there)
+    bins = np.digitize(presence, [0.2, 0.4, 0.6, 0.8])
+    shares = [(np.mean(bins == one), np.mean((truth - presence)[bins == one])) for one in np.unique(bins)]
+    print(f"ECE {sum(share * abs(gap) for share, gap in shares):.3f} on {worlds} worlds")
+    for one in np.unique(bins):
+        gap = (truth - presence)[bins == one]
+        if len(gap) > 20:
+            assert_mean(gap, 0.0, detectable=5 / np.sqrt(len(gap)))
