@@ -121,6 +121,7 @@ class OverlapTerms:
         gradient: (12,) of minus the log density.
         score_variance: (12, 12) of the gradient, from the spread of blocks of pixels.
         inliers: expected number of pixels on the surface.
+        meeting: number of pixels that meet it.
         field: the same in the nodes of the distortion field, where it was given.
     """
 
@@ -128,6 +129,7 @@ class OverlapTerms:
     gradient: jax.Array
     score_variance: jax.Array
     inliers: jax.Array
+    meeting: jax.Array
     field: FieldTerms | None
 
 
@@ -289,6 +291,7 @@ def overlap_terms(
             gradient=blocks @ jnp.ones(BLOCKS, blocks.dtype),
             score_variance=blocks @ blocks.T,
             inliers=inlier.sum(),
+            meeting=gaps.meets.sum(),
             field=None,
         )
         weighed = gaps.field and _WeighedGaps(gaps.gap_m, weight, jacobian, gaps.field)

@@ -16,6 +16,7 @@ from slam.pose_graph.gauss_newton import (
     HELD_INFLATIONS,
     INFLATIONS,
     GraphOptimum,
+    agreement,
     optimise,
 )
 from slam.pose_graph.loops import closed, find_loops
@@ -44,12 +45,13 @@ def optimise_coarse_to_fine(
     near = optimise(keyframes, poses, inflations, motion=motion)
     if motion is not None:
         return keyframes, near
+    start = poses if near is None or near.astray.any() else near.poses
+    chain = agreement(keyframes, start)
+    if chain is not None and (loops := find_loops(images, chain, start)):
+        return _drawn_together(images, closed(chain, start, loops), keyframes, near)
     if near is None or near.astray.any():
-        keyframes, near = _drawn_together(images, poses, keyframes, near)
-    loops = near and find_loops(images, near)
-    if not near or not loops:
-        return keyframes, near
-    return _drawn_together(images, closed(near, loops), keyframes, near)
+        return _drawn_together(images, start, keyframes, near)
+    return keyframes, near
 
 
 def _drawn_together(

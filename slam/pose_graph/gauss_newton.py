@@ -21,6 +21,7 @@ from slam.pose_graph.displacements import coordinates, displaced
 from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
 from slam.pose_graph.sparse_gaussian import FieldTerm, PoseGraph
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
+from slam.registration.registered import CONVINCING_EXPLAINED
 
 INFLATIONS = (4.0, 3.0, 2.0, 1.5)
 """Of sigma in the first rounds, which start at the filter's drift."""
@@ -61,12 +62,14 @@ class _Linearised:
         graph: not tempered.
         score_variance: (E, 12, 12) of the gradients.
         inliers: (E,).
+        meeting: (E,) pixels that meet the surface.
         field: leaves (E, ...), or None.
     """
 
     graph: PoseGraph
     score_variance: NDArray[np.float64]
     inliers: NDArray[np.float64]
+    meeting: NDArray[np.float64]
     field: FieldTerms | None
 
 
@@ -134,6 +137,25 @@ def optimise(
         graph=_tempered(linearised, motion, poses),
         exponents=_exponents(linearised),
         astray=astray,
+    )
+
+
+def agreement(keyframes: Keyframes, poses: NDArray[np.float32]) -> PoseGraph | None:
+    """The tempered graph at poses (N, 7) of overlaps whose pixels agree there; None without any overlap.
+
+    Of others, as between views of a floor that are taken for each other, each keyframe has the best one with
+    an earlier one alone: it was placed by that.
+    """
+    linearised = _linearised(keyframes, poses, 1.0, np.zeros(len(poses), bool))
+    if linearised is None:
+        return None
+    graph = _tempered(linearised, None, poses)
+    share = linearised.inliers / np.maximum(linearised.meeting, 1.0)
+    best = np.zeros(len(poses))
+    np.maximum.at(best, graph.pairs.max(axis=1), share)
+    agree = share >= np.minimum(best[graph.pairs.max(axis=1)], CONVINCING_EXPLAINED)
+    return replace(
+        graph, pairs=graph.pairs[agree], precision=graph.precision[agree], gradient=graph.gradient[agree]
     )
 
 
@@ -241,7 +263,7 @@ def _linearised(
         return None
     pairs = np.concatenate(overlaps)
     leaves = (np.concatenate(leaf) for leaf in zip(*parts, strict=True))
-    precision, gradient, score_variance, inliers, *of_field = leaves
+    precision, gradient, score_variance, inliers, meeting, *of_field = leaves
     agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
     if not agree.any():
         return None
@@ -252,6 +274,7 @@ def _linearised(
         graph=graph,
         score_variance=score_variance[agree],
         inliers=inliers[agree],
+        meeting=meeting[agree],
         field=FieldTerms(*(leaf[agree] for leaf in of_field)) if of_field else None,
     )
 

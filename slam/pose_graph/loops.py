@@ -25,7 +25,6 @@ from slam.filter.map_update import capacity_for
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import place_distances
 from slam.pose_graph.displacements import displaced
-from slam.pose_graph.gauss_newton import GraphOptimum
 from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.sparse_gaussian import PoseGraph, damped_step
 from slam.registration.alignment import STIFFNESS
@@ -61,54 +60,81 @@ class Loops:
     Attributes:
         pairs: (L, 2) later and earlier.
         ways: (L, 7) earlier_from_later.
+        precisions: (L, 6, 6) of their errors, in the charts there.
     """
 
     pairs: NDArray[np.int_]
     ways: NDArray[np.float32]
+    precisions: NDArray[np.float64]
 
     def __len__(self) -> int:
         """Number of pairs."""
         return len(self.pairs)
 
+    def only(self, chosen: NDArray[np.bool_]) -> Loops:
+        """Those that are chosen (L,)."""
+        return Loops(pairs=self.pairs[chosen], ways=self.ways[chosen], precisions=self.precisions[chosen])
 
-def find_loops(images: KeyframeImages, optimum: GraphOptimum) -> Loops:
-    """Pairs that the graph at an optimum holds together by a long way only, as registration confirms them.
+
+def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float32]) -> Loops:
+    """Pairs that the graph at poses (N, 7) holds together by a long way only, as registration confirms them.
 
     After a keyframe that closes a loop the next ones that its overlaps reach are passed over.
     """
-    apart, lengths = _are_far(optimum.graph), _path_lengths(optimum.poses)
-    pairs, ways, passed = [], [], -1
-    for later in range(len(optimum.poses)):
-        if later <= passed or optimum.astray[later]:
+    hops, lengths = _hops(graph), _path_lengths(poses)
+    pairs, ways, precisions, passed = [], [], [], -1
+    for later in range(len(poses)):
+        if later <= passed:
             continue
         walked = lengths[later] - lengths
-        far = apart[later] & (np.arange(len(walked)) < later)
-        far &= _is_in_reach(optimum.poses, optimum.poses[later], walked)
+        far = np.isinf(hops[later]) & (np.arange(len(walked)) < later)
+        far &= _is_in_reach(poses, poses[later], walked)
         for earlier in _most_alike(images, later, np.nonzero(far)[0]):
-            found = _registered(images, optimum.poses, later, earlier)
+            found = _registered(images, poses, later, earlier, np.isfinite(hops[earlier]))
             pose = np.asarray(found.optimum.pose)
             if not (found.is_finite and found.is_unambiguous and found.covered >= LEAST_COVERED):
                 continue
-            if _is_in_reach(optimum.poses[later][None], pose, walked[earlier : earlier + 1])[0]:
+            if _is_in_reach(poses[later][None], pose, walked[earlier : earlier + 1])[0]:
                 pairs.append((later, earlier))
-                ways.append(_ways(optimum.poses[earlier][None], pose[None])[0])
+                ways.append(_ways(poses[earlier][None], pose[None])[0])
+                precisions.append(_precision(found))
                 passed = later + LEAST_HOPS
                 break
     return Loops(
-        pairs=np.asarray(pairs, int).reshape(-1, 2), ways=np.asarray(ways, np.float32).reshape(-1, 7)
+        pairs=np.asarray(pairs, int).reshape(-1, 2),
+        ways=np.asarray(ways, np.float32).reshape(-1, 7),
+        precisions=np.asarray(precisions, np.float64).reshape(-1, 6, 6),
     )
 
 
-def closed(optimum: GraphOptimum, loops: Loops) -> NDArray[np.float32]:
-    """Keyframes (N, 7) on ways between neighbours as at the optimum, bent so that the loops close.
+def _precision(found: Registration) -> NDArray[np.float64]:
+    """Laplace's (6, 6), with as many pixels as the spread of their blocks' scores says are independent."""
+    precision = np.asarray(found.optimum.layer_precisions, np.float64).sum(axis=0)
+    stiff = precision + STIFFNESS * np.eye(6)
+    repetition = np.linalg.solve(stiff, np.asarray(found.optimum.score_variance, np.float64))
+    return precision / max(1.0, float(np.trace(repetition)) / 6.0)
 
-    A loop counts as an overlap does on average.
+
+def closed(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray[np.float32]:
+    """Keyframes (N, 7) on the graph's ways, as they are at poses (N, 7), bent so that the loops close.
+
+    Loops that the others leave open are dropped, the widest first.
     """
-    graph, poses = optimum.graph, optimum.poses
-    of_image = graph.precision[:, :6, :6]
+    while len(loops):
+        bent = _bent(graph, poses, loops)
+        gaps = np.asarray(_gaps(*(bent[of] for of in loops.pairs.T), loops.ways)[0])
+        is_wide = np.abs(gaps).max(axis=1) > NEAR_VIEW
+        if not is_wide.any():
+            return bent
+        loops = loops.only(np.arange(len(loops)) != np.argmax(np.abs(gaps).max(axis=1)))
+    return poses
+
+
+def _bent(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray[np.float32]:
+    """The least squares of the graph's ways and the loops'."""
     pairs = np.concatenate([graph.pairs, loops.pairs])
     ways = np.concatenate([_ways(poses[graph.pairs[:, 1]], poses[graph.pairs[:, 0]]), loops.ways])
-    weights = np.concatenate([of_image, np.tile(of_image.mean(axis=0), (len(loops), 1, 1))])
+    weights = np.concatenate([graph.precision[:, :6, :6], loops.precisions])
     room = np.minimum(np.arange(capacity_for(len(pairs))), len(pairs) - 1)
     for _ in range(CLOSING_STEPS):
         later, earlier = poses[pairs[room, 0]], poses[pairs[room, 1]]
@@ -124,11 +150,11 @@ def closed(optimum: GraphOptimum, loops: Loops) -> NDArray[np.float32]:
     return poses
 
 
-def _are_far(graph: PoseGraph) -> NDArray[np.bool_]:
-    """Whether (N, N) keyframes are `LEAST_HOPS` overlaps apart, or more."""
+def _hops(graph: PoseGraph) -> NDArray[np.float64]:
+    """Overlaps (N, N) that lead from one keyframe to another; inf where they are `LEAST_HOPS` or more."""
     ends = (graph.pairs[:, 0], graph.pairs[:, 1])
     adjacency = scipy.sparse.csr_array((np.ones(len(graph)), ends), shape=(graph.keyframes,) * 2)
-    return np.isinf(dijkstra(adjacency, directed=False, unweighted=True, limit=LEAST_HOPS - 1))
+    return dijkstra(adjacency, directed=False, unweighted=True, limit=LEAST_HOPS - 1)
 
 
 def _path_lengths(poses: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -162,22 +188,22 @@ def _most_alike(images: KeyframeImages, later: int, earlier: NDArray[np.int_]) -
     return earlier[ranked[np.isfinite(distances[ranked])]]
 
 
-def _registered(images: KeyframeImages, poses: NDArray[np.float32], later: int, earlier: int) -> Registration:
-    """A keyframe, sought about where an earlier one stands."""
+def _registered(
+    images: KeyframeImages,
+    poses: NDArray[np.float32],
+    later: int,
+    earlier: int,
+    beside: NDArray[np.bool_],
+) -> Registration:
+    """A keyframe, sought about where an earlier one stands, among those (N,) beside that one alone."""
     surface = images.keyframe_map.surfaces[later]
     view = CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
     searcher = Searcher(images.keyframe_map, view, images.noise, LEAST_HOPS)
-    placed = _without_neighbours(poses, later)
+    placed = poses.copy()
+    placed[~beside, 4:] += OUT_OF_SIGHT_M
     room = np.minimum(np.arange(capacity_for(len(poses))), len(poses) - 1)
     everyone = GroupMap(jnp.asarray(placed[room][None]), jnp.ones(1), matrices_of(placed), 0)
     return searcher.near(everyone, [jnp.asarray(poses[earlier])])
-
-
-def _without_neighbours(poses: NDArray[np.float32], later: int) -> NDArray[np.float32]:
-    """Keyframes (N, 7), those from about the later one on out of sight, so that it is not found by itself."""
-    placed = poses.copy()
-    placed[max(later - LEAST_HOPS, 1) :, 4:] += OUT_OF_SIGHT_M
-    return placed
 
 
 @jax.jit

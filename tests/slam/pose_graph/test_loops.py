@@ -11,9 +11,10 @@ from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap, place_distances
 from slam.keyframes.surfels import surfel_image
-from slam.pose_graph.gauss_newton import GraphOptimum, optimise
-from slam.pose_graph.loops import closed, find_loops
+from slam.pose_graph.gauss_newton import GraphOptimum, agreement, optimise
+from slam.pose_graph.loops import Loops, closed, find_loops
 from slam.pose_graph.overlaps import KeyframeImages, keyframe_detail
+from slam.pose_graph.sparse_gaussian import connected_to_first
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -63,12 +64,39 @@ def test_a_loop_is_found_and_closed(images):
     true = YAWS[-1] - 2 * np.pi
 
     alone = _chained(images, YAWS, DRIFTED)
-    loops = find_loops(images, alone)
+    loops = find_loops(images, alone.graph, alone.poses)
 
     assert abs(_turn(alone.poses, 0, VIEWS - 1) - true) > np.radians(10)
     assert len(loops) > 0
     assert loops.pairs[:, 0].min() >= VIEWS - 3
-    assert abs(_turn(closed(alone, loops), 0, VIEWS - 1) - true) < np.radians(2)
+    assert abs(_turn(closed(alone.graph, alone.poses, loops), 0, VIEWS - 1) - true) < np.radians(2)
+
+
+def test_overlaps_that_do_not_agree_hide_no_loop(images):
+    """Where the views were drawn to, ends of the way overlap with its start, as wrong walls and one floor."""
+    wrong = _chained(images, YAWS, DRIFTED).poses
+
+    graph = agreement(images.at(wrong), wrong)
+
+    assert graph is not None
+    assert connected_to_first(graph).all()
+    assert len(find_loops(images, graph, wrong)) > 0
+
+
+def test_a_loop_that_the_others_contradict_is_dropped(images):
+    """One of three says that the camera stands a metre beside; the ways are as without it."""
+    alone = _chained(images, YAWS, DRIFTED)
+    loops = find_loops(images, alone.graph, alone.poses)
+    wrong = loops.ways[:1] + np.asarray([[0, 0, 0, 0, 1, 0, 0]], np.float32)
+    with_wrong = Loops(
+        pairs=np.concatenate([loops.pairs, loops.pairs[:1]]),
+        ways=np.concatenate([loops.ways, wrong]),
+        precisions=np.concatenate([loops.precisions, 0.1 * loops.precisions[:1]]),
+    )
+
+    np.testing.assert_allclose(
+        closed(alone.graph, alone.poses, with_wrong), closed(alone.graph, alone.poses, loops), atol=1e-6
+    )
 
 
 def test_three_quarters_of_a_circle_close_no_loop(images):
@@ -80,7 +108,8 @@ def test_three_quarters_of_a_circle_close_no_loop(images):
         noise=NOISE,
     )
 
-    assert len(find_loops(part, _chained(part, YAWS[:12], DRIFTED[:12]))) == 0
+    chained = _chained(part, YAWS[:12], DRIFTED[:12])
+    assert len(find_loops(part, chained.graph, chained.poses)) == 0
 
 
 def test_a_place_resembles_itself_most(images):
