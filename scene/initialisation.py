@@ -49,7 +49,7 @@ def initialise(
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     poses = config.pool * (config.rounds + 1) + 1 + RIVALS
-    pools = PosePools.of(data, objects, renderer, noise, config, poses, rng)
+    pools = PosePools.of(data, objects, renderer, noise, config, poses)
     search_round = SearchRound.of(pools, rng)
     *keys, last_key, again_key = jax.random.split(key, config.rounds + 3)
     scene = np.full(len(objects), pools.absent)

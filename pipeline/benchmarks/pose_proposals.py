@@ -96,7 +96,7 @@ def _hypotheses(image: PoseImage, shapes: MeshSource, source: Source, seed: int)
     objects = [sought_shape(shapes, name, 0, seed).scene_object for name in image.shapes]
     rng = np.random.default_rng(np.asarray(jax.random.key_data(stage_key(seed, "parse"))))
     data = scene_data(image.frame.depth_m, image.intrinsics, seed)
-    pools = PosePools.of(data, objects, ObjectRenderer.of(objects), DepthNoise(), config, config.pool, rng)
+    pools = PosePools.of(data, objects, ObjectRenderer.of(objects), DepthNoise(), config, config.pool)
     with timed() as timing:
         search_round = SearchRound.of(pools, rng)
         after, candidates = search_round.hypotheses(

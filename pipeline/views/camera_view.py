@@ -25,16 +25,17 @@ FRUSTUM_SHARE, FRUSTUM_DISTANCE = 0.08, 0.2
 LONGEST_FRUSTUM_M = 0.12
 RADIUS_SHARE = 0.8
 """Of the distance to the fourth neighbour: balls touch on a flat grid."""
-STRAY_SPACING = 2.0
-"""Points so many times farther from their neighbours than these from theirs are noise, and drawn small."""
-LARGEST_RADII = 2.5
-"""Medians of the points' radii, at most."""
+VOXELS_PERCENT = 10
+"""Of the points have neighbours as near as the cloud was thinned to, at most: its voxels' edge."""
+STRAY_SPACING = 3.0
+"""Points so many times farther from their neighbours than pixels part there, and than voxels, are noise, and
+drawn small. A surface seen at 70 degrees from its normal stays below."""
 
 
 def log_room(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> None:
     """The fused cloud, each point as a ball, shaded by normals where there is no colour."""
     colours = shaded(room.normals, values.up) if room.rgb is None else room.rgb
-    radii = _radii_m(values, room.points_m)
+    radii = _radii_m(values, room)
     recording.log("world/room", rr.Points3D(room.points_m, colors=colours, radii=radii), static=True)
 
 
@@ -56,7 +57,7 @@ def log_camera_views(recording: rr.RecordingStream, values: RunValues, room: Roo
 
 def log_frusta(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> None:
     """The camera as a pyramid: the one of the time looked at, and some along the path."""
-    poses = np.eye(4)[None] if values.slam is None else values.slam.mean[room.frames]
+    poses = _camera_poses(values, room)
     extent_m = float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)))
     length_m = float(np.clip(FRUSTUM_SHARE * extent_m, 0.02, LONGEST_FRUSTUM_M))
     height, width = room.depth_mm.shape[1:]
@@ -81,6 +82,22 @@ def log_frusta(recording: rr.RecordingStream, values: RunValues, room: RoomView)
     recording.log("world/path/views", frusta, static=True)
 
 
+def point_radii_m(points_m: NDArray[np.float32], centres_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Radii (N,) with which balls close the surfaces that the points (N, 3) are on, in metres.
+
+    Args:
+        points_m: a cloud.
+        centres_m: (V, 3) where cameras were, in the same frame: pixels part with distance.
+    """
+    if len(points_m) <= SPACING_NEIGHBOURS:
+        return np.full(len(points_m), LARGEST_RADIUS_M, np.float32)
+    spacing_m = KDTree(points_m).query(points_m, k=SPACING_NEIGHBOURS + 1)[0][:, -1]
+    range_m = KDTree(centres_m).query(points_m)[0]
+    usual_m = np.maximum(np.percentile(spacing_m, VOXELS_PERCENT), np.median(spacing_m / range_m) * range_m)
+    spacing_m = np.where(spacing_m > STRAY_SPACING * usual_m, usual_m, spacing_m)
+    return np.minimum(RADIUS_SHARE * spacing_m, LARGEST_RADIUS_M).astype(np.float32)
+
+
 def depth_range_m(room: RoomView) -> tuple[float, float]:
     """Where most of the depth of a run lies, by which its images are coloured."""
     seen = room.depth_mm[room.depth_mm > 0]
@@ -90,22 +107,21 @@ def depth_range_m(room: RoomView) -> tuple[float, float]:
     return float(low), float(max(high, low + 0.01))
 
 
-def _radii_m(values: RunValues, points_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Of the balls (N,) that stand for the points (N, 3)."""
-    if len(points_m) <= SPACING_NEIGHBOURS:
-        return np.full(len(points_m), LARGEST_RADIUS_M, np.float32)
-    distances, near = KDTree(points_m).query(points_m, k=SPACING_NEIGHBOURS + 1)
-    spacing = distances[:, -1]
-    around = np.median(spacing[np.asarray(near)[:, 1:]], axis=1)
-    radii = RADIUS_SHARE * np.where(spacing > STRAY_SPACING * around, around, spacing)
-    radii = np.minimum(radii, min(LARGEST_RADII * float(np.median(radii)), LARGEST_RADIUS_M))
+def _camera_poses(values: RunValues, room: RoomView) -> NDArray[np.float64]:
+    """Of the frames that were kept (V, 4, 4); the one pose where the run has no path."""
+    return np.eye(4)[None] if values.slam is None else values.slam.mean[room.frames]
+
+
+def _radii_m(values: RunValues, room: RoomView) -> NDArray[np.float32]:
+    """Of the balls that stand for the points of the cloud, small at what was found."""
+    radii = point_radii_m(room.points_m, _camera_poses(values, room)[:, :3, 3])
     if values.scene is not None and values.surfaces is not None:
         for name, pose in values.scene.found_poses:
             posed = values.reference_from_parsed @ pose
             surface = values.surfaces.by_name[name].vertices_m @ posed[:3, :3].T + posed[:3, 3]
-            beside = KDTree(surface).query(points_m, distance_upper_bound=BESIDE_OBJECTS_M)[0]
+            beside = KDTree(surface).query(room.points_m, distance_upper_bound=BESIDE_OBJECTS_M)[0]
             radii[np.isfinite(beside)] = RADIUS_AT_OBJECTS_M
-    return radii.astype(np.float32)
+    return radii
 
 
 def _far_apart(centres_m: NDArray[np.float64], distance_m: float) -> list[int]:

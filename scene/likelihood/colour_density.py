@@ -131,7 +131,7 @@ def window_colours(
     clipped = ((rgb == 0) | (rgb == 255)).any(axis=-1)
     known = ~clipped if rgb_known is None else ~clipped & rgb_known
     light = uniform_filter(light, window.stride, mode="nearest", axes=(0, 1))
-    return components_of_light(window.of(light)), window.of(known) & window.inside
+    return components_of_light(window.of(light)), window.of(known)
 
 
 def _learned(

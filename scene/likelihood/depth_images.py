@@ -105,14 +105,13 @@ class DepthLikelihood:
         density = jax.tree.map(lambda *leaves: np.stack([np.float32(leaf) for leaf in leaves]), *densities)
         supports_m = np.stack([support_depth(one.supports, one.window, one.intrinsics) for one in views])
         height, width = supports_m.shape[1:]
-        inside = np.stack([one.inside for one in windows])
         return cls(
             renderer=renderer,
             cameras=jax.tree.map(lambda *leaves: np.stack(leaves), *[one.camera for one in windows]),
             camera_from_world=jax.vmap(pose_of)(jnp.asarray(camera_from_world)),
             density=density,
             supports_m=jax.device_put(supports_m),
-            **dict(zip(("rest_m", "log_rest"), tiles_of_rest(density, supports_m, inside), strict=True)),
+            **dict(zip(("rest_m", "log_rest"), tiles_of_rest(density, supports_m), strict=True)),
             fresh_share=jnp.ones(()),
             objects=objects,
             height=height,
@@ -278,27 +277,21 @@ class DepthLikelihood:
         return in_cameras(self.camera_from_world, poses).astype(jnp.float32)
 
 
-def tiles_of_rest(
-    density: PixelDensity, supports_m: NDArray[np.float32], inside: NDArray[np.bool_]
-) -> tuple[jax.Array, jax.Array]:
+def tiles_of_rest(density: PixelDensity, supports_m: NDArray[np.float32]) -> tuple[jax.Array, jax.Array]:
     """Depth of the supports, 0 beyond the images, and log density where no object is (X, TILE_PIXELS).
 
     Args:
         density: of the frames, leaves (F, ...).
         supports_m: (F, H, W).
-        inside: (F, H, W) pixels of the images.
     """
     with jax.enable_x64(False):
-        return _tiles_of_rest(density, supports_m, inside)
+        return _tiles_of_rest(density, supports_m)
 
 
 @jax.jit
-def _tiles_of_rest(
-    density: PixelDensity, supports_m: jax.Array, inside: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _tiles_of_rest(density: PixelDensity, supports_m: jax.Array) -> tuple[jax.Array, jax.Array]:
     log_rest = jax.vmap(lambda one, rest_m: one.of_rest(rest_m))(density, supports_m)
-    parts = jnp.where(inside, supports_m, 0.0), jnp.where(inside, log_rest, 0.0)
-    return to_tiles(parts[0], 0.0), to_tiles(parts[1], 0.0)
+    return to_tiles(supports_m, 0.0), to_tiles(log_rest, 0.0)
 
 
 @partial(jax.jit, static_argnames="count")

@@ -7,14 +7,15 @@ that holds the object and the pixels on which its factors depend gives the same 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 from scene.likelihood.pixel_density import PixelDensity
 
-CROP = (36, 48)
-"""Pixels of a crop: half of a window each way, which holds nearly all objects with what surrounds them."""
+CROPS = (36, 48), (72, 96)
+"""Pixels of crops; the first holds nearly all objects with what is beside them. What fits none is not cut."""
 MARGIN_PX = 5
 """The factors of pixels up to two beside an object look at pixels up to three further on."""
 
@@ -32,12 +33,11 @@ def object_density(
         rest_m: (H, W) of the supports.
     """
     covers = jnp.isfinite(layer_m)
-    starts, fits = [], jnp.array(True)
-    for axis, size in enumerate(CROP):
-        length, lines = layer_m.shape[axis], jnp.any(covers, axis=1 - axis)
+    bounds = []
+    for axis, length in enumerate(layer_m.shape):
+        lines = jnp.any(covers, axis=1 - axis)
         first, after = jnp.argmax(lines), length - jnp.argmax(lines[::-1])
-        starts.append(jnp.clip(first - MARGIN_PX, 0, max(length - size, 0)).astype(jnp.int32))
-        fits &= jnp.minimum(after + MARGIN_PX, length) <= starts[axis] + size
+        bounds.append((jnp.maximum(first - MARGIN_PX, 0), jnp.minimum(after + MARGIN_PX, length)))
 
     def nothing() -> tuple[jax.Array, jax.Array]:
         return jnp.zeros_like(layer_m), jnp.full_like(layer_m, jnp.inf)
@@ -47,13 +47,15 @@ def object_density(
         log_density = jnp.where(jnp.isfinite(depth_m), log_density, 0.0)
         return log_density.astype(layer_m.dtype), depth_m
 
-    def whole() -> tuple[jax.Array, jax.Array]:
-        return shown(density, layer_m, rest_m)
+    def cropped(size: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
+        starts = [
+            jnp.minimum(first, length - edge).astype(jnp.int32)
+            for (first, _), edge, length in zip(bounds, size, layer_m.shape, strict=True)
+        ]
 
-    def cropped() -> tuple[jax.Array, jax.Array]:
         def cut(image: jax.Array) -> jax.Array:
             start = (*[jnp.int32(0)] * (image.ndim - 2), *starts)
-            return jax.lax.dynamic_slice(image, start, (*image.shape[:-2], *CROP))
+            return jax.lax.dynamic_slice(image, start, (*image.shape[:-2], *size))
 
         unknown = density.unknown
         part = replace(
@@ -70,7 +72,9 @@ def object_density(
         put, (no_density, no_depth) = jax.lax.dynamic_update_slice, nothing()
         return put(no_density, log_density, starts), put(no_depth, depth_m, starts)
 
-    if layer_m.shape[0] <= CROP[0] or layer_m.shape[1] <= CROP[1]:
-        return jax.lax.cond(jnp.any(covers), whole, nothing)
-    way = jnp.where(jnp.any(covers), jnp.where(fits, 1, 2), 0)
-    return jax.lax.switch(way, (nothing, cropped, whole))
+    height, width = layer_m.shape
+    down, across = (after - first for first, after in bounds)
+    smaller = [size for size in CROPS if size[0] < height and size[1] < width]
+    way = 1 + sum(((down > size[0]) | (across > size[1])).astype(jnp.int32) for size in smaller)
+    crops = [partial(cropped, size) for size in (*smaller, (height, width))]
+    return jax.lax.switch(jnp.where(jnp.any(covers), way, 0), (nothing, *crops))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from scene.execution import map_parallel
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
-from scene.observation.pixel_window import WINDOW_HEIGHT, WINDOW_WIDTH, PixelWindow
+from scene.observation.pixel_window import PixelWindow
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import ObjectLibrary, join
@@ -54,12 +55,14 @@ class ObjectRenderer:
     def compile(self, window: PixelWindow) -> None:
         """What `layers` runs."""
         nowhere = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (LAYERS, 1))
-        _layers.lower(self, np.zeros(LAYERS, np.int32), nowhere, window.camera).compile()
+        _layers.lower(
+            self, np.zeros(LAYERS, np.int32), nowhere, window.camera, *window.depth_m.shape
+        ).compile()
 
     def layers(
         self, indices: NDArray[np.integer], poses: NDArray[np.floating], window: PixelWindow
     ) -> NDArray[np.float32]:
-        """Depth (n, WINDOW_HEIGHT, WINDOW_WIDTH) of n objects alone, at poses (n, 7) camera_from_box.
+        """Depth (n, H, W) of n objects alone in a window, at poses (n, 7) camera_from_box.
 
         `LAYERS` in a kernel, so that one kernel serves any number.
         """
@@ -69,7 +72,7 @@ class ObjectRenderer:
         which = np.resize(np.asarray(indices, np.int32), parts * LAYERS)
 
         def rendered(part: tuple[NDArray[np.int32], NDArray[np.float32]]) -> NDArray[np.float32]:
-            return np.asarray(_layers(self, *part, window.camera))
+            return np.asarray(_layers(self, *part, window.camera, *window.depth_m.shape))
 
         depth = map_parallel(rendered, zip(np.split(which, parts), np.split(every, parts), strict=True))
         return np.concatenate(depth)[: len(indices)]
@@ -85,8 +88,10 @@ class ObjectRenderer:
         return PosedObjects(indices, jax.vmap(matrix)(indices, poses), camera_index.astype(jnp.int32))
 
 
-@jax.jit
-def _layers(renderer: ObjectRenderer, indices: jax.Array, poses: jax.Array, camera: Camera) -> jax.Array:
+@partial(jax.jit, static_argnames=("height", "width"))
+def _layers(
+    renderer: ObjectRenderer, indices: jax.Array, poses: jax.Array, camera: Camera, height: int, width: int
+) -> jax.Array:
     posed = renderer.posed(indices, poses, jnp.zeros(len(indices), jnp.int32))
     cameras = jax.tree.map(lambda leaf: leaf[None], camera)
-    return render_layers(renderer.library, posed, cameras, WINDOW_HEIGHT, WINDOW_WIDTH)
+    return render_layers(renderer.library, posed, cameras, height, width)

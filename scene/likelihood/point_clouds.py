@@ -68,7 +68,7 @@ class CloudLikelihood(DepthLikelihood):
             ValueError: a point is as near to the camera as the radius.
         """
         clouds = [unproject(view.window.depth_m, view.window.camera).reshape(-1, 3) for view in views]
-        background_m = np.stack([np.where(view.window.inside, view.rest_m, 0) for view in views])
+        background_m = np.stack([view.rest_m for view in views])
         return cls(
             **vars(images),
             background_m=to_tiles(jnp.asarray(background_m, jnp.float32), 0.0),

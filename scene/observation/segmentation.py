@@ -15,14 +15,13 @@ from scipy.ndimage import (
     maximum_filter,
     median_filter,
     minimum_filter,
-    uniform_filter,
 )
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.observation.depth_view import PooledView, pooled_view, unproject
 from scene.observation.detection import SupportPlane, given_support, support_planes
 from scene.observation.frame_data import SceneData
-from scene.observation.pixel_window import PixelWindow, window_over
+from scene.observation.pixel_window import PixelWindow, window_of
 from scene.observation.standing import HIGHEST_M, LOWEST_M, MARGIN_M, Pieces, is_over, pieces_on
 
 VIEW_WIDTH = 320
@@ -43,7 +42,6 @@ FARTHEST_M = 2.5
 
 FEWEST_PIXELS = 100
 
-COMPANY_PX = 5
 _SAME = np.eye(4)
 
 
@@ -155,15 +153,12 @@ def _data_over(
         foreground &= is_over(supports[0], points) | _enlarged(elsewhere, factor, foreground.shape)
         foreground &= ~_enlarged(surface, factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
-    seen = _in_company(foreground)
-    window = window_over(seen, depth_m, intrinsics)
+    window = window_of(depth_m, intrinsics)
     return SceneData(
         view=replace(view, unexplained=jax.device_put(pooled_foreground)),
         foreground=pooled_foreground,
         window=window,
-        window_foreground=np.asarray(
-            binary_dilation(window.of(foreground) & window.inside, iterations=2), bool
-        ),
+        window_foreground=np.asarray(binary_dilation(window.of(foreground), iterations=2), bool),
         rest_m=background(supports, foreground, window, intrinsics),
         supports=tuple(supports),
         region=region,
@@ -200,11 +195,6 @@ def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float
 
 def _near(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     return (depth_m != NO_RETURN) & (depth_m < FARTHEST_M)
-
-
-def _in_company(foreground: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels most of whose neighbours are of the foreground too: stray ones must not widen the window."""
-    return foreground & (uniform_filter(foreground.astype(np.float32), COMPANY_PX) > 0.5)
 
 
 def _continued(table: SupportPlane, view: PooledView) -> SupportPlane:

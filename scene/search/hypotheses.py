@@ -55,11 +55,10 @@ class PosePools:
         noise: DepthNoise,
         config: ParseConfig,
         size: int,
-        rng: np.random.Generator,
     ) -> PosePools:
         """Pools of `size` poses out of sight."""
         log_odds = log_prior_odds(config.presence)
-        pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds, rng)
+        pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds)
         return cls(
             data=data,
             objects=objects,

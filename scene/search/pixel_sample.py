@@ -1,4 +1,4 @@
-"""The pixels on which the search compares scenes, and what every pose of the pools shows there."""
+"""What every pose of the pools shows at the pixels on which the search compares scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from scene.observation.segmentation import support_depth
 from scene.search.assignment import PoseLayers
 from scene.search.support_table import SupportTable
 
-FOREGROUND_PIXELS = 2048
+PIXELS = 2048
+"""Those of the foreground are filled up to a multiple of this, so that few kernels are compiled."""
 
 BATCH = 64
 """Poses of a kernel; kernels run side by side, each on a core, and one size serves any number."""
@@ -27,15 +28,15 @@ BATCH = 64
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ComparedPixels:
-    """At most FOREGROUND_PIXELS pixels of the foreground, weighted; poses meet the others one by one.
+    """The pixels of the foreground, where poses compete; they meet the others one by one.
 
     Attributes:
         density: of all the pixels.
         log_odds: of an object in one pose against its absence, before the image is seen.
         rest_m: (H, W) of the supports.
         uncontested: (pixels,) bool, where no object is seen: a pose that covers them has to pay.
-        places: (X,) the compared ones among the pixels.
-        weight: (X,) how many pixels each of them stands for.
+        places: (X,) those of the foreground among the pixels.
+        weight: (X,) 1, and 0 of those that fill up.
     """
 
     density: PixelDensity
@@ -52,29 +53,26 @@ class ComparedPixels:
         noise: DepthNoise,
         surface_sigma_m: float,
         log_odds: float,
-        rng: np.random.Generator,
     ) -> ComparedPixels:
-        """Pixels of a frame, drawn at random where there are too many.
+        """Pixels of a frame.
 
         Args:
             data: the frame.
             noise: of the sensor.
             surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
             log_odds: of an object in one pose against its absence, before the image is seen.
-            rng: random numbers.
         """
-        near, inside = data.window_foreground.ravel(), data.window.inside.ravel()
-        places = rng.permutation(np.flatnonzero(near & inside))
-        share = min(FOREGROUND_PIXELS / max(len(places), 1), 1.0)
-        weight = np.zeros(FOREGROUND_PIXELS, np.float32)
-        weight[: len(places)] = 1 / share
+        near = data.window_foreground.ravel()
+        places = np.flatnonzero(near)
+        size = PIXELS * max(-(-len(places) // PIXELS), 1)
+        weight = (np.arange(size) < len(places)).astype(np.float32)
         window = data.window
         density = PixelDensity.of(window.depth_m, noise, surface_sigma_m, window.stride)
         numbers = (
             np.float32(log_odds),
             support_depth(data.supports, window, data.intrinsics),
-            inside & ~near,
-            np.resize(places, FOREGROUND_PIXELS).astype(np.int32),
+            ~near,
+            np.resize(places, size).astype(np.int32),
             weight,
         )
         return cls(density, *map(jax.device_put, numbers))
@@ -86,8 +84,8 @@ class ComparedPixels:
         log_alone[:, -1] = 0.0
         rest_m, rest_log_density = _rest(self)
         return PoseLayers(
-            depth_m=jax.device_put(np.full((*shape, FOREGROUND_PIXELS), np.inf, np.float32)),
-            log_density=jax.device_put(np.zeros((*shape, FOREGROUND_PIXELS), np.float32)),
+            depth_m=jax.device_put(np.full((*shape, len(self.places)), np.inf, np.float32)),
+            log_density=jax.device_put(np.zeros((*shape, len(self.places)), np.float32)),
             log_alone=jax.device_put(log_alone),
             rests=SupportTable.sure(*shape),
             rest_m=rest_m,

@@ -232,10 +232,11 @@ def _continued(
 
 def sort_chosen_first(chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Indices (N,) of which the first are those of the chosen (N,), in order, and the number of these."""
-    groups = chosen.reshape(-1, TILE_PIXELS).astype(jnp.float32)
+    filled = jnp.pad(chosen, (0, -len(chosen) % TILE_PIXELS))
+    groups = filled.reshape(-1, TILE_PIXELS).astype(jnp.float32)
     within = groups @ np.triu(np.ones((TILE_PIXELS, TILE_PIXELS), np.float32))  # faster than a long sum
     before = jnp.cumsum(within[:, -1]) - within[:, -1]
-    place = (within + before[:, None]).astype(jnp.int32).reshape(-1) - 1
+    place = (within + before[:, None]).astype(jnp.int32).reshape(-1)[: len(chosen)] - 1
     number = jnp.arange(len(chosen), dtype=jnp.int32)
     target = jnp.where(chosen, place, len(chosen))
     order = jnp.zeros_like(number).at[target].set(number, mode="drop", unique_indices=True)

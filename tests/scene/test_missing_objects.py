@@ -52,8 +52,8 @@ def pools(seed: int, poses: Sequence[NDArray[np.floating]], *, can_beside: bool 
     depth_m = np.array(sample(jax.random.key(seed), DepthNoise(), jax.numpy.asarray(rendered_m)))
     data = scene_data(depth_m, INTRINSICS, seed)
     objects = [scene_object(name, mesh.vertices, mesh.faces) for name, mesh in SHAPES.items()]
-    config, rng = ParseConfig(rounds=0, pool=2), np.random.default_rng(seed)
-    empty = PosePools.of(data, objects, ObjectRenderer.of(objects), NOISE, config, 3 + RIVALS, rng)
+    config = ParseConfig(rounds=0, pool=2)
+    empty = PosePools.of(data, objects, ObjectRenderer.of(objects), NOISE, config, 3 + RIVALS)
     return empty.with_poses(in_camera(*poses)[:, None], FIRST)
 
 

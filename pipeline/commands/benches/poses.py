@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import click
 
-from pipeline.errors import PipelineError
-from pipeline.executors import Workers, executors_for
+from pipeline.commands.benches import pose_runs
+from pipeline.commands.benches.pose_runs import KINDS, PoseFiles
+from pipeline.executors import Workers
 from pipeline.options import Common, common_options, words
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from pipeline.benchmarks.pose_methods import Method
-    from pipeline.benchmarks.pose_sources import PoseSource
-
 PEERS = ("fpfh", "icp24", "ppf")
-KINDS = ("single", "stacked", "partial", "occluded")
 SOURCES = ("points", "masks", "both")
-MOST_OBJECTS = 10
-ESTIMATE_AFTER = 8
-"""Images after which the remaining time is told."""
 TABLES = 100
 """Unless another source is asked for."""
 
@@ -191,207 +182,26 @@ def command(
 
         meshes, units = models_folder(data), units or "mm"
     shapes = MeshSource.of(meshes, units, only)
-    numbers = tuple(range(first, first + (tables or TABLES)))
+    numbers = tuple(range(first, first + (tables or worlds or TABLES)))
     if growth:
-        _growth(common, shapes)
-    elif absent:
-        _presences(common, shapes, objects, numbers, absent)
-    elif lookalikes:
-        _lookalikes(common, numbers)
+        pose_runs.measure_growth(common, shapes)
+        return
+    if absent:
+        pose_runs.measure_presences(common, shapes, objects, numbers, absent)
+        return
+    if lookalikes:
+        pose_runs.compare_lookalikes(common, numbers)
+        return
+    if worlds is not None:
+        others = MeshSource.of(unasked, units) if unasked else None
+        source = pose_runs.world_source(common, shapes, others, numbers)
     else:
-        if worlds is not None:
-            from pipeline.benchmarks.pose_sources import Worlds
-            from pipeline.synthesis.worlds import WorldScene
-
-            source = Worlds(
-                shapes=shapes,
-                others=MeshSource.of(unasked, units) if unasked else None,
-                scene=WorldScene(),
-                seed=common.seed,
-                numbers=tuple(range(first, first + worlds)),
-            )
-        else:
-            source = _source(common, shapes, objects, numbers, challenging, kinds, data, split)
-        files = keep, csv_path, bop, curves, sheets
-        if proposals:
-            _proposals(common, source, words("--proposals", proposals, SOURCES), workers, files, watch=watch)
-            return
-        ours = [one.of(common.seed, learned or 0) for one in OURS]
-        methods = [*ours, *_others(shapes, source, words("--against", against, PEERS), results)]
-        _judge(common, source, methods, workers, files, (pose_figures, report_lines), watch=watch)
-
-
-def _source(
-    common: Common,
-    shapes: Any,
-    objects: int,
-    numbers: tuple[int, ...],
-    challenging: int | None,
-    kinds: str,
-    data: Path | None,
-    split: str,
-) -> PoseSource:
-    from pipeline.benchmarks.pose_sources import BopImages, Tables, challenging_images
-    from pipeline.synthesis.challenging_scene import ChallengingScene
-
-    if data is not None:
-        return BopImages(root=data.resolve(), split=split, shapes=shapes)
-    if challenging is not None:
-        chosen = tuple(words("--kinds", kinds, KINDS))
-        return challenging_images(shapes, chosen, challenging, ChallengingScene(), common.seed)
-    return Tables(shapes=shapes, objects=objects, seed=common.seed, numbers=numbers)
-
-
-def _others(
-    shapes: Any, source: PoseSource, peers: Sequence[str], results: Sequence[tuple[str, Path]]
-) -> list[Method]:
-    """Peers with the settings that suit them best, and results files, which are looked through first."""
-    from pipeline.benchmarks.bop_results import check_results
-    from pipeline.benchmarks.pose_methods import Results, registrations
-    from pipeline.benchmarks.poses import tuned
-    from pipeline.peers.registration import settings
-    from pipeline.quiet_stdout import stdout_to_stderr
-
-    images = {(key.scene_id, key.im_id) for key in source.places()}
-    for _, path in results:
-        check_results(path, shapes.ids.values(), images)
-    if "ppf" in peers:
-        try:
-            import cv2  # noqa: F401  # pyright: ignore[reportMissingImports]
-        except ImportError as error:
-            raise PipelineError("ppf needs OpenCV's contributions: pip install 'voxscene[bench]'") from error
-    with stdout_to_stderr():
-        chosen = [
-            tuned(method, shapes, list(settings()[peer])) for peer in peers for method in registrations(peer)
-        ]
-    return [*chosen, *(Results(title=name, path=path) for name, path in results)]
-
-
-def _judge(
-    common: Common,
-    source: PoseSource,
-    methods: Sequence[Method],
-    workers: int | str,
-    files: tuple[Path | None, ...],
-    report: tuple[Callable[..., dict[str, Any]], Callable[[dict[str, Any]], list[str]]],
-    *,
-    watch: bool,
-) -> None:
-    """Images judged, and what `report` makes of the rows and seconds: figures, and lines of these."""
-    from pipeline.benchmarks.bop_results import write_results
-    from pipeline.benchmarks.pose_report import image_line
-    from pipeline.benchmarks.pose_rows import write_csv
-    from pipeline.benchmarks.poses import RemainingTime, collected, judged_images, kept_images
-
-    keep, csv_path, bop, curves, sheets = files
-    figures, lines = report
-    executors, at_once = executors_for(workers)
-    done = list(kept_images(source, methods, keep)) if watch else []
-    try:
-        with common.progress("poses", "images") as progress:
-            remaining = RemainingTime(ESTIMATE_AFTER, lambda line: _say(common, line), progress)
-            if not watch:
-                for key, found in judged_images(source, methods, executors, at_once, keep, remaining):
-                    done.append((key, found))
-                    _say(common, image_line(found))
-    finally:
-        judged, seconds = collected(done)
-        document = figures(judged, seconds)
-        common.report(document, lines(document))
-        if csv_path and judged:
-            write_csv(csv_path, judged)
-        if bop and judged:
-            title = methods[0].title
-            rows = [one for one in judged if one.method == title]
-            write_results(bop, rows, source.shapes.ids, seconds[title])
-    if curves:
-        from pipeline.figures.accuracy_curves import draw_curves
-
-        draw_curves(judged, curves)
-    if sheets:
-        from pipeline.figures.pose_sheets import draw_sheets
-
-        for path in draw_sheets(judged, source, sheets):
-            _say(common, str(path))
-
-
-def _proposals(
-    common: Common,
-    source: PoseSource,
-    sources: Sequence[str],
-    workers: int | str,
-    files: tuple[Path | None, ...],
-    *,
-    watch: bool,
-) -> None:
-    from functools import partial
-
-    from pipeline.benchmarks.pose_proposals import (
-        Source,
-        proposal_figures,
-        proposal_lines,
-        proposal_methods,
-    )
-
-    methods = proposal_methods(cast("Sequence[Source]", sources), common.seed)
-    report = partial(proposal_figures, sources=sources), proposal_lines
-    _judge(common, source, methods, workers, files, report, watch=watch)
-
-
-def _growth(common: Common, shapes: Any) -> None:
-    from pipeline.benchmarks.pose_growth import growth
-    from pipeline.benchmarks.pose_methods import OURS
-    from pipeline.quiet_stdout import stdout_to_stderr
-
-    rows: list[dict[str, Any]] = []
-    remaining = growth(shapes, OURS[0].of(common.seed, 0), MOST_OBJECTS)
-    _say(common, "objects  seconds  compiled before  under 1 cm")
-    while len(rows) < MOST_OBJECTS:
-        with stdout_to_stderr():
-            rows.append(next(remaining))
-        row = rows[-1]
-        cells = (f"{row['objects']:>7}", f"{row['seconds']:>7.2f}", f"{row['compile_s']:>13.1f} s")
-        share = "" if row["under_1cm"] is None else f"{row['under_1cm']:.1%}"
-        _say(common, "  ".join((*cells, f"{share:>10}")))
-    each = rows[-1]["seconds"] / MOST_OBJECTS
-    common.report(
-        {"growth": rows}, [f"{each:.2f} s an object of {MOST_OBJECTS}, {rows[0]['seconds']:.2f} s of one"]
-    )
-
-
-def _presences(common: Common, shapes: Any, objects: int, numbers: Sequence[int], absent: int) -> None:
-    from pipeline.benchmarks.pose_presence import presences
-    from pipeline.benchmarks.pose_report import presence_lines
-    from pipeline.benchmarks.pose_sources import Tables
-    from pipeline.benchmarks.presence_figures import presence_figures
-    from pipeline.quiet_stdout import stdout_to_stderr
-
-    tables = Tables(shapes=shapes, objects=objects, seed=common.seed, numbers=tuple(numbers))
-    reported = []
-    for number in numbers:
-        with stdout_to_stderr():
-            table = presences(tables, number, absent, common.seed)
-        reported += table
-        said = (f"{one.shape}{'' if one.there else ' (absent)'} {one.presence:.2f}" for one in table)
-        _say(common, f"table {number}: {', '.join(said)}")
-    figures = presence_figures(reported)
-    common.report(figures, presence_lines(figures))
-
-
-def _lookalikes(common: Common, numbers: Sequence[int]) -> None:
-    from pipeline.benchmarks.lookalikes import judge_table, lookalike_figures, lookalike_lines
-    from pipeline.quiet_stdout import stdout_to_stderr
-
-    rows = []
-    with common.progress("lookalikes", "tables") as progress:
-        for done, number in enumerate(numbers, 1):
-            with stdout_to_stderr():
-                rows += judge_table(number, common.seed)
-            progress(done, len(numbers))
-    figures = lookalike_figures(rows)
-    common.report(figures, lookalike_lines(figures))
-
-
-def _say(common: Common, line: str) -> None:
-    if not (common.as_json or common.quiet):
-        click.echo(line)
+        source = pose_runs.pose_source(common, shapes, objects, numbers, challenging, kinds, data, split)
+    files = PoseFiles(keep=keep, csv=csv_path, bop=bop, curves=curves, sheets=sheets)
+    if proposals:
+        chosen = words("--proposals", proposals, SOURCES)
+        pose_runs.compare_proposals(common, source, chosen, workers, files, watch=watch)
+        return
+    peers = pose_runs.other_methods(shapes, source, words("--against", against, PEERS), results)
+    methods = [*(one.of(common.seed, learned or 0) for one in OURS), *peers]
+    pose_runs.judge(common, source, methods, workers, files, (pose_figures, report_lines), watch=watch)

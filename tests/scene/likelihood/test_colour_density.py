@@ -10,7 +10,7 @@ import pytest
 from recordings.types import CameraIntrinsics
 from scene.likelihood.colour_density import GAIN_SD, WRONG, ColourDensity, log_unknown, window_colours
 from scene.objects.surface_colour import COMPONENTS, DARK, log_colour
-from scene.observation.pixel_window import window_over
+from scene.observation.pixel_window import window_of
 
 GAIN = jnp.asarray(GAIN_SD)
 
@@ -156,8 +156,7 @@ def test_gain_of_the_light_is_added(seed: int) -> None:
 def test_clipped_pixels_are_not_known() -> None:
     """Nor those that the colour camera did not see; a window's pixel is the mean of those it stands for."""
     intrinsics = CameraIntrinsics(width=240, height=180, fx=200, fy=200, cx=120, cy=90)
-    foreground = np.ones((180, 240), bool)
-    window = window_over(foreground, np.ones((180, 240), np.float32), intrinsics)
+    window = window_of(np.ones((180, 240), np.float32), intrinsics)
     rgb = np.full((180, 240, 3), 100, np.uint8)
     row, column = int(window.rows[40]), int(window.columns[40])
     rgb[row, column] = 255

@@ -50,15 +50,11 @@ def poses() -> jax.Array:
 def images(
     shapes: list[SceneObject], observed_m: np.ndarray, *, objects: int = 2, draws: int = 1
 ) -> DepthLikelihood:
-    """Two cameras side by side, a wall behind, the second image's last rows beyond its border."""
-    supports_m, inside = (
-        np.full((2, HEIGHT, WIDTH), BACKGROUND_M, np.float32),
-        np.ones((2, HEIGHT, WIDTH), bool),
-    )
-    inside[1, -5:] = False
+    """Two cameras side by side, a wall behind."""
+    supports_m = np.full((2, HEIGHT, WIDTH), BACKGROUND_M, np.float32)
     by_frame = [PixelDensity.of(image.astype(np.float32), NOISE, 0.002, 2) for image in observed_m]
     density = jax.tree.map(lambda *leaves: np.stack([np.float32(leaf) for leaf in leaves]), *by_frame)
-    rest_m, log_rest = tiles_of_rest(density, supports_m, inside)
+    rest_m, log_rest = tiles_of_rest(density, supports_m)
     camera = Camera(*(jnp.full(2, value, jnp.float32) for value in (60.0, 60.0, 23.5, 15.5)))
     return DepthLikelihood(
         renderer=ObjectRenderer.of(shapes),
@@ -129,7 +125,7 @@ def layers(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.nda
 def rendered(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.ndarray:
     """The whole image (H, W) that a frame shows."""
     shown = layers(likelihood, scene, frame).min(axis=0)
-    return np.minimum(shown, BACKGROUND_M)[: HEIGHT - 5 * frame]
+    return np.minimum(shown, BACKGROUND_M)
 
 
 def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph) -> float:
@@ -143,7 +139,7 @@ def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph
             log_mine, depth_m = (np.asarray(part) for part in density.of_object(jnp.asarray(layer_m), rest_m))
             log_pixels = np.where(depth_m < front_m, log_mine, log_pixels)
             front_m = np.minimum(depth_m, front_m)
-        total += float(log_pixels[: HEIGHT - 5 * frame].astype(np.float64).sum())
+        total += float(log_pixels.astype(np.float64).sum())
     return total
 
 

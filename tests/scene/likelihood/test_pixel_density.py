@@ -113,14 +113,14 @@ def test_a_plane_of_which_much_was_seen_is_known_as_well_as_a_shape(seed: int) -
 def test_a_crop_gives_what_the_whole_image_does(seed: int) -> None:
     """Objects small and large, at the border and beyond it, holes in the image: all but rounding."""
     rng = np.random.default_rng(seed)
-    size = 72, 96
+    size = 84, 112
     observed_m = rng.normal(1.0, 0.003, size).astype(np.float32)
     observed_m[20:40, 30:50] -= 0.1
     observed_m[rng.random(size) < 0.05] = NO_RETURN
     density = PixelDensity.of(observed_m, DepthNoise(), 0.003, 4)
     layers_m = np.full((24, *size), np.inf, np.float32)
     for layer_m in layers_m[1:]:
-        row, column, down, across = *rng.integers((-20, -20), size), *rng.integers(2, 50, 2)
+        row, column, down, across = *rng.integers((-20, -20), size), *rng.integers(2, 90, 2)
         layer_m[max(row, 0) : max(row + down, 0), max(column, 0) : max(column + across, 0)] = rng.uniform(
             0.8, 1.1
         )

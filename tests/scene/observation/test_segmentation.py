@@ -43,7 +43,7 @@ def test_what_is_over_a_table_is_foreground() -> None:
     assert not (data.foreground & ~lid).any()
     inner = np.asarray(binary_erosion(lid), bool)
     assert data.foreground[inner].all()
-    behind = data.window.of(inner) & data.window.inside
+    behind = data.window.of(inner)
     np.testing.assert_allclose(data.rest_m[behind], data.window.of(seen_plane(0.0)[0])[behind], atol=0.003)
 
 
@@ -56,7 +56,7 @@ def test_things_in_the_air_have_no_table() -> None:
     assert data.table is None
     np.testing.assert_array_equal(data.foreground, depth_m != NO_RETURN)
     foreground = data.window.of(depth_m) != NO_RETURN
-    assert np.isinf(data.rest_m[foreground & data.window.inside]).all()
+    assert np.isinf(data.rest_m[foreground]).all()
 
 
 def test_a_table_that_the_image_cuts_off_goes_on() -> None:

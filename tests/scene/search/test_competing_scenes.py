@@ -22,8 +22,8 @@ DOWNWARD = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1
 HEIGHT_M = 0.06
 WIDE_M, NARROW_M = 0.04, 0.035
 SENSOR_M = 0.0015
-OFF_M = 0.0042
-"""By which the search misplaced the right box: more than the narrow one lacks on each side."""
+OFF_M = 0.0065
+"""By which the search misplaced the right box: more than the narrow one lacks on each side and a pixel."""
 
 
 def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Array, seed: int) -> None:
@@ -46,8 +46,8 @@ def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Arra
     with jax.enable_x64(False):  # as the program starts it
         data = scene_data(depth_m.astype(np.float32), INTRINSICS, seed)
         noise = DepthNoise(outlier_probability=0.01)
-        config, rng = ParseConfig(presence=1 - 1e-7), np.random.default_rng(seed)
-        pools = PosePools.of(data, objects, ObjectRenderer.of(objects), noise, config, 2 + RIVALS, rng)
+        config = ParseConfig(presence=1 - 1e-7)
+        pools = PosePools.of(data, objects, ObjectRenderer.of(objects), noise, config, 2 + RIVALS)
         pools = pools.with_poses(np.repeat(searched, 2 + RIVALS, axis=1), 0)
         absent = pools.absent
         of_search = best_of(pools, np.array([absent, 0]))
@@ -57,7 +57,7 @@ def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Arra
     assert scene[0] < absent
     assert scene[1] == absent
     off_m = pools.placed(scene)[0, 4:] - poses_of(camera_from_world @ middle)[4:]
-    assert np.linalg.norm(off_m[:2]) < OFF_M / 4
+    assert np.linalg.norm(off_m[:2]) < OFF_M / 3
 
 
 def test_only_what_moves_is_refined(key: jax.Array, seed: int) -> None:

@@ -38,8 +38,8 @@ def pools_of_boxes(
     data = scene_data(depth_m.astype(np.float32), INTRINSICS, seed)
     assert data.table is not None
     poses = poses_of(np.linalg.inv(DOWNWARD) @ np.stack(places)).astype(np.float32)
-    config, rng = ParseConfig(graph=graph), np.random.default_rng(seed)
-    return PosePools.of(data, boxes, ObjectRenderer.of(boxes), DepthNoise(), config, 2, rng), poses
+    config = ParseConfig(graph=graph)
+    return PosePools.of(data, boxes, ObjectRenderer.of(boxes), DepthNoise(), config, 2), poses
 
 
 @pytest.mark.parametrize(("graph", "costs"), [("infer", True), ("fixed", False)])

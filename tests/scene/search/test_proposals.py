@@ -53,7 +53,7 @@ def test_hypotheses_from_masks_hold_the_truth(
         data = scene_data(np.where(np.isfinite(depth_m), depth_m, 0), INTRINSICS, seed)
         config = ParseConfig(proposals=source, pool=POOL)
         rng = np.random.default_rng(seed)
-        pools = PosePools.of(data, [box], ObjectRenderer.of([box]), DepthNoise(), config, config.pool, rng)
+        pools = PosePools.of(data, [box], ObjectRenderer.of([box]), DepthNoise(), config, config.pool)
         refined, candidates = SearchRound.of(pools, rng).hypotheses(pools, {0: data.foreground})
 
     assert refined.shape == (1, POOL, 7)
