@@ -116,7 +116,7 @@ class PresenceFrames:
             colour = self.colour_weight * np.asarray(factors)
         show = partial(self._batch, frame, layers_m)
         depth_m, gain = zip(*map_parallel(show, range(0, len(layers_m), BATCH)), strict=True)
-        depth_m = np.where(window.inside, np.concatenate(depth_m), np.float32(np.inf))
+        depth_m = np.concatenate(depth_m)
         shown = np.isfinite(depth_m) & np.isfinite(layers_m)
         return depth_m, np.concatenate(gain) + np.where(shown, colour, 0)
 
