@@ -39,8 +39,8 @@ SWEEPS = 200_000
 """Of a chain."""
 TAUGHT = (0.1, 0.2)
 """Parts of them that teach the proposal, one after the other, and are dropped."""
-TOGETHER = 2_000
-"""Scenes whose pixels are weighed at once."""
+TOGETHER = 40
+"""Scenes whose pixels are weighed at once: their quadrature stays in a cache."""
 EVENLY = 0.3
 """Share of a chain's proposals that takes any state."""
 TEMPERED = 8.0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.colour.density import Segments, laplace_evidence, log_density
+from scene.colour.kernels import log_gains
 from scene.colour.posterior import ColourImage, Scene, boxes_overlap, visible
 from scene.colour.world import Layers, TableWorld, render
 
@@ -15,10 +17,8 @@ SPACING_M = 0.02
 """Of places: a quarter of the width of a small thing, so that the next state covers most of its pixels."""
 YAWS = 12
 """In a full turn: 30 degrees move a mug's handle by less than its length."""
-WEIGHED = 24
+WEIGHED = 16
 """States of each kind and yaw whose gain is worked out: those under which most is unexplained."""
-TURNED_M = 0.021
-"""Round a pose, in which states of other yaws are looked at: the places next to it."""
 PARTED = 1.5
 """Lattice spacings, of place or of yaw, by which two candidates of one kind differ."""
 
@@ -39,11 +39,16 @@ class Lattice:
     groups: NDArray[np.int64]
     layers: Layers
 
-    def apart(self, one: int, other: int) -> bool:
-        """Whether two states differ by more than neighbours do, in place or in yaw."""
-        shift = np.abs(self.poses[one] - self.poses[other])
-        turn = min(shift[2], 2 * np.pi - shift[2])
-        return bool(shift[:2].max() > PARTED * SPACING_M or turn > PARTED * 2 * np.pi / YAWS)
+    @cached_property
+    def members(self) -> list[NDArray[np.int64]]:
+        """States of each group."""
+        return [np.flatnonzero(self.groups == group) for group in range(self.groups.max() + 1)]
+
+    def apart(self, states: NDArray[np.int64], other: int) -> NDArray[np.bool_]:
+        """Whether states differ from one by more than neighbours do, in place or in yaw."""
+        shift = np.abs(self.poses[states] - self.poses[other])
+        turn = np.minimum(shift[:, 2], 2 * np.pi - shift[:, 2])
+        return (shift[:, :2].max(axis=1) > PARTED * SPACING_M) | (turn > PARTED * 2 * np.pi / YAWS)
 
     @classmethod
     def of(cls, world: TableWorld, spacing_m: float = SPACING_M, yaws: int = YAWS) -> Lattice:
@@ -95,10 +100,7 @@ def gains(world: TableWorld, image: ColourImage, rest: Surroundings, layers: Lay
 
     Laplace's evidence, the albedos of the rest held: for searching.
     """
-    seen = layers.kept(layers.depth_m < rest.depth_m[layers.pixel])
-    segments = Segments(seen.start, image.colour[seen.pixel], seen.shade)
-    evidence, _ = laplace_evidence(segments, world.noise)
-    return evidence - _sums_of(rest.explained, seen)
+    return log_gains(image.colour, rest.explained, rest.depth_m, layers, world.noise)
 
 
 def placed_gains(
@@ -117,38 +119,25 @@ def placed_gains(
 def candidates(
     world: TableWorld, image: ColourImage, rest: Surroundings, lattice: Lattice, of_each_kind: int
 ) -> NDArray[np.int64]:
-    """States by gain, so many of each kind, apart from each other; only those that may stand there."""
+    """States of the greatest gain, so many of each kind, apart from each other, where they may stand."""
     need = image.colour.shape[1] * np.log(1 / (world.noise.sigma * np.sqrt(2 * np.pi)))
-    unexplained = Surroundings(rest.scene, rest.depth_m, rest.explained - need)
-    layers = lattice.layers.kept(lattice.layers.depth_m < rest.depth_m[lattice.layers.pixel])
-    promise = -_sums_of(unexplained.explained, layers)
+    layers = lattice.layers
+    unexplained = (need - rest.explained)[layers.pixel]
+    if len(rest.scene):
+        unexplained *= layers.depth_m < rest.depth_m[layers.pixel]
+    promise = np.diff(np.concatenate([[0], np.cumsum(unexplained)])[layers.start])
     promise[_overlap_rest(world, rest, lattice.kinds, lattice.poses)] = -np.inf
-    weighed = np.concatenate(
-        [
-            (mine := np.flatnonzero(lattice.groups == group))[np.argsort(-promise[mine])[:WEIGHED]]
-            for group in range(lattice.groups.max() + 1)
-        ]
-    )
+    weighed = np.concatenate([mine[np.argsort(-promise[mine])[:WEIGHED]] for mine in lattice.members])
     weighed = weighed[np.isfinite(promise[weighed])]
-    gain = gains(world, image, rest, lattice.layers.of(weighed))
+    weighed = weighed[np.argsort(-gains(world, image, rest, lattice.layers.of(weighed)))]
     chosen: list[int] = []
-    for state in weighed[np.argsort(-gain)].tolist():
-        rivals = [one for one in chosen if lattice.kinds[one] == lattice.kinds[state]]
-        if len(rivals) < of_each_kind and all(lattice.apart(one, state) for one in rivals):
-            chosen.append(state)
+    for kind in range(len(world.kinds)):
+        left = weighed[lattice.kinds[weighed] == kind]
+        for _ in range(min(of_each_kind, len(left))):
+            if len(left):
+                chosen.append(int(left[0]))
+                left = left[lattice.apart(left, chosen[-1])]
     return np.array(chosen, np.int64)
-
-
-def turned(
-    world: TableWorld, image: ColourImage, rest: Surroundings, lattice: Lattice, kind: int, pose: NDArray
-) -> NDArray[np.int64]:
-    """The states of one kind near a pose with the greatest gain for each yaw, the better ones first."""
-    near = np.abs(lattice.poses[:, :2] - pose[:2]).max(axis=1) <= TURNED_M
-    states = np.flatnonzero(near & (lattice.kinds == kind))
-    states = states[~_overlap_rest(world, rest, lattice.kinds[states], lattice.poses[states])]
-    ordered = states[np.argsort(-gains(world, image, rest, lattice.layers.of(states)))]
-    _, first = np.unique(lattice.groups[ordered], return_index=True)
-    return ordered[np.sort(first)]
 
 
 def _overlap_rest(
@@ -159,8 +148,3 @@ def _overlap_rest(
         others = np.full(len(kinds), kind), np.broadcast_to(pose, poses.shape)
         overlap |= boxes_overlap(world, kinds, poses, *others)
     return overlap
-
-
-def _sums_of(values: NDArray[np.float64], layers: Layers) -> NDArray[np.float64]:
-    """Sums (B,) over each thing's pixels."""
-    return np.diff(np.concatenate([[0], np.cumsum(values[layers.pixel])])[layers.start])

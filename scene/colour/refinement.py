@@ -15,8 +15,8 @@ FIRST_STEP = np.array([0.010, 0.010, 0.26])
 """Half a lattice cell: metres, metres, radians."""
 HALVINGS = 5
 """The last step is 0.6 mm and one degree: below it pixels no longer tell poses apart."""
-AROUND = np.concatenate([np.eye(3), -np.eye(3)])
-"""Neighbours, in steps."""
+AROUND = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+"""The middle and its neighbours, in steps."""
 FURTHEST = 1.5
 """Steps to the top of a parabola at most: it was read over one."""
 FLAT = 1e-9
@@ -28,11 +28,13 @@ class Refined:
     """Poses at which gains are greatest nearby.
 
     Attributes:
+        which: (B,) of those from where it began, ascending.
         poses: (B, 3).
         gains: (B,) log.
         sd: (B, 3) of a Gaussian with the curvature there, axes apart; of the prior at most.
     """
 
+    which: NDArray[np.int64]
     poses: NDArray[np.float64]
     gains: NDArray[np.float64]
     sd: NDArray[np.float64]
@@ -44,24 +46,35 @@ def refine(
     rest: Surroundings,
     kinds: NDArray[np.int64],
     poses: NDArray[np.float64],
+    wanted: int,
 ) -> Refined:
-    """Climb from `poses` (B, 3): the six neighbours, and where parabolas through them have their tops."""
+    """Climb from `poses` (S, 3): parabolas through the six neighbours tell where to look next.
+
+    After each step the better half goes on (successive halving), but no fewer than are wanted.
+    """
     spins = np.array([world.kinds[kind].turns != 0 for kind in kinds], np.bool_)
-    best = placed_gains(world, image, rest, kinds, poses)
-    sd = np.zeros(poses.shape)
+    poses, best = poses.copy(), np.full(len(poses), -np.inf)
+    middle, sd, going = poses.copy(), np.zeros(poses.shape), np.arange(len(poses))
     for halving in range(HALVINGS):
         step = FIRST_STEP * 0.5**halving
-        around = poses[:, None] + AROUND * step
-        value = placed_gains(world, image, rest, np.repeat(kinds, 6), around.reshape(-1, 3)).reshape(-1, 6)
-        slope, curvature = _parabolas(best, value, step)
-        sd = _deviations(curvature, world, spins)
-        top = poses + np.clip(slope / np.maximum(-curvature, FLAT), -FURTHEST * step, FURTHEST * step)
-        value_there = placed_gains(world, image, rest, kinds, top)
-        every = np.concatenate([best[:, None], value, value_there[:, None]], axis=1)
-        where = np.concatenate([poses[:, None], around, top[:, None]], axis=1)
-        chosen = (np.arange(len(poses)), every.argmax(axis=1))
-        poses, best = where[chosen], every[chosen]
-    return Refined(poses, best, sd)
+        tried = middle[going, None] + AROUND * step
+        value = placed_gains(world, image, rest, np.repeat(kinds[going], 7), tried.reshape(-1, 3)).reshape(
+            -1, 7
+        )
+        slope, curvature = _parabolas(value[:, 0], value[:, 1:], step)
+        sd[going] = _deviations(curvature, world, spins[going])
+        top = np.clip(slope / np.maximum(-curvature, FLAT), -FURTHEST * step, FURTHEST * step)
+        every = np.concatenate([best[going, None], value], axis=1)
+        where = np.concatenate([poses[going, None], tried], axis=1)
+        chosen = (np.arange(len(going)), every.argmax(axis=1))
+        poses[going], best[going] = where[chosen], every[chosen]
+        worse = chosen[1] == 0  # than before: the last parabola led astray
+        middle[going] = np.where(worse[:, None], poses[going], middle[going] + top)
+        going = np.sort(going[np.argsort(-best[going])[: max(-(-len(going) // 2), wanted)]])
+    value = placed_gains(world, image, rest, kinds[going], middle[going])
+    better = value > best[going]
+    poses[going[better]], best[going[better]] = middle[going[better]], value[better]
+    return Refined(going, poses[going], best[going], sd[going])
 
 
 def _parabolas(

@@ -14,19 +14,21 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.lattice import Lattice, candidates, surroundings, turned
+from scene.colour.lattice import YAWS, Lattice, candidates, surroundings
 from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior
 from scene.colour.refinement import Refined, refine
 from scene.colour.world import TableWorld
 
 OF_EACH_KIND = 3
 """Candidates of each kind that are refined: a mug's handle may be taken to be on any side."""
-YAWS_REFINED = 6
-"""Half of the lattice's yaws: those of the greatest gain."""
 COMPARED = 3
 """Refined candidates whose scenes are weighed exactly."""
 SWEEPS = 4
-"""Most times that all moves are tried."""
+"""Most times that all moves are tried, ..."""
+WORTH_NATS = 2.0
+"""... again after a gain of so much alone: below it a pose was refined by another way."""
+MERGED_TRIED = 2
+"""Best replacements of two things by one beside which another one is tried."""
 MERGED_M = 0.12
 """Two things nearer than this may be one: the length of the largest of a table's usual things."""
 
@@ -73,6 +75,7 @@ class _Table:
     lattice: Lattice
     image: ColourImage
     found: dict[tuple[int, ...], Weighed] = field(default_factory=dict)
+    grown: dict[bytes, list[Weighed]] = field(default_factory=dict)
 
     def weigh(self, scene: Scene, sd: NDArray[np.float64]) -> Weighed:
         """Exactly; kept if it is the best of its number and kinds."""
@@ -86,19 +89,23 @@ class _Table:
         return weighed
 
     def added(self, base: Weighed) -> list[Weighed]:
-        """The best scenes with one thing more, none where none fits."""
-        if len(base.scene) == self.world.most:
-            return []
+        """The best scenes with one thing more, none where none fits; searched once for each scene."""
+        key = base.scene.kinds.tobytes() + base.scene.poses.tobytes()
+        if key not in self.grown:
+            self.grown[key] = self._added(base) if len(base.scene) < self.world.most else []
+        return self.grown[key]
+
+    def _added(self, base: Weighed) -> list[Weighed]:
         rest = surroundings(self.world, self.image, base.scene)
         states = candidates(self.world, self.image, rest, self.lattice, OF_EACH_KIND)
         if not len(states):
             return []
         kinds = self.lattice.kinds[states]
-        refined = refine(self.world, self.image, rest, kinds, self.lattice.poses[states])
+        refined = refine(self.world, self.image, rest, kinds, self.lattice.poses[states], COMPARED)
         value = refined.gains + np.log(refined.sd).sum(axis=1)
         return [
             self.weigh(
-                base.scene.joined(int(kinds[one]), refined.poses[one]),
+                base.scene.joined(int(kinds[refined.which[one]]), refined.poses[one]),
                 np.concatenate([base.sd, refined.sd[one : one + 1]]),
             )
             for one in np.argsort(-value)[:COMPARED]
@@ -114,23 +121,24 @@ class _Table:
                 rest,
                 weighed.scene.kinds[one : one + 1],
                 weighed.scene.poses[one : one + 1],
+                1,
             )
             moved = self.weigh(*_replaced(weighed, one, own))
             weighed = max(weighed, moved, key=_evidence)
         return weighed
 
     def turned(self, weighed: Weighed, one: int) -> Weighed:
-        """One thing turned in place: the best of several yaws, each refined."""
-        rest = surroundings(self.world, self.image, weighed.scene.without(one))
-        kind = int(weighed.scene.kinds[one])
-        states = turned(self.world, self.image, rest, self.lattice, kind, weighed.scene.poses[one])[
-            :YAWS_REFINED
-        ]
-        if len(states) < 2:
+        """One thing turned in place: the best of the lattice's yaws, each refined."""
+        kind = self.world.kinds[weighed.scene.kinds[one]]
+        if not kind.turns:
             return weighed
-        own = refine(self.world, self.image, rest, self.lattice.kinds[states], self.lattice.poses[states])
-        best = int(own.gains.argmax())
-        return self.weigh(*_replaced(weighed, one, own, best))
+        rest = surroundings(self.world, self.image, weighed.scene.without(one))
+        count = max(YAWS // kind.turns, 2)
+        poses = np.repeat(weighed.scene.poses[one : one + 1], count, axis=0)
+        poses[:, 2] += np.arange(count) * (2 * np.pi / kind.turns / count)
+        kinds = np.repeat(weighed.scene.kinds[one : one + 1], count)
+        own = refine(self.world, self.image, rest, kinds, poses, COMPARED)
+        return self.weigh(*_replaced(weighed, one, own, int(own.gains.argmax())))
 
     def moves(self, weighed: Weighed) -> Iterator[Weighed]:
         """Joint moves: turn, drop, replace (kind and place), split, merge, replace two that are near, add."""
@@ -145,9 +153,10 @@ class _Table:
             apart = np.subtract(*weighed.scene.poses[list(pair), :2])
             if np.linalg.norm(apart) < MERGED_M:
                 base = self.weigh(weighed.scene.without(*pair), np.delete(weighed.sd, pair, axis=0))
-                for merged in self.added(base):
-                    yield merged
-                    yield from self.added(merged)
+                merged = sorted(self.added(base), key=_evidence, reverse=True)
+                yield from merged
+                for one in merged[:MERGED_TRIED]:
+                    yield from self.added(one)
         yield from self.added(weighed)
 
 
@@ -187,9 +196,11 @@ class Searcher:
         while (more := max([best, *table.added(best)], key=_evidence)) is not best:
             best = table.settled(more)
         for _ in range(SWEEPS):
-            if (moved := max([best, *table.moves(best)], key=_evidence)) is best:
+            before = best
+            if (moved := max([best, *table.moves(best)], key=_evidence)) is not best:
+                best = table.settled(moved)
+            if best.log_evidence < before.log_evidence + WORTH_NATS:
                 break
-            best = table.settled(moved)
         return _summed(table, best)
 
 

@@ -59,13 +59,13 @@ def _parts(kinds: np.ndarray, poses: np.ndarray) -> list[tuple[np.ndarray, np.nd
 def test_without_an_image_chains_return_the_prior(seed: int) -> None:
     """Numbers, kinds, places and yaws as of scenes drawn evenly that keep the overlap rule.
 
-    False alarm 1e-6 each, on every 10th sweep.
+    False alarm 1e-6 each, on every 7th sweep.
     """
     rng = np.random.default_rng(seed)
     target = prior_target(WORLD)
     start = State(Scene.empty(), 0, target(Scene.empty(), 0))
-    chain = sample_scenes(rng, target, start, found_things(), 2, np.zeros(1), 10_000)
-    scenes = [state.scene for number, state in enumerate(chain) if number % 10 == 0]
+    chain = sample_scenes(rng, target, start, found_things(), 2, np.zeros(1), 7_000)
+    scenes = [state.scene for number, state in enumerate(chain) if number % 7 == 0]
     side = WORLD.half_m
     drawn = []
     while len(drawn) < 4_000:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.synthesis.air import photograph
-from scene.colour.density import sample
+from scene.colour.density import Segments, laplace_evidence, sample
+from scene.colour.kernels import log_gains
 from scene.colour.lattice import Lattice, candidates, gains, surroundings
 from scene.colour.posterior import (
     Scene,
@@ -18,6 +19,7 @@ from scene.colour.posterior import (
     visible_gain,
 )
 from scene.colour.search import Searcher
+from scene.colour.world import Layers
 from tests.scene.colour.worlds import small_world
 
 WORLD = small_world()
@@ -113,3 +115,15 @@ def test_equal_images_give_equal_scenes(seed: int) -> None:
 
     assert first.best.scene.poses.tobytes() == second.best.scene.poses.tobytes()
     assert first.count.tobytes() == second.count.tobytes()
+
+
+def test_gains_bound_what_was_clipped(seed: int) -> None:
+    """As Laplace's evidence of the same pixels, two too bright and one too dark, within half a nat."""
+    rng = np.random.default_rng(seed)
+    shade = rng.uniform(0.5, 1, 40)
+    colour = shade[:, None] * [0.9, 0.6, 0.3] + WORLD.noise.sigma * rng.standard_normal((40, 3))
+    colour[:2, 0], colour[2, 2] = np.inf, -np.inf
+    layers = Layers(np.array([0, 40]), np.arange(40), np.ones(40), shade)
+    gain = log_gains(colour, np.zeros(40), np.full(40, np.inf), layers, WORLD.noise)
+    exact, _ = laplace_evidence(Segments(layers.start, colour, shade), WORLD.noise)
+    assert gain == pytest.approx(exact, abs=0.5)

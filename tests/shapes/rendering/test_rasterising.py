@@ -5,7 +5,7 @@ import open3d as o3d
 import trimesh
 
 from recordings.types import CameraIntrinsics
-from shapes.rendering.rasterising import rasterise
+from shapes.rendering.rasterising import Mesh, rasterise
 
 CAMERA = CameraIntrinsics(width=60, height=40, fx=70, fy=65, cx=28.3, cy=21.1)
 
@@ -16,7 +16,7 @@ def test_pixels_depths_and_triangles_are_embrees(seed: int) -> None:
     mesh = trimesh.creation.annulus(0.05, 0.1, 0.12)
     poses = np.stack([trimesh.transformations.random_rotation_matrix(rng.uniform(size=3)) for _ in range(12)])
     poses[:, :3, 3] = rng.uniform([-0.2, -0.15, 0.45], [0.2, 0.15, 0.8], (12, 3))
-    found = rasterise(mesh.vertices, mesh.faces, poses, CAMERA)
+    found = rasterise([Mesh(mesh.vertices, mesh.faces)], np.zeros(12, np.int64), poses, CAMERA)
 
     directions = CAMERA.rays(np.arange(60)[None], np.arange(40)[:, None])
     unlike, seen = 0, 0
@@ -49,4 +49,4 @@ def test_nothing_is_seen_behind_the_camera() -> None:
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[0, 2, 3] = -1
 
-    assert len(rasterise(mesh.vertices, mesh.faces, poses, CAMERA).pixel) == 0
+    assert len(rasterise([Mesh(mesh.vertices, mesh.faces)], np.zeros(2, np.int64), poses, CAMERA).pixel) == 0
