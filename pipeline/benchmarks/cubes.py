@@ -62,7 +62,6 @@ def cube_kernel(
         prior_share=prior_share,
         translation_m=scale,
         rotation_rad=2 * scale,
-        axes=jnp.full(count, -1),
         lines=SpinLines.none(count),
         symmetries=Symmetries.none(count),
         candidates=candidates,

@@ -95,7 +95,6 @@ def scene_kernel(
     prior_share: float,
     translation_m: jax.Array,
     rotation_rad: jax.Array,
-    axes: jax.Array,
     lines: SpinLines,
     symmetries: Symmetries,
     spread: float = 30.0,
@@ -110,8 +109,7 @@ def scene_kernel(
         prior_share: weight of the prior in the mixture's draws.
         translation_m: (C,) largest standard deviations of a walk's step.
         rotation_rad: (C,) the same for angles.
-        axes: (C,) the box axis about which each object is round, or -1.
-        lines: about which objects spin by themselves.
+        lines: about which objects are round.
         symmetries: lines about which parts of a turn leave objects nearly as they are.
         spread: the largest scale over the smallest.
         candidates: poses that are weighed together, the present one among them.
@@ -121,7 +119,7 @@ def scene_kernel(
     dtype = translation_m.dtype
     walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
     far = IndependenceMultipleTry(mixture, jnp.asarray(prior_share, dtype), candidates)
-    near = LocalMultipleTry(mixture, axes, lines, symmetries, candidates, grafts=structure is not None)
+    near = LocalMultipleTry(mixture, lines, symmetries, candidates, grafts=structure is not None)
     return Kernel(structure, (far, near), (walk, FlipMove()), repeats)
 
 

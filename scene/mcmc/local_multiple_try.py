@@ -59,16 +59,14 @@ class LocalMultipleTry:
 
     Attributes:
         mixture: a step has the covariance of its first component.
-        axes: (C,) the box axis about which an object is round, or -1; its Gaussian steps do not spin it about
-            its line: a scan's little bumps make many narrow modes of a round object's spin.
-        lines: about which most of each object is round.
+        lines: about which most of each object is round. Gaussian steps do not spin what is free about its
+            line: a scan's little bumps make many narrow modes of a round object's spin.
         symmetries: the lines of parts of a turn.
         count: K.
         grafts: whether edges are drawn with the poses.
     """
 
     mixture: PoseMixture
-    axes: jax.Array
     lines: SpinLines
     symmetries: Symmetries
     count: int = field(metadata={"static": True})
@@ -101,13 +99,13 @@ class LocalMultipleTry:
 
     def _steps(self, dice: Variates, chosen: jax.Array) -> tuple[SpinLines, jax.Array]:
         """The steps (K, 7), the first to the point between, and the line of all their turns."""
-        line = SpinLines(self.lines.directions[chosen], self.lines.points_m[chosen])
+        line = self.lines.of_body(chosen)
         size, kind = dice.uniform[:2]
         normal = dice.normal[: self.normals].reshape(self.count, 7)
         scale = SMALLEST * (LARGEST / SMALLEST) ** size
         steps = scale * jnp.sum(self.mixture.choleskys[chosen, 0][None] * normal[:, None, :6], axis=2)
         spins = kind < SPIN_SHARE
-        across = spins | (self.axes[chosen] >= 0)
+        across = spins | line.free
         along = jnp.sum(steps[:, 3:] * line.directions[None], axis=1, keepdims=True) * line.directions[None]
         tilts = steps[:, 3:] - jnp.where(across, along, 0.0)
         tilts = jax.vmap(partial(quaternions.rotate, self.mixture.centres[chosen, 0, :4]))(tilts)
@@ -116,7 +114,11 @@ class LocalMultipleTry:
         turns = ~spins & (kind < SPIN_SHARE + TURN_SHARE) & (order > 0)
         spun = jnp.where(spins, widest, 0.0) * normal[:, 6]
         angles = jnp.where(turns, symmetry_angle(order, normal[:, 6]), spun)
-        line = SpinLines(jnp.where(turns, direction, line.directions), jnp.where(turns, point, line.points_m))
+        directions, points_m = (
+            jnp.where(turns, of_turn, of_spin)
+            for of_turn, of_spin in ((direction, line.directions), (point, line.points_m))
+        )
+        line = SpinLines(directions, points_m, line.free)
         return line, jnp.concatenate([steps[:, :3], tilts, angles[:, None]], axis=1)
 
 

@@ -14,7 +14,8 @@ import jaxlie
 
 from scene.execution import FAST_COMPILE
 from scene.mcmc.mixture_init import own_components, spin
-from scene.mcmc.pose_mixture import PoseMixture
+from scene.mcmc.pose_mixture import PoseMixture, place_of
+from scene.mcmc.symmetry_arrays import SpinLines
 from scene.search.importance_sampling import MODES
 
 NEAR_M, NEAR_RAD = 0.005, 0.35
@@ -35,18 +36,18 @@ MEAN_STEPS = 3
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
-def adapt_mixture(mixture: PoseMixture, axes: jax.Array, poses: jax.Array) -> PoseMixture:
+def adapt_mixture(mixture: PoseMixture, lines: SpinLines, poses: jax.Array) -> PoseMixture:
     """The mixtures with components of their own fitted to states (S, C, 7), each in its mode.
 
     A chain that changes to another mode comes back only where proposals know both.
 
     Args:
         mixture: from `pose_proposals`.
-        axes: (C,) the box axis about which each object is round, or -1.
+        lines: about which objects (C,) are round.
         poses: (S, C, 7).
     """
-    log_weights, centres, covariances = jax.vmap(_own, in_axes=(0, 0, 1))(mixture, axes, poses)
-    own = PoseMixture.build(log_weights, centres, covariances)
+    log_weights, centres, covariances = jax.vmap(_own, in_axes=(0, 0, 1))(mixture, lines, poses)
+    own = PoseMixture.build(log_weights, centres, covariances, mixture.points_m)
     used = log_weights.shape[1]
     log_share = jax.scipy.special.logsumexp(mixture.log_weights[:, :used], axis=1, keepdims=True)
     return PoseMixture(
@@ -54,6 +55,7 @@ def adapt_mixture(mixture: PoseMixture, axes: jax.Array, poses: jax.Array) -> Po
         _replaced(mixture.centres, own.centres),
         _replaced(mixture.choleskys, own.choleskys),
         _replaced(mixture.whitenings, own.whitenings),
+        mixture.points_m,
     )
 
 
@@ -61,16 +63,16 @@ def _replaced(values: jax.Array, own: jax.Array) -> jax.Array:
     return values.at[:, : own.shape[1]].set(own)
 
 
-def modes_of(log_weights: jax.Array, axis: jax.Array) -> jax.Array:
-    """Weights (MODES,) of one object's modes in its mixture (K,), their sum 1; a round one has the first."""
-    is_mode = (axis < 0) | (jnp.arange(MODES) == 0)
+def modes_of(log_weights: jax.Array, line: SpinLines) -> jax.Array:
+    """Weights (MODES,) of one object's modes in its mixture (K,), their sum 1; what spins has the first."""
+    is_mode = ~line.free | (jnp.arange(MODES) == 0)
     return jax.nn.softmax(jnp.where(is_mode, log_weights[:MODES], -jnp.inf))
 
 
-def _own(mixture: PoseMixture, axis: jax.Array, poses: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _own(mixture: PoseMixture, line: SpinLines, poses: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """One object's own components, as `own_components` has them, of states (S, 7)."""
-    weights, modes = modes_of(mixture.log_weights, axis), mixture.centres[:MODES]
-    steps = jax.vmap(partial(_steps, poses=poses, axis=axis))(modes)
+    weights, modes = modes_of(mixture.log_weights, line), mixture.centres[:MODES]
+    steps = jax.vmap(partial(_steps, poses=poses, line=line))(modes)
     unit = jnp.repeat(jnp.array([NEAR_M, NEAR_RAD], poses.dtype), 3)
     distance = jnp.linalg.norm(steps / unit[None, None], axis=2)
     distance = jnp.where(weights[:, None] > 0, distance, jnp.inf)
@@ -78,7 +80,7 @@ def _own(mixture: PoseMixture, axis: jax.Array, poses: jax.Array) -> tuple[jax.A
     mine = (nearest & (distance < FURTHEST)).astype(poses.dtype)
     counts = jnp.sum(mine, axis=1)
 
-    centres, scatters = jax.vmap(partial(_moments, poses=poses, axis=axis))(modes, mine)
+    centres, scatters = jax.vmap(partial(_moments, poses=poses, line=line))(modes, mine)
     old = jax.vmap(_in_world)(
         modes, mixture.choleskys[:MODES] @ jnp.swapaxes(mixture.choleskys[:MODES], 1, 2)
     )
@@ -88,20 +90,21 @@ def _own(mixture: PoseMixture, axis: jax.Array, poses: jax.Array) -> tuple[jax.A
     covariances = jax.vmap(_in_box)(centres, covariances + least[None])
     seen = counts / jnp.maximum(jnp.sum(counts), 1.0)
     log_weights = jnp.log((1 - KEPT_SHARE) * seen + KEPT_SHARE * weights)
-    return own_components(log_weights, centres, covariances, axis)
+    return own_components(log_weights, centres, covariances, line)
 
 
 def _moments(
-    mode: jax.Array, mine: jax.Array, poses: jax.Array, axis: jax.Array
+    mode: jax.Array, mine: jax.Array, poses: jax.Array, line: SpinLines
 ) -> tuple[jax.Array, jax.Array]:
     """Mean (7,) of the states (S, 7) that belong to a mode, and their scatter (6, 6) in the world."""
     weights = mine / jnp.maximum(jnp.sum(mine), 1.0)
     mean = mode
     for _ in range(MEAN_STEPS):
-        step = weights @ _steps(mean, poses, axis)
-        turned = jaxlie.SO3(mean[:4]) @ jaxlie.SO3.exp(step[3:])
-        mean = jnp.concatenate([turned.normalize().wxyz, mean[4:] + step[:3]])
-    steps = _steps(mean, poses, axis)
+        step = weights @ _steps(mean, poses, line)
+        turned = (jaxlie.SO3(mean[:4]) @ jaxlie.SO3.exp(step[3:])).normalize()
+        point_m = place_of(line.points_m, mean) + step[:3]
+        mean = jnp.concatenate([turned.wxyz, point_m - turned @ line.points_m])
+    steps = _steps(mean, poses, line)
     return mean, _in_world(mean, (mine[:, None] * steps).T @ steps)
 
 
@@ -116,17 +119,18 @@ def _in_box(pose: jax.Array, covariance: jax.Array) -> jax.Array:
     return _in_world(jnp.concatenate([jaxlie.SO3(pose[:4]).inverse().wxyz, pose[4:]]), covariance)
 
 
-def _steps(start: jax.Array, poses: jax.Array, axis: jax.Array) -> jax.Array:
+def _steps(start: jax.Array, poses: jax.Array, line: SpinLines) -> jax.Array:
     """Offsets and turns (S, 6) from a pose (7,) to others (S, 7)."""
-    return jax.vmap(lambda pose: jnp.concatenate(_step(start, pose, axis)))(poses)
+    return jax.vmap(lambda pose: jnp.concatenate(_step(start, pose, line)))(poses)
 
 
-def _step(start: jax.Array, end: jax.Array, axis: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Offset (3,) in the world and rotation vector (3,) on the right from one pose (7,) to another.
+def _step(start: jax.Array, end: jax.Array, line: SpinLines) -> tuple[jax.Array, jax.Array]:
+    """Offset (3,) of the line's point in the world and rotation vector (3,) on the right between poses (7,).
 
-    Where the object is round, its spin is left out (swing-twist decomposition).
+    Where the object spins freely, its spin is left out (swing-twist decomposition).
     """
     turn = jaxlie.SO3(start[:4]).inverse() @ jaxlie.SO3(end[:4])
-    angle = 2 * jnp.arctan2(turn.wxyz[1 + jnp.maximum(axis, 0)], turn.wxyz[0])
-    swing = turn @ spin(axis, -angle)
-    return end[4:] - start[4:], jnp.where(axis < 0, turn.log(), swing.log())
+    angle = 2 * jnp.arctan2(turn.wxyz[1:] @ line.directions, turn.wxyz[0])
+    swing = turn @ spin(line.directions, -angle)
+    offset_m = place_of(line.points_m, end) - place_of(line.points_m, start)
+    return offset_m, jnp.where(line.free, swing.log(), turn.log())

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import FAST_COMPILE
-from scene.mcmc.pose_mixture import PoseMixture
-from scene.objects.scene_object import SceneObject
+from scene.mcmc.pose_mixture import PoseMixture, place_of
+from scene.mcmc.symmetry_arrays import SpinLines
 from scene.search.importance_sampling import MODES, Refinement
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import compose
@@ -34,81 +34,75 @@ TRUST = 0.5
 SPIN_RAD, WIDE_SPIN_RAD = 0.65, 1.0
 """Standard deviations of the spin of round objects: the components join up to a circle."""
 
-ROUND = 0.15
-"""Largest sine between a normal of a round object and the plane through its axis; for most of its points."""
 
-MOSTLY = 0.95
-
-
-def round_axis(one: SceneObject) -> int:
-    """The box axis about which an object looks the same from all sides, or -1."""
-    for axis in range(3):
-        around = np.cross(np.eye(3)[axis], one.points_m)
-        radius = np.linalg.norm(around, axis=1)
-        outside = radius > 0.1 * radius.max()
-        sine = np.abs((around * one.normals).sum(axis=1))[outside] / radius[outside]
-        if (sine < ROUND).mean() > MOSTLY:
-            return axis
-    return -1
-
-
-def spin(axis: jax.Array, angle: jax.Array) -> jaxlie.SO3:
-    """The turn about an axis of the box; none for axis -1."""
-    half = jnp.where(axis < 0, 0.0, angle / 2)
-    vector = jnp.where(jnp.arange(3) == axis, jnp.sin(half), 0.0)
-    return jaxlie.SO3(jnp.concatenate([jnp.cos(half)[None], vector]))
+def spin(direction: jax.Array, angle: jax.Array) -> jaxlie.SO3:
+    """The turn about a direction (3,) of the box; none where it is 0."""
+    half = jnp.where(jnp.any(direction != 0), angle / 2, 0.0)
+    return jaxlie.SO3(jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * direction]))
 
 
 def own_components(
-    log_weights: jax.Array, means: jax.Array, covariances: jax.Array, axis: jax.Array
+    log_weights: jax.Array, means: jax.Array, covariances: jax.Array, line: SpinLines
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Weights (logs), centres and covariances of one object's components in its modes.
 
-    A Gaussian for each mode, and then a wider one for each. Of a round object, whose spin nothing tells,
-    the two of the first mode are repeated round the circle, turned with it.
+    A Gaussian for each mode, and then a wider one for each. Of an object that is round about a line those of
+    the first mode are repeated round the circle, turned with it, in place of the wider ones; and in place of
+    the others too where nothing tells the spin.
 
     Args:
         log_weights: (MODES,), which add up to 1.
         means: (MODES, 7).
-        covariances: (MODES, 6, 6).
-        axis: about which the object is round, or -1.
+        covariances: (MODES, 6, 6), with offsets of the line's point.
+        line: about which the object is round, if any.
     """
     log_shares = jnp.log(jnp.array([1 - WIDE_SHARE, WIDE_SHARE], log_weights.dtype))
     log_each = (log_shares[:, None] + log_weights[None]).ravel()
     log_spun = jnp.repeat(log_shares - math.log(MODES), MODES)
     wider = jnp.concatenate([covariances, WIDE**2 * covariances])
-    spun, spun_covariances = _round_the_circle(means[0], covariances[0], axis)
-    is_round = axis >= 0
+    spun, spun_covariances = _round_the_circle(means[0], covariances[0], line)
+    circle = jnp.where(jnp.arange(2 * MODES) < MODES, line.free, line.there)
     return (
-        jnp.where(is_round, log_spun, log_each),
-        jnp.where(is_round, spun, jnp.concatenate([means, means])),
-        jnp.where(is_round, spun_covariances, wider),
+        jnp.where(circle, log_spun, log_each),
+        jnp.where(circle[:, None], spun, jnp.concatenate([means, means])),
+        jnp.where(circle[:, None, None], spun_covariances, wider),
     )
 
 
-def _round_the_circle(mean: jax.Array, covariance: jax.Array, axis: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _round_the_circle(mean: jax.Array, covariance: jax.Array, line: SpinLines) -> tuple[jax.Array, jax.Array]:
     """Centres and covariances of a round object's components, the wider ones last."""
     turns = jnp.tile(jnp.arange(MODES) / MODES, 2)
     is_wide = jnp.arange(2 * MODES) >= MODES
+    along = jnp.zeros(6).at[3:].set(line.directions)
+    across = jnp.eye(6) - jnp.outer(along, along)
+    point_m = place_of(line.points_m, mean)
 
     def component(turn: jax.Array, is_wide: jax.Array) -> tuple[jax.Array, jax.Array]:
-        turned = spin(axis, 2 * jnp.pi * turn)
-        centre = jnp.concatenate([(jaxlie.SO3(mean[:4]) @ turned).normalize().wxyz, mean[4:]])
+        spun = spin(line.directions, 2 * jnp.pi * turn)
+        turned = (jaxlie.SO3(mean[:4]) @ spun).normalize()
+        centre = jnp.concatenate([turned.wxyz, point_m - turned @ line.points_m])
         sigma = jnp.where(is_wide, WIDE_SPIN_RAD, SPIN_RAD)
-        along = jnp.arange(6) == axis + 3
-        free = covariance * jnp.where(is_wide, WIDE**2, 1.0)
-        free = jnp.where(along[:, None] | along[None], 0.0, free) + jnp.diag(jnp.where(along, sigma**2, 0.0))
-        frame = jnp.eye(6).at[3:, 3:].set(turned.inverse().as_matrix())
+        free = across @ (covariance * jnp.where(is_wide, WIDE**2, 1.0)) @ across
+        free = free + sigma**2 * jnp.outer(along, along)
+        frame = jnp.eye(6).at[3:, 3:].set(spun.inverse().as_matrix())
         return centre, frame @ free @ frame.T
 
     return jax.vmap(component)(turns, is_wide)
+
+
+def of_points(covariances: jax.Array, poses: jax.Array, point_m: jax.Array) -> jax.Array:
+    """Covariances (..., 6, 6) at poses with offsets of a point (3,), of those with offsets of the middle."""
+    turns = jaxlie.SO3(poses[..., :4]).as_matrix()
+    lever = -turns @ jnp.cross(point_m, jnp.eye(3)).T  # a turn t moves the point by R (t x p)
+    change = jnp.broadcast_to(jnp.eye(6), covariances.shape).at[..., :3, 3:].set(lever)
+    return change @ covariances @ jnp.swapaxes(change, -1, -2)
 
 
 def pose_proposals(
     start: Initialisation,
     refined: Refinement,
     world_from_camera: jax.Array,
-    axes: jax.Array,
+    lines: SpinLines,
 ) -> PoseMixture:
     """The mixtures of N objects, and places without use for the other bodies, in the world's frame.
 
@@ -116,7 +110,7 @@ def pose_proposals(
         start: with the pools.
         refined: Gaussians on their modes.
         world_from_camera: (7,).
-        axes: (C,) the box axis about which each body is round, or -1.
+        lines: about which bodies (C,) are round.
     """
     count = len(start.poses)
     gains = start.log_gains[:, : start.pools.shape[1]]
@@ -126,12 +120,12 @@ def pose_proposals(
     log_others = log_others - np.logaddexp.reduce(log_others, axis=1, keepdims=True)
 
     def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([values, np.repeat(values[:1], len(axes) - count, axis=0)])
+        return np.concatenate([values, np.repeat(values[:1], len(lines.free) - count, axis=0)])
 
     log_weights = TRUST * refined.log_masses
     log_weights = log_weights - np.logaddexp.reduce(log_weights, axis=1, keepdims=True)
     every = (log_weights, refined.means, refined.covariances, others, log_others)
-    mixture = _in_world(world_from_camera, *map(filled, every), axes)
+    mixture = _in_world(world_from_camera, *map(filled, every), lines)
     if start.atoms is None:
         return mixture
     atoms = filled(start.atoms.poses), filled(start.atoms.log_weights)
@@ -169,6 +163,7 @@ def with_atoms(
         jnp.concatenate([mixture.centres, centres], axis=1),
         jnp.concatenate([mixture.choleskys, factors], axis=1),
         jnp.concatenate([mixture.whitenings, jnp.broadcast_to(jnp.diag(1 / sigma), factors.shape)], axis=1),
+        mixture.points_m,
     )
 
 
@@ -180,18 +175,18 @@ def _in_world(
     covariances: jax.Array,
     others: jax.Array,
     log_others: jax.Array,
-    axes: jax.Array,
+    lines: SpinLines,
 ) -> PoseMixture:
     """The mixture from modes (C, M), (C, M, 7), (C, M, 6, 6), offsets in the camera, and others (C, K, 7)."""
     turn = jnp.eye(6).at[:3, :3].set(jaxlie.SO3(world_from_camera[:4]).as_matrix())
     moved = jax.vmap(jax.vmap(lambda pose: compose(world_from_camera, pose)))
     means, others = moved(means), moved(others)
-    log_own, centres, covariances = jax.vmap(own_components)(
-        log_weights, means, turn @ covariances @ turn.T, axes
-    )
+    covariances = jax.vmap(of_points)(turn @ covariances @ turn.T, means, lines.points_m)
+    log_own, centres, covariances = jax.vmap(own_components)(log_weights, means, covariances, lines)
     narrow = jnp.broadcast_to(jnp.diag(jnp.asarray(OTHER_SIGMA**2)), (*log_others.shape, 6, 6))
     return PoseMixture.build(
         jnp.concatenate([jnp.log1p(-OTHERS_SHARE) + log_own, jnp.log(OTHERS_SHARE) + log_others], axis=1),
         jnp.concatenate([centres, others], axis=1),
         jnp.concatenate([covariances, narrow], axis=1),
+        lines.points_m,
     )

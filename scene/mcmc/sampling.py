@@ -22,7 +22,7 @@ from scene.mcmc.chain_model import carrying, prior_space, scene_model, slabs_und
 from scene.mcmc.edges import EdgeMove
 from scene.mcmc.kernel import Kernel, run_block, scene_kernel
 from scene.mcmc.mixture_adaptation import adapt_mixture, modes_of
-from scene.mcmc.mixture_init import pose_proposals, round_axis
+from scene.mcmc.mixture_init import pose_proposals
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.mcmc.samples import Samples
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
@@ -108,19 +108,18 @@ def sample_posterior(
     world = pose_of(jnp.asarray(world_from_camera))
     slabs = jnp.asarray(slabs_under(supports, world_from_camera))
     bodies = len(model.bodies.movable)
-    axes = jax.device_put(np.array([round_axis(one) for one in objects] + [-1] * (bodies - len(objects))))
+    lines = SpinLines.of(objects, bodies - len(objects))
     kernel = scene_kernel(
-        pose_proposals(start, refined, world, axes),
+        pose_proposals(start, refined, world, lines),
         prior_share=PRIOR_SHARE,
         translation_m=jax.device_put(np.full(bodies, WALK_M)),
         rotation_rad=jax.device_put(np.full(bodies, WALK_RAD)),
-        axes=axes,
-        lines=SpinLines.of(objects, bodies - len(objects)),
+        lines=lines,
         symmetries=Symmetries.of(objects, bodies - len(objects)),
         structure=EdgeMove() if config.graph == "infer" else None,
         repeats=max(len(objects) - 1, 1),
     )
-    return _sample(key, model, kernel, axes, start, world, slabs, config, progress)
+    return _sample(key, model, kernel, lines, start, world, slabs, config, progress)
 
 
 def _likelihood(
@@ -152,7 +151,7 @@ def _sample(
     key: jax.Array,
     model: SceneModel,
     kernel: Kernel,
-    axes: jax.Array,
+    lines: SpinLines,
     start: Initialisation,
     world: jax.Array,
     slabs: jax.Array,
@@ -166,7 +165,7 @@ def _sample(
     """
     start_key, run_key, variance_key = jax.random.split(key, 3)
     keys = jax.random.split(start_key, config.chains)
-    states = _start(keys, model, kernel.mixture, axes, start.poses, start.found, world, slabs)
+    states = _start(keys, model, kernel.mixture, lines, start.poses, start.found, world, slabs)
     if not start.found.any():
         nothing = jnp.zeros_like(states.log_prior)
         recorded = _samples(_scene_and_value(states), nothing)
@@ -179,12 +178,12 @@ def _sample(
     count = -(-config.sweeps // blocks)
     kept: list[Samples] = []
     variance = 0.0
-    with compile_in_background(partial(_compile_taught, kernel, axes, count * config.chains)):
+    with compile_in_background(partial(_compile_taught, kernel, lines, count * config.chains)):
         for block in range(blocks):
             block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
             groups, samples = _advanced(block_keys, groups, model, kernel, count)
             if block < BURN_IN_BLOCKS:
-                kernel = _taught(kernel, axes, samples)
+                kernel = _taught(kernel, lines, samples)
             else:
                 kept.append(samples)
             if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
@@ -214,17 +213,17 @@ def _advanced(
     return list(states), jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *samples)
 
 
-def _compile_taught(kernel: Kernel, axes: jax.Array, states: int) -> None:
+def _compile_taught(kernel: Kernel, lines: SpinLines, states: int) -> None:
     """What `_taught` runs on so many states, beside `run_block`, which takes longer to compile."""
     mixture = kernel.mixture
     with jax.enable_x64(True):  # of this thread
-        adapt_mixture.lower(mixture, axes, np.zeros((states, len(axes), 7))).compile()
+        adapt_mixture.lower(mixture, lines, np.zeros((states, len(lines.free), 7))).compile()
 
 
-def _taught(kernel: Kernel, axes: jax.Array, states: Samples) -> Kernel:
+def _taught(kernel: Kernel, lines: SpinLines, states: Samples) -> Kernel:
     """The kernel with proposals fitted to the states that its chains went through."""
     states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
-    return kernel.with_mixture(adapt_mixture(kernel.mixture, axes, states.poses))
+    return kernel.with_mixture(adapt_mixture(kernel.mixture, lines, states.poses))
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
@@ -232,7 +231,7 @@ def _start(
     keys: jax.Array,
     model: SceneModel,
     mixture: PoseMixture,
-    axes: jax.Array,
+    lines: SpinLines,
     poses: jax.Array,
     found: jax.Array,
     world: jax.Array,
@@ -244,14 +243,14 @@ def _start(
         keys: (B,).
         model: the target.
         mixture: of the proposals.
-        axes: about which each body is round, or -1.
+        lines: about which bodies are round.
         poses: (N, 7) camera_from_box of the best scene, where those stay that were not found.
         found: (N,).
         world: (7,) world_from_camera.
         slabs: (S, 7) poses of the supports.
     """
     poses = jax.vmap(lambda pose: compose(world, pose))(poses)
-    log_weights = jnp.log(jax.vmap(modes_of)(mixture.log_weights, axes))[: len(poses)]
+    log_weights = jnp.log(jax.vmap(modes_of)(mixture.log_weights, lines))[: len(poses)]
 
     def start(key: jax.Array) -> ChainState:
         mode_key, chain_key = jax.random.split(key)

@@ -21,21 +21,33 @@ class SpinLines:
     Attributes:
         directions: (C, 3) units, 0 where a body has none.
         points_m: (C, 3) on the lines, 0 where there is none.
+        free: (C,) bool, where no depth tells the spin.
     """
 
     directions: jax.Array
     points_m: jax.Array
+    free: jax.Array
+
+    @property
+    def there(self) -> jax.Array:
+        """(C,) bool, which bodies have one."""
+        return jnp.any(self.directions != 0, axis=-1)
+
+    def of_body(self, body: jax.Array) -> SpinLines:
+        """Of one body, (3,) and ()."""
+        return SpinLines(self.directions[body], self.points_m[body], self.free[body])
 
     @classmethod
     def none(cls, bodies: int) -> SpinLines:
         """No body has one."""
-        return cls(jnp.zeros((bodies, 3)), jnp.zeros((bodies, 3)))
+        return cls(jnp.zeros((bodies, 3)), jnp.zeros((bodies, 3)), jnp.zeros(bodies, bool))
 
     @classmethod
     def of(cls, objects: Sequence[SceneObject], spare: int) -> SpinLines:
         """Those of objects, and of as many bodies more that have none."""
         lines = np.stack([one.spin_line for one in objects] + [np.zeros((2, 3))] * spare)
-        return cls(jnp.asarray(lines[:, 0]), jnp.asarray(lines[:, 1]))
+        free = np.array([one.spins_freely for one in objects] + [False] * spare)
+        return cls(jnp.asarray(lines[:, 0]), jnp.asarray(lines[:, 1]), jnp.asarray(free))
 
 
 STAYS, HALF = 0.6745, 1.1503

@@ -15,7 +15,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from scene.objects.symmetry import turns_about
+from scene.objects.symmetry import SPINS, leaves_alike, spins_freely, turns_about
 
 DARK = 0.01
 """Of full light, added before logs are taken: what is darker differs by noise and reflections alone."""
@@ -29,11 +29,6 @@ SAMPLES = 60_000
 MARGIN = 2
 """Voxels round the surface that take the nearest colour: poses and shapes are that wrong in the search."""
 
-SPINS = 24
-"""About the axis of what is round: steps of 15 degrees, in which a label as wide as that still overlaps."""
-NEAR_M, ALIKE = 0.003, 0.97
-"""A turn leaves a shape as it is where so large a share of its surface comes to lie so near to it: the
-sensor's noise hides the rest. Mugs, of which 0.93 to 0.96 do, are not round: their handles tell."""
 APART_RAD = np.radians(5.0)
 """Turns closer than that are one."""
 MOST_TURNS = 64
@@ -42,8 +37,6 @@ ALIKE_COLOURS = 0.1
 colour altogether; stripes that run round a thing differ by half of it, from voxel to voxel."""
 TOLD_BY = 4096
 """Points of the surface whose colours are compared."""
-TESTED = 512
-"""Points of the surface that are turned."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,14 +182,8 @@ def alike_turns(
         orders: (3,) 4, 2 or 0.
     """
     tree = KDTree(points)
-
-    def is_alike(turn: NDArray[np.float64]) -> bool:
-        turned = points[:TESTED] @ turn[:3, :3].T + turn[:3, 3]
-        return bool((tree.query(turned)[0] < NEAR_M).mean() >= ALIKE)
-
-    spins = [turn for turn in _about(spin_line, SPINS) if spin_line.any() and is_alike(turn)]
-    spins_freely = len(spins) == SPINS
-    generators = [spins if spins_freely else [np.eye(4)]]
+    free = spins_freely(points, spin_line)
+    generators = [_about(spin_line, SPINS) if free else [np.eye(4)]]
     generators += [_about(line, int(order)) for line, order in zip(lines, orders, strict=True) if order]
     chosen: list[NDArray[np.float64]] = []
     for turn in _products(generators):
@@ -205,7 +192,7 @@ def alike_turns(
         if not (traces > 1 + 2 * np.cos(APART_RAD)).any():
             chosen.append(turn)
     chosen = chosen[:MOST_TURNS]
-    return np.stack(chosen), spins_freely, all(map(is_alike, chosen))
+    return np.stack(chosen), free, all(leaves_alike(tree, points, turn) for turn in chosen)
 
 
 def _about(line: NDArray[np.float64], order: int) -> list[NDArray[np.float64]]:

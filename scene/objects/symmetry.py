@@ -11,6 +11,8 @@ same place: its middle is not the bounding box's to a tenth of a millimetre. Eac
 one: the rotated surface is registered to itself (iterated closest points, to planes), with weights that leave
 out what the rotation does not repeat.
 
+**Free.** A shape spins freely where every spin about its line leaves it as it is: a can, no mug.
+
 **Restarts.** A mug whose handle was taken to be hidden may show it: a narrow mode that a coarse grid of
 rotations misses. Poses rotated about the continuous line are compared and the better ones kept.
 """
@@ -185,6 +187,36 @@ def _line_of(turn: Rotation, shift: NDArray[np.float64], before: NDArray[np.floa
     across = shift - shift @ direction * direction
     moved = np.linalg.lstsq(np.eye(3) - turn.as_matrix(), across, rcond=None)[0]
     return np.stack([direction, before[1] + moved])
+
+
+SPINS = 24
+"""About the line of what is round: steps of 15 degrees, in which a label as wide as that still overlaps."""
+
+ALIKE = 0.97
+"""A turn leaves a shape as it is where so large a share of its surface comes to lie within NEAR_M of it: the
+sensor's noise hides the rest. Mugs, of which 0.93 to 0.96 do, do not spin freely: their handles tell."""
+
+TESTED = 512
+"""Points of the surface that are turned."""
+
+
+def spins_freely(points: NDArray[np.float64], line: NDArray[np.float64]) -> bool:
+    """Whether every spin about a line (2, 3), zeros for none, leaves a surface as it is.
+
+    Args:
+        points: (P, 3) of the surface, in random order, on average half of NEAR_M or less from each other.
+        line: direction and point.
+    """
+    if not line[0].any():
+        return False
+    tree, turns = KDTree(points), turns_about(line, 2 * np.pi * np.arange(SPINS) / SPINS)
+    return all(leaves_alike(tree, points, turn) for turn in turns)
+
+
+def leaves_alike(tree: KDTree, points: NDArray[np.float64], turn: NDArray[np.float64]) -> bool:
+    """Whether a turn (4, 4) leaves the surface of points (P, 3), and of a tree of them, as it is."""
+    turned = points[:TESTED] @ turn[:3, :3].T + turn[:3, 3]
+    return bool((tree.query(turned)[0] < NEAR_M).mean() >= ALIKE)
 
 
 MOST = 2

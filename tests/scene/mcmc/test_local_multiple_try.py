@@ -11,8 +11,8 @@ from scene.mcmc.local_multiple_try import take_steps
 from scene.mcmc.random_variates import Variates
 from scene.mcmc.symmetry_arrays import SpinLines
 
-LINE = SpinLines(jnp.array([0.48, 0.6, -0.64]), jnp.array([0.1, -0.2, 0.3]))
-NO_LINE = SpinLines(jnp.zeros(3), jnp.zeros(3))
+LINE = SpinLines(jnp.array([0.48, 0.6, -0.64]), jnp.array([0.1, -0.2, 0.3]), jnp.array(True))
+NO_LINE = SpinLines(jnp.zeros(3), jnp.zeros(3), jnp.array(False))
 
 
 def a_pose(key: jax.Array) -> jax.Array:

@@ -99,7 +99,9 @@ def features(state: ChainState) -> jax.Array:
     return jnp.array([on_table, pose[6], 1 - 2 * (pose[1] ** 2 + pose[2] ** 2)])
 
 
-LINES = SpinLines(jnp.array([[0.8, 0.6, 0], [0, 0, 0]]), jnp.array([[0.1, -0.2, 0.3], [0, 0, 0]]))
+LINES = SpinLines(
+    jnp.array([[0.8, 0.6, 0], [0, 0, 0]]), jnp.array([[0.1, -0.2, 0.3], [0, 0, 0]]), jnp.zeros(2, bool)
+)
 TURNS = Symmetries(
     jnp.array([[[0.8, 0.6, 0], [0, 0, 1.0], [1.0, 0, 0]], [[0, 0, 0.0]] * 3]),
     jnp.array([[[0.1, -0.2, 0.3], [0.2, 0, 0], [0, 0, 0]], [[0, 0, 0.0]] * 3]),

@@ -35,6 +35,14 @@ def test_a_mug_spins_about_the_axis_of_its_body(seed: int) -> None:
     assert abs(direction @ turn.apply([0, 0, 1])) > np.cos(np.radians(1))
     off = one.centre_m + point - placed[:3, 3]
     assert np.linalg.norm(off - off @ direction * direction) < 0.0005
+    assert not one.spins_freely
+
+
+@pytest.mark.parametrize("axes", [[0, 1, 2, 3], [1, 2, 0, 3]])
+def test_a_can_spins_freely(axes: list[int]) -> None:
+    """Whichever its axis is."""
+    mesh = trimesh.creation.cylinder(0.03, 0.1, transform=np.eye(4)[axes])
+    assert scene_object("can", mesh.vertices, mesh.faces).spins_freely
 
 
 @pytest.mark.parametrize("extents", [(0.1, 0.1, 0.2), (0.1, 0.1, 0.02), (0.05, 0.06, 0.07)])
