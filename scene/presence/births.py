@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scene.mcmc.mixture_init import own_components
+from scene.mcmc.mixture_init import of_points, own_components
 from scene.mcmc.pose_mixture import PoseMixture
+from scene.mcmc.symmetry_arrays import SpinLines
 from scene.presence.depth_candidates import PosePriors, PresenceFrames
 from scene.search.importance_sampling import FIRST_SIGMA, LEAST_SIGMA, MODES, WIDER, apart, tempered
 from scene.search.search_result import Initialisation
@@ -43,7 +44,7 @@ def born_near(
     priors: PosePriors,
     slots: NDArray[np.integer],
     sites: NDArray[np.float64],
-    axes: NDArray[np.integer],
+    lines: SpinLines,
 ) -> PoseMixture:
     """Mixtures of slots (R,) round sites (R, SITES, 7) world_from_box.
 
@@ -55,7 +56,7 @@ def born_near(
         priors: of poses.
         slots: numbers of the objects.
         sites: where they may be.
-        axes: (R,) the box axis about which each is round, or -1.
+        lines: about which they (R,) are round.
     """
     owners = np.repeat(slots, SITES)
     centres = sites.reshape(-1, 7)
@@ -75,12 +76,10 @@ def born_near(
         covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread) + np.diag(LEAST_SIGMA**2)
         centres = _moved(centres, steps[:, None])[:, 0]
         factors = WIDER * np.linalg.cholesky(covariances)
-    return _mixture(centres, factors, np.repeat(axes, SITES))
+    return _mixture(centres, factors, lines)
 
 
-def _mixture(
-    centres: NDArray[np.float64], factors: NDArray[np.float64], axes: NDArray[np.integer]
-) -> PoseMixture:
+def _mixture(centres: NDArray[np.float64], factors: NDArray[np.float64], lines: SpinLines) -> PoseMixture:
     """Mixtures of objects with SITES Gaussians each, of round ones spun round the circle."""
     count = len(centres) // SITES
     even = np.full((len(centres), MODES), -np.log(MODES))
@@ -88,8 +87,11 @@ def _mixture(
         np.repeat(part[:, None], MODES, axis=1) for part in (centres, factors @ np.swapaxes(factors, 1, 2))
     )
     with jax.enable_x64(True):
-        parts = jax.vmap(own_components)(*map(jnp.asarray, (even, means, covariances, axes)))
-        return PoseMixture.build(*(leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts))
+        each = jax.tree.map(lambda leaf: jnp.repeat(leaf, SITES, axis=0), lines)
+        about = jax.vmap(of_points)(jnp.asarray(covariances), jnp.asarray(means), each.points_m)
+        parts = jax.vmap(own_components)(jnp.asarray(even), jnp.asarray(means), about, each)
+        together = (leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts)
+        return PoseMixture.build(*together, lines.points_m)
 
 
 def _moved(poses: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,9 +14,9 @@ from scene.hidden.hidden_places import HiddenPlaces
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.mcmc.chain_model import bodies_of, slabs_under
-from scene.mcmc.mixture_init import round_axis
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.mcmc.sampling import SampledScenes
+from scene.mcmc.symmetry_arrays import SpinLines
 from scene.model.number_prior import UncertainBinomialNumber
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
@@ -101,8 +101,8 @@ def _mixture(
         owners.append(found.indices)
     if missing := np.flatnonzero(~start.found).tolist():
         sites = world_from_camera @ matrices_of(np.stack([sites_of(start, one) for one in missing]))
-        axes = np.array([round_axis(objects[one]) for one in missing])
-        births = born_near(rng, frames, priors, np.array(missing), poses_of(sites), axes)
+        lines = SpinLines.of([objects[one] for one in missing], 0)
+        births = born_near(rng, frames, priors, np.array(missing), poses_of(sites), lines)
         parts.append(jax.tree.map(np.asarray, births))
         owners.append(missing)
     components = max(part.log_weights.shape[1] for part in parts)
@@ -115,6 +115,11 @@ def _with_places(mixture: PoseMixture, components: int) -> PoseMixture:
     """The mixture with unused places up to so many."""
     places = np.arange(components)
     taken = np.minimum(places, mixture.log_weights.shape[1] - 1)
-    filled = jax.tree.map(lambda leaf: leaf[:, taken], mixture)
     used = places < mixture.log_weights.shape[1]
-    return replace(filled, log_weights=np.where(used, filled.log_weights, -np.inf))
+    return replace(
+        mixture,
+        log_weights=np.where(used, mixture.log_weights[:, taken], -np.inf),
+        centres=mixture.centres[:, taken],
+        choleskys=mixture.choleskys[:, taken],
+        whitenings=mixture.whitenings[:, taken],
+    )
