@@ -7,7 +7,6 @@ lamps tell how sure they are.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import trimesh
@@ -19,7 +18,7 @@ from scene.colour.density import ColourNoise
 from scene.colour.light import LampShares
 from scene.colour.posterior import ColourImage, Scene, colour_image, visible
 from scene.colour.scene_samples import SceneSamples, sampled
-from scene.colour.search import FoundScene, Searcher
+from scene.colour.search import FoundScene, Searcher, find_under_any_lamp
 from scene.colour.world import Kind, Light, TableWorld, render
 from scene.config import ParseConfig
 from scene.copies import slot_names
@@ -68,13 +67,12 @@ def parse_colour(
         light=_light(config),
         noise=ColourNoise(),
     )
-    found = Searcher.of(world).find(image)
-    seen, lamps = colour_image(world, image), LampShares.known(world.light)
-    if not config.light and len(found.best.scene):
-        lamps = LampShares.of(world, seen, found.best.scene)
-        if lamps.most_probable != world.light:
-            world = replace(world, light=lamps.most_probable)
-            found = Searcher.of(world).find(image)
+    searcher = Searcher.of(world)
+    if config.light:
+        found, lamps = searcher.find(image), LampShares.known(world.light)
+    else:
+        searcher, found, lamps = find_under_any_lamp(searcher, image)
+    world, seen = searcher.world, colour_image(searcher.world, image)
     rng = np.random.default_rng(seed)
     samples = sampled(rng, world, seen, found, lamps, config.sweeps, config.chains)
     return _summary(world, found, samples, frame), _strange_share(world, seen, found.best.scene)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simplification import few_triangles
+from pipeline.benchmarks.air import searched
 from pipeline.synthesis.air import TABLE_COLOUR, air_world
 from scene.colour.chains import State, Target, kinds_of, log_spins, sample_scenes
 from scene.colour.density import ColourNoise, sample
@@ -66,18 +66,13 @@ class LatticeWorld:
     @classmethod
     def of(cls, lamps: tuple[Light, ...] = LAMPS) -> LatticeWorld:
         """All states under these lamps."""
-        whole = air_world(SIDE_PX, SIDE_PX)
-        kinds = []
-        for kind in (one for one in whole.kinds if one.name in KINDS):
-            mesh = few_triangles(kind.vertices_m, kind.faces)
-            vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64)
-            kinds.append(replace(kind, vertices_m=vertices, faces=faces))
-        world = replace(whole, kinds=tuple(kinds), most=2, noise=NOISE)
+        whole = searched(air_world(SIDE_PX, SIDE_PX))
+        kinds = tuple(one for one in whole.kinds if one.name in KINDS)
+        world = replace(whole, kinds=kinds, most=2, noise=NOISE)
         states = _states(world)
         worlds = tuple(replace(world, light=light) for light in lamps)
         lattices = tuple(
-            Lattice(*states, groups=np.zeros(len(states[0]), np.int64), layers=render(one, *states))
-            for one in worlds
+            Lattice.rendered(one, *states, groups=np.zeros(len(states[0]), np.int64)) for one in worlds
         )
         shown = np.zeros((len(states[0]), SIDE_PX**2), np.float32)
         layers = lattices[0].layers
@@ -205,13 +200,7 @@ def chain_kinds(
 
 
 def measure_lattice(images: int, seed: int, progress: Callable[[int, int], None]) -> dict[str, Any]:
-    """Chains against sums on images drawn from the model.
-
-    Args:
-        images: how many.
-        seed: of these and of the chains.
-        progress: told images done and in all.
-    """
+    """Chains against sums on so many images drawn from the model; progress is told images done and in all."""
     lattice = LatticeWorld.of()
     right, told, count_error, variation = [], [], [], []
     for number in range(images):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scene.colour.density import Segments, laplace_evidence, log_density
 from scene.colour.kernels import log_gains
 from scene.colour.posterior import ColourImage, Scene, boxes_overlap, visible
-from scene.colour.world import Layers, TableWorld, render
+from scene.colour.world import Layers, Light, TableWorld, render, render_with_normals
 
 SPACING_M = 0.02
 """Of places: a quarter of the width of a small thing, so that the next state covers most of its pixels."""
@@ -32,12 +32,14 @@ class Lattice:
         poses: (S, 3).
         groups: (S,) numbers of kind and yaw together.
         layers: of each state alone.
+        normals: (P, 3) of the layers' pixels.
     """
 
     kinds: NDArray[np.int64]
     poses: NDArray[np.float64]
     groups: NDArray[np.int64]
     layers: Layers
+    normals: NDArray[np.float32]
 
     @cached_property
     def members(self) -> list[NDArray[np.int64]]:
@@ -63,8 +65,23 @@ class Lattice:
             groups.append(sum(len(np.unique(one)) for one in groups) + np.tile(np.arange(turns), count**2))
             kinds.append(np.full(len(grid), number))
             poses.append(grid)
-        states = np.concatenate(kinds), np.concatenate(poses)
-        return cls(*states, np.concatenate(groups), render(world, *states))
+        return cls.rendered(world, np.concatenate(kinds), np.concatenate(poses), np.concatenate(groups))
+
+    @classmethod
+    def rendered(
+        cls,
+        world: TableWorld,
+        kinds: NDArray[np.int64],
+        poses: NDArray[np.float64],
+        groups: NDArray[np.int64],
+    ) -> Lattice:
+        """These states."""
+        layers, normals = render_with_normals(world, kinds, poses)
+        return cls(kinds, poses, groups, layers, normals.astype(np.float32))
+
+    def under(self, light: Light) -> Lattice:
+        """The same under another lamp."""
+        return replace(self, layers=replace(self.layers, shade=light.shade(self.normals)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.posterior import ColourImage, Scene, log_likelihood
-from scene.colour.world import Light, TableWorld
+from scene.colour.kernels import log_gains
+from scene.colour.posterior import ColourImage, Scene, visible
+from scene.colour.world import Layers, Light, TableWorld, render_with_normals
 
 DIRECTIONS = 32
 """Spread over the upper half of the sphere, 25 degrees from each other: shades differ by a tenth."""
@@ -51,9 +52,21 @@ class LampShares:
 
     @classmethod
     def of(cls, world: TableWorld, image: ColourImage, scene: Scene) -> LampShares:
-        """Of `lights` and the world's own, given a scene."""
+        """Of `lights` and the world's own, given a scene, by Laplace's evidence."""
         tried = [world.light, *lights()]
-        values = np.array([log_likelihood(replace(world, light=light), image, scene) for light in tried])
+        layers, normals = render_with_normals(world, scene.kinds, scene.poses)
+        numbered = replace(layers, shade=np.arange(len(layers.pixel), dtype=np.float64))
+        seen = visible(world, numbered)
+        normals = normals[seen.shade.astype(np.int64)]
+        every = Layers(
+            np.append(0, np.cumsum(np.tile(np.diff(seen.start), len(tried)))),
+            np.tile(seen.pixel, len(tried)),
+            np.tile(seen.depth_m, len(tried)),
+            np.concatenate([light.shade(normals) for light in tried]),
+        )
+        nothing = np.full(len(image.table), np.inf)
+        values = log_gains(image.colour, image.table, nothing, every, world.noise)
+        values = values.reshape(len(tried), len(scene)).sum(axis=1)
         shares = np.exp(values - np.logaddexp.reduce(values))
         return cls(tried, np.log((1 - EVENLY) * shares + EVENLY / len(tried)))
 

@@ -8,16 +8,17 @@ Laplace's evidence at their best poses, which gives p(N | image). A search: what
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.colour.lattice import YAWS, Lattice, candidates, surroundings
+from scene.colour.light import LampShares
 from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior
 from scene.colour.refinement import Refined, refine
-from scene.colour.world import TableWorld
+from scene.colour.world import Light, TableWorld
 
 OF_EACH_KIND = 3
 """Candidates of each kind that are refined: a mug's handle may be taken to be on any side."""
@@ -182,6 +183,10 @@ class Searcher:
         """Render the lattice."""
         return cls(world, Lattice.of(world))
 
+    def under(self, light: Light) -> Searcher:
+        """The same under another lamp."""
+        return Searcher(replace(self.world, light=light), self.lattice.under(light))
+
     def find(
         self, image: NDArray[np.floating], table_colour: NDArray[np.floating] | None = None
     ) -> FoundScene:
@@ -202,6 +207,27 @@ class Searcher:
             if best.log_evidence < before.log_evidence + WORTH_NATS:
                 break
         return _summed(table, best)
+
+
+def find_under_any_lamp(
+    searcher: Searcher, image: NDArray[np.floating], table_colour: NDArray[np.floating] | None = None
+) -> tuple[Searcher, FoundScene, LampShares]:
+    """What is found under the searcher's lamp tells the lamp; the search is made again under the best one.
+
+    Args:
+        searcher: of any lamp.
+        image: as `Searcher.find` takes it.
+        table_colour: likewise.
+    """
+    found = searcher.find(image, table_colour)
+    if not len(found.best.scene):
+        return searcher, found, LampShares.known(searcher.world.light)
+    view = colour_image(searcher.world, image, table_colour)
+    lamps = LampShares.of(searcher.world, view, found.best.scene)
+    if lamps.most_probable != searcher.world.light:
+        searcher = searcher.under(lamps.most_probable)
+        found = searcher.find(image, table_colour)
+    return searcher, found, lamps
 
 
 def _summed(table: _Table, best: Weighed) -> FoundScene:

@@ -166,22 +166,33 @@ class Layers:
 
 def render(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> Layers:
     """Things (B,) of these kinds at poses (B, 3), each alone."""
+    return render_with_normals(world, kinds, poses)[0]
+
+
+def render_with_normals(
+    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]
+) -> tuple[Layers, NDArray[np.float64]]:
+    """`render`, and the unit normals (P, 3) of what each pixel shows, from which any lamp's shades follow."""
     parts = [
         _rendered(world, kinds[first : first + TOGETHER], poses[first : first + TOGETHER])
         for first in range(0, len(kinds), TOGETHER)
     ]
     if len(parts) == 1:
         return parts[0]
-    counts = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.start) for part in parts)])
-    return Layers(
+    layers = [part for part, _ in parts]
+    counts = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.start) for part in layers)])
+    together = Layers(
         np.concatenate([[0], np.cumsum(counts)]),
-        np.concatenate([np.zeros(0, np.int64), *(part.pixel for part in parts)]),
-        np.concatenate([np.zeros(0), *(part.depth_m for part in parts)]),
-        np.concatenate([np.zeros(0), *(part.shade for part in parts)]),
+        np.concatenate([np.zeros(0, np.int64), *(part.pixel for part in layers)]),
+        np.concatenate([np.zeros(0), *(part.depth_m for part in layers)]),
+        np.concatenate([np.zeros(0), *(part.shade for part in layers)]),
     )
+    return together, np.concatenate([np.zeros((0, 3)), *(normals for _, normals in parts)])
 
 
-def _rendered(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> Layers:
+def _rendered(
+    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]
+) -> tuple[Layers, NDArray[np.float64]]:
     world_from_thing = np.tile(np.eye(4), (len(poses), 1, 1))
     cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     world_from_thing[:, :2, :2] = np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)
@@ -192,7 +203,7 @@ def _rendered(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.flo
     first = np.cumsum([0, *(len(kind.faces) for kind in world.kinds)])
     normals = np.concatenate([kind.normals for kind in world.kinds])[first[kinds[owner]] + seen.face]
     turned = np.einsum("pij,pj->pi", world_from_thing[owner, :3, :3], normals)
-    return Layers(seen.start, seen.pixel, seen.depth_m, world.light.shade(turned))
+    return Layers(seen.start, seen.pixel, seen.depth_m, world.light.shade(turned)), turned
 
 
 def _axis(mesh: trimesh.Trimesh) -> NDArray[np.float64]:

@@ -7,13 +7,18 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options
+from pipeline.options import Common, common_options, image_size
 
 
 @click.command(name="air")
 @click.option("--scenes", type=click.IntRange(min=1), default=40, show_default=True)
+@click.option("--size", metavar="WIDTHxHEIGHT", default="64x64", show_default=True, help="Image size.")
 @click.option(
-    "--side", type=click.IntRange(16, 1024), default=64, show_default=True, help="Of images, pixels."
+    "--lamp",
+    type=click.Choice(["known", "any"]),
+    default="known",
+    show_default=True,
+    help="Whether the search is told the lamp; of any, each scene has its own.",
 )
 @click.option(
     "--csv",
@@ -28,11 +33,13 @@ from pipeline.options import Common, common_options
     help="Instead: chains against the exact sum over all 41,905 scenes of a world of few states, on so many.",
 )
 @common_options()
-def command(common: Common, scenes: int, side: int, csv_path: Path | None, lattice: int | None) -> None:
+def command(
+    common: Common, scenes: int, size: str, lamp: str, csv_path: Path | None, lattice: int | None
+) -> None:
     """Number, kind and place of 0 to 3 things from one colour image.
 
     Balls, cubes, cylinders and mugs of unknown colour on a plain table, rendered by Embree with mixed
-    silhouettes and noise; camera and lamp known, no depth, no training. The scenes are numbered from --seed
+    silhouettes and noise; the camera is known, no depth, no training. The scenes are numbered from --seed
     on. Set-up is told apart.
     """
     from pipeline.quiet_stdout import stdout_to_stderr
@@ -47,7 +54,7 @@ def command(common: Common, scenes: int, side: int, csv_path: Path | None, latti
     from pipeline.benchmarks.air import measure_air
 
     with common.progress("air", "scenes") as progress, stdout_to_stderr():
-        document = measure_air(common.seed, scenes, side, csv_path, progress)
+        document = measure_air(common.seed, scenes, image_size(size), lamp == "any", csv_path, progress)
     common.report(document, _lines(document))
 
 
@@ -73,7 +80,8 @@ def _lines(document: dict[str, Any]) -> list[str]:
         f"places of {document['places']}: median {number('place_median_m', 1e3, 'mm')}, "
         f"95% {number('place_95_m', 1e3, 'mm')}",
         f"yaw of mugs: median {number('mug_yaw_median_rad', 57.29578, 'degrees')}",
-        f"p(N): mean of the most probable {share('count_told')}, right {share('count_told_right')}",
+        f"p(N): mean of the most probable {share('count_told')}, right {share('count_told_right')}, "
+        f"calibration error {document['count_ece']:.3f}",
         f"scores as high as the truth less 2 nats: {share('found_at_least_truth')}; below: {missed}",
         f"seconds a frame: median {document['seconds_median']:.2f}, 95% {document['seconds_95']:.2f}; "
         f"of one core {document['core_seconds_median']:.2f}, 95% {document['core_seconds_95']:.2f}",

@@ -53,7 +53,7 @@ def test_drawn_scenes_follow_the_prior() -> None:
 def test_the_bench_resumes_from_its_rows(tmp_path: Path) -> None:
     """Two scenes, then a third: rows that are there are not searched again."""
     path = tmp_path / "air.csv"
-    arguments = ["bench", "air", "--side", "24", "--seed", "3", "--csv", str(path), "--json"]
+    arguments = ["bench", "air", "--size", "24x24", "--seed", "3", "--csv", str(path), "--json"]
     for scenes in ("1", "2"):
         result = CliRunner().invoke(voxscene, [*arguments, "--scenes", scenes])
         assert result.exit_code == 0, result.output
@@ -95,3 +95,4 @@ def test_figures_count_what_is_right() -> None:
     assert found["kinds_right_where_count_is"] == 0.5
     assert found["place_median_m"] == pytest.approx(0.002)
     assert found["missed_by_search"] == [7]
+    assert found["count_ece"] == pytest.approx(abs(3 * 0.9 - 2) / 3)
