@@ -1,11 +1,12 @@
 """The learned shape: a probability of occupancy for every voxel, and what was seen of it.
 
-The variational family of 3DP3, supplement I, equation 2: independent Bernoulli voxels.
+The variational family of 3DP3, supplement I, equation 2: independent Bernoulli voxels; and, finer than these,
+Gaussian surfels beside them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
 
@@ -16,10 +17,13 @@ from numpy.typing import NDArray
 
 from shapes.archive import load_arrays, save_arrays
 from shapes.surface import SurfaceMesh, level_surface
+from shapes.surfels import Surfels
 from shapes.voxel_grid import VoxelGrid
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Of the file."""
+READABLE_VERSIONS = 1, 2
+"""The first one has no surfels."""
 
 PITCHES_M = 1e-4, 1.0
 """Voxels of a tenth of a millimetre to a metre: below, or above, the unit is another."""
@@ -40,9 +44,9 @@ class VoxelState(IntEnum):
 class SurfaceState(IntEnum):
     """What is known of a place on the surface of a shape.
 
-    SEEN: between a voxel seen free and one seen occupied. NEVER_SEEN: neither of the two voxels
-    was seen, as below an object that stood on a table. INFERRED: one of them was; the surface closes the
-    shape behind what was seen.
+    SEEN: between a voxel seen free and one seen occupied, or where surfels place it. NEVER_SEEN:
+    neither of the two voxels was seen, as below an object that stood on a table. INFERRED: one of them was;
+    the surface closes the shape behind what was seen.
     """
 
     NEVER_SEEN = 0
@@ -66,6 +70,7 @@ class ShapePrior:
         seen_occupied: (I, J, K) bool, some ray reached the voxel and it is more likely occupied.
         enclosed: (I, J, K) bool, hidden behind seen surface in every view that had it in its image.
         rgb: (I, J, K, 3) uint8, colour of the nearest seen surface voxel, or None without colour images.
+        surfels: pieces of surface beside the voxels, two at a wall that was seen from both sides.
 
     Raises:
         ValueError: shapes disagree, a probability is outside [0, 1], masks overlap, or the pose is not rigid.
@@ -78,6 +83,7 @@ class ShapePrior:
     seen_occupied: NDArray[np.bool_]
     enclosed: NDArray[np.bool_]
     rgb: NDArray[np.uint8] | None = None
+    surfels: Surfels = field(default_factory=Surfels.none)
 
     def __post_init__(self) -> None:
         if self.phi.ndim != 3 or self.phi.size == 0:
@@ -99,6 +105,8 @@ class ShapePrior:
         rigid = rigid and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
         if not (rigid and np.linalg.det(pose[:3, :3]) > 0):
             raise ValueError("reference_from_grid is not a rigid 4x4 transform")
+        if len(self.surfels) and not 0 <= self.surfels.voxel[0] <= self.surfels.voxel[-1] < self.phi.size:
+            raise ValueError("a surfel's voxel is not in the grid")
 
     @property
     def grid(self) -> VoxelGrid:
@@ -129,7 +137,8 @@ class ShapePrior:
         outer = states[tuple(surface.outer.T + 1)]
         touched = inner == VoxelState.SEEN_OCCUPIED
         passed = outer == VoxelState.SEEN_FREE
-        return (SurfaceState.INFERRED * touched + SurfaceState.INFERRED * passed).astype(np.uint8)
+        told = (SurfaceState.INFERRED * touched + SurfaceState.INFERRED * passed).astype(np.uint8)
+        return np.where(np.isfinite(surface.sigma_m), np.uint8(SurfaceState.SEEN), told)
 
     def surface_shares(self, surface: SurfaceMesh) -> dict[SurfaceState, float]:
         """Shares of the area of one of this shape's surfaces, by what is known of it."""
@@ -167,24 +176,25 @@ class ShapePrior:
     def seen_part(self, surface: SurfaceMesh) -> SurfaceMesh:
         """One of this shape's surfaces without what closes it behind and below: open where nothing was seen.
 
-        The triangles that are left have their inner side in voxels that were seen.
+        The triangles that are left have their inner side in voxels that were seen, or lie where surfels do.
         """
-        seen = self.seen_occupied[tuple(surface.inner.T)]
+        seen = self.seen_occupied[tuple(surface.inner.T)] | np.isfinite(surface.sigma_m)
         return replace(surface, triangles=surface.triangles[seen[surface.triangles].all(axis=1)])
 
     def surface(self, level: float = 0.5) -> SurfaceMesh:
         """Closed surface where the probability crosses `level`, enclosed voxels filled, in the grid frame.
 
-        Voxels that were never seen take part only where the level is below their prior.
+        Where surfels are known to a quarter of a voxel they place it, both sides of thin walls too. Voxels
+        that were never seen take part only where the level is below their prior.
 
         Raises:
             ValueError: no voxel lies above the level.
         """
         filled = np.where(self.enclosed, np.float32(1.0), self.phi)
-        return level_surface(filled, level, self.pitch_m, self.rgb)
+        return level_surface(filled, level, self.pitch_m, self.rgb, self.surfels)
 
     def save(self, path: Path) -> None:
-        """Write the npz file that `load` reads; its names are a contract (format_version 1).
+        """Write the npz file that `load` reads; its names are a contract (format_version 2).
 
         Raises:
             OSError: the folder cannot be written.
@@ -197,6 +207,7 @@ class ShapePrior:
             "seen_free": self.seen_free,
             "seen_occupied": self.seen_occupied,
             "enclosed": self.enclosed,
+            **self.surfels.arrays,
         }
         save_arrays(path, arrays if self.rgb is None else arrays | {"rgb": self.rgb})
 
@@ -210,9 +221,10 @@ class ShapePrior:
         """
         arrays = load_arrays(path, largest_bytes=LARGEST_BYTES)
         version = arrays.pop("format_version", None)
-        if version is None or version.shape != () or int(version) != FORMAT_VERSION:
+        if version is None or version.shape != () or version not in READABLE_VERSIONS:
             found = "none" if version is None else version
-            raise ValueError(f"{path} has format_version {found}, this program reads {FORMAT_VERSION}")
+            readable = " and ".join(map(str, READABLE_VERSIONS))
+            raise ValueError(f"{path} has format_version {found}, this program reads {readable}")
         try:
             return cls(
                 phi=arrays["phi"].astype(np.float32, copy=False),
@@ -222,6 +234,7 @@ class ShapePrior:
                 seen_occupied=arrays["seen_occupied"],
                 enclosed=arrays["enclosed"],
                 rgb=arrays.get("rgb"),
+                surfels=Surfels.of_arrays(arrays),
             )
         except KeyError as error:
             raise ValueError(f"{path} is not a learned shape: it has no array {error}") from error

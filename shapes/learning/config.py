@@ -31,6 +31,7 @@ class LearnConfig:
         walled: share of empty voxels that a wall passes on one side of the centre, thinner than a voxel.
         unresolved: share of returns from surfaces that no voxel stands for.
         registration_sigma_m: standard deviation of a view's registration along its rays, at best.
+        shared_sigma_m: standard deviation of the error along their rays that all views share.
         tracking_sigma_m: what tracking adds to it; left out where the poses are recorded ones.
         sweeps: of expectation propagation.
         damping: of expectation propagation.
@@ -50,6 +51,7 @@ class LearnConfig:
     unresolved: float = 0.02
     registration_sigma_m: float = 0.0004
     tracking_sigma_m: float = 0.0007
+    shared_sigma_m: float = 0.00015
     sweeps: int = 20
     damping: float = 0.3
     noise: DepthNoise = field(default_factory=DepthNoise)
@@ -81,7 +83,7 @@ class LearnConfig:
                 raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
         if not 0 < self.damping <= 1:
             raise ValueError(f"damping must lie in (0, 1], got {self.damping}")
-        for name in ("registration_sigma_m", "tracking_sigma_m"):
+        for name in ("registration_sigma_m", "tracking_sigma_m", "shared_sigma_m"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 

@@ -1,7 +1,7 @@
 """Distilling the particles' shapes into one prior (3DP3, supplement I).
 
 KL(p || q_phi) is least where every phi is the mean of the particles' probabilities under their weights,
-phi* = sum_k w_k p(O = 1 | M_k, x_k, I).
+phi* = sum_k w_k p(O = 1 | M_k, x_k, I), and every surfel has the mixture's moments.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from shapes.learning.colouring import voxel_colours
 from shapes.learning.config import LearnConfig
 from shapes.learning.occupancy import Occupancy, occupancy, windows
 from shapes.learning.region import object_grid
+from shapes.learning.surfels import distil_surfels
 from shapes.prior import ShapePrior
 from shapes.resampling import resample_systematically
 from shapes.voxel_grid import VoxelGrid
@@ -131,6 +132,7 @@ def _prior(
         seen_occupied=np.ascontiguousarray(occupied[inner]),
         enclosed=np.ascontiguousarray((hidden & ~seen)[inner]),
         rgb=colours,
+        surfels=distil_surfels([one.surfels for one in found], weights).cropped(grid.shape, *box),
     )
 
 

@@ -15,8 +15,10 @@ from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
 from shapes.learning.local_planes import LocalPlanes, local_planes
 from shapes.learning.readings import BEFORE, BEHIND, NEAR, initial_readings, voxel_readings
+from shapes.learning.surfels import surfels
 from shapes.learning.view_readings import ViewReadings
-from shapes.learning.voxel_rays import bucket, evidence
+from shapes.learning.voxel_rays import bucket, evidence, wall_normals
+from shapes.surfels import Surfels
 from shapes.voxel_grid import VoxelGrid
 
 WINDOW_MARGIN = 8
@@ -56,11 +58,13 @@ class Occupancy:
         phi: probability of being occupied; p_hidden where hidden, p0 where never seen.
         seen: a ray came as far as the voxel.
         hidden: behind seen surface, and no ray came as far.
+        surfels: where the surface is beside the voxels.
     """
 
     phi: NDArray[np.float64]
     seen: NDArray[np.bool_]
     hidden: NDArray[np.bool_]
+    surfels: Surfels
 
 
 def windows(
@@ -112,8 +116,9 @@ def occupancy(
     p0 = config.prior_occupied
     if not readings:
         nothing = np.zeros(count, np.bool_)
-        return Occupancy(phi=np.full(count, p0), seen=nothing, hidden=nothing)
-    found = evidence(readings, grid, states, config)
+        return Occupancy(phi=np.full(count, p0), seen=nothing, hidden=nothing, surfels=Surfels.none())
+    walls = wall_normals(readings, grid)
+    found = evidence(readings, walls, grid, states, config)
     prior = np.broadcast_to(log_prior, (len(padded), len(log_prior))).astype(np.float32).copy()
     prior[:count] += found.log_crossings
     posterior = voxel_states(
@@ -127,7 +132,8 @@ def occupancy(
     seen = (found.crossed > REACHED) | (np.asarray(posterior.reach[:count]) > REACHED)
     hidden = ~seen & found.hidden
     phi = np.where(seen, phi, np.where(hidden, config.hidden_occupied, p0))
-    return Occupancy(phi=phi, seen=seen, hidden=hidden)
+    beside = surfels(readings, walls, grid, config.shared_sigma_m)
+    return Occupancy(phi=phi, seen=seen, hidden=hidden, surfels=beside)
 
 
 def _states(config: LearnConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

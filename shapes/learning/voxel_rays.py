@@ -61,12 +61,17 @@ def unexplained_density(config: LearnConfig) -> float:
 
 
 def evidence(
-    views: Sequence[ViewReadings], grid: VoxelGrid, opacity: NDArray[np.float64], config: LearnConfig
+    views: Sequence[ViewReadings],
+    walls: NDArray[np.float64],
+    grid: VoxelGrid,
+    opacity: NDArray[np.float64],
+    config: LearnConfig,
 ) -> Evidence:
     """Sort the readings of all views into crossings and rays.
 
     Args:
         views: their readings.
+        walls: (N, 3) as `wall_normals` of them.
         grid: the voxels.
         opacity: (2, C) of a voxel's states for rays from before and from behind its wall.
         config: settings.
@@ -75,7 +80,6 @@ def evidence(
     crossed, hidden = np.zeros(count), np.zeros(count, np.bool_)
     log_crossings = np.zeros((count, opacity.shape[1]))
     crossings = np.zeros((2, count), np.int32)
-    walls = _wall_normals(views, grid)
     slip = unexplained_density(config) / PEAK_DENSITY
     places = []
     for number, view in enumerate(views):
@@ -111,7 +115,7 @@ def _sides(view: ViewReadings, walls: NDArray[np.float64], grid: VoxelGrid) -> N
     return side
 
 
-def _wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.float64]:
+def wall_normals(views: Sequence[ViewReadings], grid: VoxelGrid) -> NDArray[np.float64]:
     """Line (N, 3) along which the surfaces near each voxel face, from all views; of either sign."""
     near = [np.flatnonzero(view.normal.any(axis=1)) for view in views]
     faces = np.zeros(len(grid), np.bool_)

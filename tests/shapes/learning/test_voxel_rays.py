@@ -6,7 +6,7 @@ import numpy as np
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
 from shapes.learning.view_readings import ViewReadings
-from shapes.learning.voxel_rays import evidence
+from shapes.learning.voxel_rays import evidence, wall_normals
 from shapes.voxel_grid import VoxelGrid
 
 OPACITY = np.asarray([[1.0, 0.0], [1.0, 0.0]])
@@ -38,7 +38,7 @@ def occupied_after_one_view(behind_m: list[float]) -> np.ndarray:
         eye_m=np.asarray([0.0, 0.0, -0.8]),
         footprint=4.0,
     )
-    found = evidence([view], grid, OPACITY, LearnConfig())
+    found = evidence([view], wall_normals([view], grid), grid, OPACITY, LearnConfig())
     log_prior = jnp.asarray(np.log(0.5) + found.log_crossings)
     states = voxel_states(found.rays, log_prior, jnp.asarray(OPACITY), sweeps=60, damping=0.3)
     return np.asarray(states.probability[:, 0])
