@@ -73,7 +73,7 @@ def measure_air(
     first: int,
     scenes: int,
     size: tuple[int, int],
-    any_lamp: bool,
+    lamp: str,
     path: Path | None,
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
@@ -83,7 +83,8 @@ def measure_air(
         first: number of the first scene.
         scenes: how many.
         size: width and height of the images in pixels; large ones are pooled as `parse` does it.
-        any_lamp: each scene has a lamp of its own, which the search is not told.
+        lamp: `known`, or each scene has a lamp of its own: the search finds it (`any`) or takes the usual
+            one for it (`other`).
         path: of the CSV; scenes that it holds already are not searched again.
         progress: told scenes done and in all.
 
@@ -98,8 +99,8 @@ def measure_air(
     wanted = range(first, first + scenes)
     for number in wanted:
         if number not in rows:
-            lit = replace(world, light=_lamp(number)) if any_lamp else world
-            rows[number] = _row(searcher, air_scene(lit, number), number, any_lamp)
+            lit = world if lamp == "known" else replace(world, light=_lamp(number))
+            rows[number] = _row(searcher, air_scene(lit, number), number, lamp == "any")
             if path:
                 _append(path, rows[number])
         progress(number - first + 1, scenes)

@@ -13,8 +13,10 @@ from scene.colour.world import TableWorld
 
 FIRST_STEP = np.array([0.010, 0.010, 0.26])
 """Half a lattice cell: metres, metres, radians."""
-HALVINGS = 5
-"""The last step is 0.6 mm and one degree: below it pixels no longer tell poses apart."""
+COARSE = range(5)
+"""Halvings of it; the last step is 0.6 mm and one degree, ..."""
+FINE = range(3, 7)
+"""... and 0.16 mm where a scene is polished at last: a tenth of a pixel in most cameras."""
 AROUND = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 """The middle and its neighbours, in steps."""
 FURTHEST = 1.5
@@ -47,6 +49,7 @@ def refine(
     kinds: NDArray[np.int64],
     poses: NDArray[np.float64],
     wanted: int,
+    halvings: range = COARSE,
 ) -> Refined:
     """Climb from `poses` (S, 3): parabolas through the six neighbours tell where to look next.
 
@@ -55,7 +58,7 @@ def refine(
     spins = np.array([world.kinds[kind].turns != 0 for kind in kinds], np.bool_)
     poses, best = poses.copy(), np.full(len(poses), -np.inf)
     middle, sd, going = poses.copy(), np.zeros(poses.shape), np.arange(len(poses))
-    for halving in range(HALVINGS):
+    for halving in halvings:
         step = FIRST_STEP * 0.5**halving
         tried = middle[going, None] + AROUND * step
         value = placed_gains(world, image, rest, np.repeat(kinds[going], 7), tried.reshape(-1, 3)).reshape(

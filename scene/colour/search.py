@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scene.colour.lattice import YAWS, Lattice, candidates, surroundings
 from scene.colour.light import LampShares
 from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior
-from scene.colour.refinement import Refined, refine
+from scene.colour.refinement import COARSE, FINE, Refined, refine
 from scene.colour.world import Light, TableWorld
 
 OF_EACH_KIND = 3
@@ -112,7 +112,7 @@ class _Table:
             for one in np.argsort(-value)[:COMPARED]
         ]
 
-    def settled(self, weighed: Weighed) -> Weighed:
+    def settled(self, weighed: Weighed, halvings: range = COARSE) -> Weighed:
         """Each thing refined among the others, in turn."""
         for one in range(len(weighed.scene)):
             rest = surroundings(self.world, self.image, weighed.scene.without(one))
@@ -123,6 +123,7 @@ class _Table:
                 weighed.scene.kinds[one : one + 1],
                 weighed.scene.poses[one : one + 1],
                 1,
+                halvings,
             )
             moved = self.weigh(*_replaced(weighed, one, own))
             weighed = max(weighed, moved, key=_evidence)
@@ -206,7 +207,7 @@ class Searcher:
                 best = table.settled(moved)
             if best.log_evidence < before.log_evidence + WORTH_NATS:
                 break
-        return _summed(table, best)
+        return _summed(table, table.settled(best, FINE))
 
 
 def find_under_any_lamp(

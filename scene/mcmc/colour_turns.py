@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.mcmc.samples import Samples
@@ -69,54 +70,89 @@ def with_drawn_turns(
         world_from_camera: (4, 4) of its frame.
         samples: of chains.
     """
+    log_weights: dict[int, NDArray[np.float64]] = {}
     for slot, number in enumerate(seen.numbers.tolist()):
-        if len(turns_of(seen.objects[number])) > 1:
-            samples = _with_drawn_turn(rng, seen, world_from_camera, samples, slot)
+        one = seen.objects[number]
+        if len(turns := turns_of(one)) == 1 or one.colour is None:
+            continue
+        log_shares = seen.log_shares(slot, turns)
+        here = matrices_of(samples.poses[..., slot, :])
+        best = world_from_camera @ matrices_of(np.asarray(seen.poses[slot], np.float64))
+        before, same = _turns_taken(best, here, turns)
+        if one.colour.exact:
+            turned = _Turned(here, turns, before, same)
+            samples = _with_drawn_turn(rng, one, slot, log_shares, turned, samples)
+        else:
+            log_weights[slot] = np.where(same, log_shares[before], log_shares[0])
+    for group in _groups(samples, len(seen.numbers)):
+        if weights := [log_weights[slot] for slot in group if slot in log_weights]:
+            samples = _with_resampled(rng, samples, group, np.sum(weights, axis=0))
     return samples
+
+
+@dataclass(frozen=True, eq=False)
+class _Turned:
+    """What the samples of one object are.
+
+    Attributes:
+        here: (S, chains, 4, 4) its poses.
+        turns: (T, 4, 4) that it may take.
+        before: (S, chains) which of these it has taken.
+        same: (S, chains) whether it is where the colours were compared.
+    """
+
+    here: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    before: NDArray[np.int_]
+    same: NDArray[np.bool_]
 
 
 def _with_drawn_turn(
     rng: np.random.Generator,
-    seen: SeenColours,
-    world_from_camera: NDArray[np.float64],
-    samples: Samples,
+    one: SceneObject,
     slot: int,
+    log_shares: NDArray[np.float64],
+    turned: _Turned,
+    samples: Samples,
 ) -> Samples:
-    one = seen.objects[int(seen.numbers[slot])]
-    turns = turns_of(one)
-    log_shares = seen.log_shares(slot, turns)
-    here = matrices_of(samples.poses[..., slot, :])
-    best = world_from_camera @ matrices_of(np.asarray(seen.poses[slot], np.float64))
-    before, same = _turns_taken(best, here, turns)
-    if one.colour is None or not one.colour.exact:
-        return _with_resampled(rng, samples, slot, np.where(same, log_shares[before], log_shares[0]))
-    drawn = rng.choice(len(turns), p=np.exp(log_shares), size=before.shape)
-    turned = here @ np.linalg.inv(turns)[before] @ turns[drawn]
-    if one.colour.spins:
-        turned = turned @ _between(rng, one, before.shape)
+    """Turns that depth does not tell, from their conditional."""
+    drawn = rng.choice(len(log_shares), p=np.exp(log_shares), size=turned.before.shape)
+    after = turned.here @ np.linalg.inv(turned.turns)[turned.before] @ turned.turns[drawn]
+    if one.colour is not None and one.colour.spins:
+        after = after @ _between(rng, one, turned.before.shape)
     poses = samples.poses.copy()
-    poses[..., slot, :] = np.where(same[..., None], poses_of(turned), poses[..., slot, :])
-    log_posterior = samples.log_posterior + np.where(same, log_shares[drawn], 0.0)
+    poses[..., slot, :] = np.where(turned.same[..., None], poses_of(after), poses[..., slot, :])
+    log_posterior = samples.log_posterior + np.where(turned.same, log_shares[drawn], 0.0)
     return replace(samples, poses=poses, log_posterior=log_posterior)
 
 
-def _with_resampled(
-    rng: np.random.Generator, samples: Samples, slot: int, log_weights: NDArray[np.float64]
-) -> Samples:
-    """Samples of one object in proportion to weights (S, chains), the others' left as they are.
+def _groups(samples: Samples, found: int) -> list[list[int]]:
+    """Slots of found objects that touch each other in any sample, directly or by others."""
+    parents = samples.parents.reshape(-1, samples.parents.shape[-1])[:, :found]
+    edges = np.zeros((found, found), np.bool_)
+    for one in range(found):
+        others = np.unique(parents[:, one])
+        edges[one, others[(others >= 0) & (others < found)]] = True
+    count, labels = connected_components(edges, directed=False)
+    return [np.flatnonzero(labels == label).tolist() for label in range(count)]
 
-    A sample stays with the probability of its weight over the greatest, and else becomes one of all.
+
+def _with_resampled(
+    rng: np.random.Generator, samples: Samples, slots: Sequence[int], log_weights: NDArray[np.float64]
+) -> Samples:
+    """Samples of a group of objects in proportion to weights (S, chains), the others' left as they are.
+
+    A sample stays with the probability of its weight over the greatest, and else becomes one of all. What
+    touches goes together, so that both sides of a contact are of one scene.
     """
     share = np.exp(log_weights.ravel() - log_weights.max())
     others = rng.choice(len(share), p=share / share.sum(), size=len(share))
     chosen = np.where(rng.random(len(share)) < share, np.arange(len(share)), others)
 
     def taken(rows: NDArray) -> NDArray:
-        after = rows.copy()
-        after[:, :, slot] = (
-            rows[:, :, slot].reshape(len(share), *rows.shape[3:])[chosen].reshape(rows[:, :, slot].shape)
-        )
-        return after
+        after = rows.reshape(len(share), *rows.shape[2:]).copy()
+        after[:, slots] = after[chosen][:, slots]
+        return after.reshape(rows.shape)
 
     return replace(
         samples,

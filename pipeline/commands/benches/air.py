@@ -15,10 +15,10 @@ from pipeline.options import Common, common_options, image_size
 @click.option("--size", metavar="WIDTHxHEIGHT", default="64x64", show_default=True, help="Image size.")
 @click.option(
     "--lamp",
-    type=click.Choice(["known", "any"]),
+    type=click.Choice(["known", "any", "other"]),
     default="known",
     show_default=True,
-    help="Whether the search is told the lamp; of any, each scene has its own.",
+    help="`any`: each scene has its own, which the search finds; `other`: it takes the usual one for it.",
 )
 @click.option(
     "--csv",
@@ -54,7 +54,7 @@ def command(
     from pipeline.benchmarks.air import measure_air
 
     with common.progress("air", "scenes") as progress, stdout_to_stderr():
-        document = measure_air(common.seed, scenes, image_size(size), lamp == "any", csv_path, progress)
+        document = measure_air(common.seed, scenes, image_size(size), lamp, csv_path, progress)
     common.report(document, _lines(document))
 
 

@@ -105,3 +105,24 @@ def test_turns_are_drawn_from_their_conditional(seed: int) -> None:
     counts = np.bincount(way.ravel()[1:], minlength=4)
     assert chisquare(counts, SHARES * counts.sum()).pvalue > 1e-4
     assert np.allclose(np.exp(drawn.log_posterior.ravel()[1:]), SHARES[way.ravel()[1:]])
+
+
+def test_what_touches_is_drawn_together(seed: int) -> None:
+    """Of two boxes, the second of which stands on the first in some samples, both come from one sample."""
+    one = box()
+    assert one.colour is not None
+    objects = [replace(one, colour=replace(one.colour, exact=False))] * 2
+    rng = np.random.default_rng(seed)
+    best = np.array([0.8, 0.6, 0, 0, 0.05, 0.02, 0.6])
+    turns = turns_of(objects[0])[rng.integers(4, size=(200, 2))]
+    poses = poses_of(WORLD_FROM_CAMERA @ matrices_of(best) @ turns)[:, :, None].repeat(2, axis=2)
+    poses[..., 4:] += rng.normal(0, 1e-3, (200, 2, 1, 3))
+    parents = np.where(rng.random((200, 2, 1)) < 0.3, [[[-1, 0]]], -1).astype(np.int32)
+    nothing = np.zeros(parents.shape, np.int32)
+    samples = Samples(poses, parents, nothing, nothing, np.zeros((200, 2)), np.ones((200, 2)))
+    told = cast("SeenColours", Told(objects, np.array([0, 1]), np.stack([best, best])))
+    drawn = with_drawn_turns(rng, told, WORLD_FROM_CAMERA, samples)
+    shift = np.asarray(drawn.poses)[..., 0, 4:] - np.asarray(drawn.poses)[..., 1, 4:]
+    assert np.abs(shift).max() < 1e-12
+    assert set(np.unique(drawn.parents)) == {-1, 0}
+    assert len(np.unique(np.asarray(drawn.poses)[..., 0, 4])) < 400
