@@ -16,10 +16,10 @@ from recordings.types import CameraIntrinsics
 from scene.colour.camera_view import pooled_image, square_in_view
 from scene.colour.density import ColourNoise
 from scene.colour.light import LampShares
-from scene.colour.posterior import ColourImage, Scene, colour_image, visible
+from scene.colour.posterior import ColourImage, Scene, colour_image, visible, visible_gain
 from scene.colour.scene_samples import SceneSamples, sampled
 from scene.colour.search import FoundScene, Searcher, find_under_any_lamp
-from scene.colour.world import Kind, Light, TableWorld, render
+from scene.colour.world import Kind, Layers, Light, TableWorld, render
 from scene.config import ParseConfig
 from scene.copies import slot_names
 from scene.model.scene_graph import ROOT
@@ -75,7 +75,7 @@ def parse_colour(
     world, seen = searcher.world, colour_image(searcher.world, image)
     rng = np.random.default_rng(seed)
     samples = sampled(rng, world, seen, found, lamps, config.sweeps, config.chains)
-    return _summary(world, found, samples, frame), _strange_share(world, seen, found.best.scene)
+    return _summary(world, seen, found, samples, frame), _strange_share(world, seen, found.best.scene)
 
 
 def _light(config: ParseConfig) -> Light:
@@ -86,7 +86,9 @@ def _light(config: ParseConfig) -> Light:
     return Light(direction=(x, y, z), ambient=ambient)
 
 
-def _summary(world: TableWorld, found: FoundScene, samples: SceneSamples, frame: int) -> SceneResult:
+def _summary(
+    world: TableWorld, image: ColourImage, found: FoundScene, samples: SceneSamples, frame: int
+) -> SceneResult:
     """In the camera and in the meshes' own frames; copies that were not found stand at the origin."""
     names = [kind.name for kind in world.kinds]
     slots = slot_names(names, world.most)
@@ -103,8 +105,9 @@ def _summary(world: TableWorld, found: FoundScene, samples: SceneSamples, frame:
     edges[taken, count], faces[taken, count] = 1.0, (BOTTOM, TOP)
     parents = np.full((kept, count), ROOT, np.int32)
     parents[:, taken] = count
-    shown = np.zeros(count)
+    shown, nats = np.zeros(count), np.zeros(count)
     shown[taken] = _visible_share(world, found.best.scene)
+    nats[taken] = visible_gain(world, image, _seen(world, found.best.scene))
     numbers = [(kind, copy + 1) for kind in range(len(names)) for copy in range(world.most)]
     shares = np.array([samples.at_least(*one) for one in numbers])
     return SceneResult(
@@ -118,6 +121,7 @@ def _summary(world: TableWorld, found: FoundScene, samples: SceneSamples, frame:
         hidden_share=np.zeros(len(slots)),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(slots), 1, 1)),
         visible_fraction=shown,
+        colour_nats=nats,
         mode_poses=np.stack([one.centres for one in modes]) @ bases[:, None],
         mode_probabilities=np.stack([one.shares for one in modes]).reshape(count, MODES),
         sample_modes=np.stack([one.labels for one in modes], axis=1),
@@ -153,8 +157,12 @@ def _standing(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return matrices_of(np.stack([*turn, poses[..., 0], poses[..., 1], zero], axis=-1))
 
 
+def _seen(world: TableWorld, scene: Scene) -> Layers:
+    return visible(world, render(world, scene.kinds, scene.poses))
+
+
 def _visible_share(world: TableWorld, scene: Scene) -> NDArray[np.float64]:
     """Share (T,) of each thing's pixels that nothing nearer hides."""
-    layers = render(world, scene.kinds, scene.poses)
-    alone, seen = np.diff(layers.start), np.diff(visible(world, layers).start)
+    alone = np.diff(render(world, scene.kinds, scene.poses).start)
+    seen = np.diff(_seen(world, scene).start)
     return seen / np.maximum(alone, 1)

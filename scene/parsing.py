@@ -107,11 +107,12 @@ def parse_scene(
             progress,
         )
     rng = np.random.default_rng(seed)
-    colours = None
+    colours, nats = None, np.zeros(len(objects))
     if data.rgb is not None:
         colours = ColourLayers.of(data, objects, densities[number], config.gamma)
         best = their_start.poses[found.present]
         seen = SeenColours(data, colours, renderer, objects, found.indices, best)
+        nats[found.indices] = seen.log_factors()
         turned = with_drawn_turns(rng, seen, world_from_camera, chains.samples)
         chains = replace(chains, samples=turned)
     used = carrying(data.supports, objects, start)
@@ -136,6 +137,7 @@ def parse_scene(
         found,
         start,
         found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0],
+        nats,
         hidden,
         presence,
         world_from_camera,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shapes.archive import load_fields, save_fields
 from shapes.geometry.poses import matrices_of, poses_of
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 
 TABLE = "table"
 
@@ -40,6 +40,8 @@ class SceneResult:
         hidden_poses: (N, K, 7) float64 camera_from_object in draws of the posterior of an object not found,
             given that it is there.
         visible_fraction: (N,) share of its pixels that nothing hides, in the frame that was searched.
+        colour_nats: (N,) log factor of the best scene's density that its colours bring, depth apart; 0 where
+            none were looked at.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.
         mode_probabilities: (N, M), 0 where there are fewer.
         sample_modes: (S, N) int32 the mode of each sample, -1 in none of those.
@@ -64,6 +66,7 @@ class SceneResult:
     hidden_share: NDArray[np.float64]
     hidden_poses: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]
+    colour_nats: NDArray[np.float64]
     mode_poses: NDArray[np.float64]
     mode_probabilities: NDArray[np.float64]
     sample_modes: NDArray[np.int32]

@@ -38,6 +38,7 @@ def summarise(
     chosen: FoundObjects,
     start: Initialisation,
     visible_fraction: NDArray[np.float64],
+    colour_nats: NDArray[np.float64],
     hidden: HiddenPlaces,
     presence: Presence,
     world_from_camera: NDArray[np.float64],
@@ -51,6 +52,7 @@ def summarise(
         chosen: which of all these are.
         start: the best scene of all objects.
         visible_fraction: (N,).
+        colour_nats: (N,).
         hidden: what is known of objects that were not found.
         presence: of all, but for those in `hidden` that were asked for exactly.
         world_from_camera: (4, 4).
@@ -81,6 +83,7 @@ def summarise(
         hidden_share=hidden.share,
         hidden_poses=poses_of(np.linalg.inv(world_from_camera) @ hidden.poses @ box_from_object[:, None]),
         visible_fraction=visible_fraction,
+        colour_nats=colour_nats,
         mode_poses=np.stack([one.centres for one in modes]) @ box_from_object[:, None],
         mode_probabilities=np.stack([one.shares for one in modes]),
         sample_modes=np.stack([one.labels for one in modes], axis=1),

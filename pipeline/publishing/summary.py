@@ -150,6 +150,7 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
                 **_convergence(agreement.centres[one]),
                 "modes_converged": agreement.modes[one].converged,
                 "visible_fraction": float(scene.visible_fraction[one]),
+                "colour_nats": float(scene.colour_nats[one]),
                 "modes": _modes(scene, one, middles_m[one]),
             }
             for one in found

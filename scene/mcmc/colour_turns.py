@@ -51,6 +51,12 @@ class SeenColours:
     numbers: NDArray[np.integer]
     poses: NDArray[np.floating]
 
+    def log_factors(self) -> NDArray[np.float64]:
+        """What the colours of each found object (F,) add to the log density of the image."""
+        layers_m = self.renderer.layers(self.numbers, self.poses, self.data.window)
+        factors = self.colours.log_factors(self.numbers, self.poses, layers_m)
+        return np.asarray(factors, np.float64).sum(axis=(1, 2))
+
     def log_shares(self, found: int, turns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log probabilities (T,) of turns of one of the found objects, each as likely before."""
         number, pose = self.numbers[found : found + 1], self.poses[found : found + 1]

@@ -87,6 +87,7 @@ def parsed_run(true_trajectory: SlamResult) -> RunValues:
         hidden_share=np.array([0.0, 0.0, 0.01]),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0.2, 0, 0.9], (3, 4, 1)),
         visible_fraction=np.ones(3),
+        colour_nats=np.zeros(3),
         mode_poses=poses[:, None],
         mode_probabilities=np.ones((3, 1)),
         sample_modes=np.zeros((6, 3), np.int32),

@@ -25,6 +25,7 @@ def scene_result(names: Sequence[str], poses: ArrayLike, parents: Sequence[int])
         hidden_share=np.zeros(count),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0], (count, 1, 1)),
         visible_fraction=np.ones(count),
+        colour_nats=np.zeros(count),
         mode_poses=placed[:, None],
         mode_probabilities=np.ones((count, 1)),
         sample_modes=np.zeros((1, count), np.int32),
