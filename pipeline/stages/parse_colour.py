@@ -47,6 +47,8 @@ def parse_colour_frame(
     number, frame = _colour_frame(session, config.frames)
     assert frame.rgb is not None
     tell_of_clipped(session, number, frame)
+    if (frame.rgb == frame.rgb[..., :1]).all():
+        session.warn(f"frame {number} is grey: its three channels count as one")
     seed = int(jax.random.randint(session.key("parse"), (), 0, 2**31 - 1))
     with session.common.progress("parse", "") as progress:
         progress.phase("searching the colour image")

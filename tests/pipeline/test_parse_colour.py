@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import trimesh
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -110,6 +111,28 @@ def test_mistakes_are_told_in_one_line(photograph: Path, meshes: Path, tmp_path:
         assert result.exit_code == code, told
         assert told in result.output
         assert "Traceback" not in result.output
+
+
+def test_grey_clipped_and_unstable_things_are_told(photograph: Path, meshes: Path, tmp_path: Path) -> None:
+    """One channel of three, half the image overexposed, a cylinder that would lie: a line each."""
+    world = air_world(48, 48)
+    scene = air_scene(world, SEED)
+    grey = scene.image.mean(axis=-1, keepdims=True).repeat(3, axis=2)
+    grey[:24] = 1.0
+    write_air_scene(world, replace(scene, image=grey), tmp_path / "grey.mcap")
+    result = parse(tmp_path / "grey.mcap", meshes, tmp_path / "grey", "--light", "-0.4,-0.5,0.77,0.4")
+    assert result.exit_code == 0, result.output
+    assert "frame 0 is grey: its three channels count as one" in result.output
+    assert "50% of the pixels of frame 0 are under- or overexposed" in result.output
+
+    (tmp_path / "leaning").mkdir()
+    leaning = air_meshes()["cylinder"]
+    leaning.apply_transform(trimesh.transformations.rotation_matrix(0.3, [1, 0, 0]))
+    leaning.export(tmp_path / "leaning" / "pen.ply")
+    result = parse(photograph, tmp_path / "leaning", tmp_path / "run")
+    assert result.exit_code == 1, result.output
+    assert "pen would not stand with its own z up" in result.output
+    assert "Traceback" not in result.output
 
 
 def film(path: Path, *, with_colour: bool) -> Path:
