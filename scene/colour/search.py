@@ -113,20 +113,18 @@ class _Table:
         ]
 
     def settled(self, weighed: Weighed, halvings: range = COARSE) -> Weighed:
-        """Each thing refined among the others, in turn."""
+        """Each thing refined among the others, in turn.
+
+        Fine steps tell the top and not the width: pixels make the density rough at them.
+        """
         for one in range(len(weighed.scene)):
             rest = surroundings(self.world, self.image, weighed.scene.without(one))
-            own = refine(
-                self.world,
-                self.image,
-                rest,
-                weighed.scene.kinds[one : one + 1],
-                weighed.scene.poses[one : one + 1],
-                1,
-                halvings,
-            )
-            moved = self.weigh(*_replaced(weighed, one, own))
-            weighed = max(weighed, moved, key=_evidence)
+            mine = slice(one, one + 1)
+            kinds, poses = weighed.scene.kinds[mine], weighed.scene.poses[mine]
+            own = refine(self.world, self.image, rest, kinds, poses, 1, halvings)
+            if halvings is FINE:
+                own = replace(own, sd=weighed.sd[mine])
+            weighed = max(weighed, self.weigh(*_replaced(weighed, one, own)), key=_evidence)
         return weighed
 
     def turned(self, weighed: Weighed, one: int) -> Weighed:
