@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .PHONY: venv demo test lint docs bench pictures clean \
-    docs/camera.png docs/truth.png docs/learned.png docs/clutter.png docs/run-mcap.png
+    docs/camera.png docs/truth.png docs/learned.png docs/clutter.png docs/run-mcap.png docs/photo.png
 
 demo: venv
 	$(BIN)/voxscene demo --out demo
@@ -31,7 +31,7 @@ bench: venv
 DATA ?= ../shared/data
 RUNS := build/pictures
 
-pictures: docs/camera.png docs/truth.png docs/learned.png docs/clutter.png docs/run-mcap.png
+pictures: docs/camera.png docs/truth.png docs/learned.png docs/clutter.png docs/run-mcap.png docs/photo.png
 
 docs/camera.png: venv
 	mkdir -p $(RUNS)
@@ -58,6 +58,15 @@ docs/clutter.png: venv
 docs/run-mcap.png: docs/clutter.png
 	$(BIN)/python -c "from pathlib import Path; from pipeline.views.screenshot import take_screenshot as take; \
 	    take([Path('$(RUNS)/clutter.run/run.mcap')], Path('$@'), (1600, 1000), None)"
+
+docs/photo.png: venv
+	mkdir -p $(RUNS)/simple
+	$(BIN)/voxscene synth air $(RUNS)/photo --scenes 1 --seed 102 --size 320x240
+	$(BIN)/python -c "from pipeline.synthesis.air import air_meshes; \
+	    [mesh.export(f'$(RUNS)/simple/{name}.ply') for name, mesh in air_meshes().items()]"
+	$(BIN)/voxscene parse $(RUNS)/photo/air_000102.mcap --shapes $(RUNS)/simple --colour only -s parse.gamma=1 \
+	    --light=-0.4,-0.5,0.77,0.4 -o $(RUNS)/photo.run
+	$(BIN)/voxscene review $(RUNS)/photo.run --screenshot $@ --size 1200x760
 
 venv: $(INSTALLED)
 
