@@ -60,7 +60,7 @@ WEAK_DIRECTIONS = 2
 SLIDE_GAIN = 30.0
 """Nats by which a slide must win: on bare walls all score alike."""
 
-LATTICE_STEPS = 3
+LATTICE_STEPS = 6
 """Search effort."""
 
 BLOCK_SIDE = 10

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from shapes.geometry import pose_sets
 from shapes.geometry.poses import matrices_of
+from slam.registration.alignment import STIFFNESS
 from slam.registration.local_map import LocalMap
 from slam.registration.local_search import Optimum
 
@@ -81,6 +82,17 @@ class Registration:
     def is_unambiguous(self) -> bool:
         """No need to look elsewhere, even where the camera may be far from where it is expected."""
         return self.is_accepted and self.explained >= UNMISTAKABLE_EXPLAINED * self.covered
+
+    def is_determined(self, hold: float) -> bool:
+        """Whether pixels tell more of every translation than a start does that is held so firmly.
+
+        `hold` as in `PixelTerms.held_step`; what they tell is that with rotations integrated out.
+        """
+        precision = np.asarray(self.optimum.layer_precisions, np.float64).sum(axis=0)
+        across = np.trace(precision[:3, :3]) / 3.0
+        turning = precision[3:, 3:] + STIFFNESS * np.eye(3)
+        alone = precision[:3, :3] - precision[:3, 3:] @ np.linalg.solve(turning, precision[3:, :3])
+        return bool(np.linalg.eigvalsh(alone)[0] > STIFFNESS + hold * across)
 
     @property
     def is_plausible(self) -> bool:

@@ -60,6 +60,12 @@ WIDE_REFINED = 6
 FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
 """A refinement that ends farther from its start is begun again there."""
 
+SETTLED_SHIFT_M, SETTLED_ANGLE_RAD = 0.003, 0.003
+"""Half a pixel of the working image, at a metre: a rendering anew would show the same."""
+
+SETTLING = 2
+"""Renderings by which an optimum next to the prediction is to settle: search effort."""
+
 REFINEMENTS = 3
 """Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
 while it rises where the start was a guess."""
@@ -103,6 +109,8 @@ class Searcher:
 
         `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`).
         """
+        if hold > 0 and (settled := self._settled(group, starts[0], hold)) is not None:
+            return settled
         padded = jnp.stack([*starts, *[starts[0]] * (3 - len(starts))])
         located = self._near(group, padded, hold)
         for _ in range(REFINEMENTS):
@@ -118,6 +126,21 @@ class Searcher:
             located = again
         return located
 
+    def _settled(self, group: GroupMap, start: jax.Array, hold: float) -> Registration | None:
+        """The optimum next to a start (7,) whose rendering holds there, too; None where it is not convincing.
+
+        A direction that the view leaves to the start is not: along it there may be better places.
+        """
+        pose = start
+        for _ in range(SETTLING):
+            found = self.at(group, pose, hold)
+            if not (found.is_finite and found.is_unambiguous and found.is_determined(hold)):
+                return None
+            if _is_near(found.optimum.pose, pose, SETTLED_SHIFT_M, SETTLED_ANGLE_RAD):
+                return found
+            pose = found.optimum.pose
+        return None
+
     def _near(self, group: GroupMap, starts: jax.Array, hold: float) -> Registration:
         indices, local_map = self._local_map(group, starts[0])
         grid = jnp.asarray(pose_grids.local_grid())
@@ -125,11 +148,11 @@ class Searcher:
         found = Registration(optimum, indices, local_map, group.group)
         return found if hold > 0 else max(found, self.at(group, starts[0]), key=attrgetter("log_density"))
 
-    def at(self, group: GroupMap, pose: jax.Array) -> Registration:
+    def at(self, group: GroupMap, pose: jax.Array, hold: float = 0.0) -> Registration:
         """The optimum next to a pose, which alignment on associated points may leave."""
         indices, local_map = self._local_map(group, pose)
         return Registration(
-            optimum_at(local_map, self.view, self.noise, pose), indices, local_map, group.group
+            optimum_at(local_map, self.view, self.noise, pose, hold), indices, local_map, group.group
         )
 
     def anywhere(
@@ -208,8 +231,10 @@ class Searcher:
         return np.sort(np.argsort(distances, kind="stable")[:WIDE_PLACES])
 
 
-def _is_near(pose: jax.Array, start: jax.Array) -> bool:
+def _is_near(
+    pose: jax.Array, start: jax.Array, shift_m: float = FAR_SHIFT_M, angle_rad: float = FAR_ANGLE_RAD
+) -> bool:
     """Whether a rendering at `start` shows what a camera at `pose` would see."""
     relative = np.linalg.inv(matrices_of(start)) @ matrices_of(pose)
     shift = np.linalg.norm(relative[:3, 3])
-    return bool(shift < FAR_SHIFT_M and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(FAR_ANGLE_RAD))
+    return bool(shift < shift_m and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(angle_rad))
