@@ -1,17 +1,15 @@
-"""Joint refinement of all keyframes: the optimum of their overlaps as a Metropolis-Hastings proposal.
+"""Joint refinement of all keyframes: the optimum of their overlaps, and its Laplace approximation.
 
 The filter places a keyframe once, at working resolution; errors accumulate along the path. Here every
 keyframe's image at full detail is compared with the surfaces of all keyframes that it overlaps, and the graph
 of overlaps is brought to its optimum (`slam.pose_graph.gauss_newton`). Particles with the same keyframe poses
-form one mode with an optimum of its own. The proposal transports the mode's mean to the optimum; it is its
-own inverse and preserves volume, so that the density ratio alone decides. (Decided particle by particle it
-was refused at random: densities at single draws differ by tens of nats.) Accepted or not, particles then draw
-their displacement from the graph's Gaussian, the Laplace approximation of the same density (docs/model.md,
-section J). Reported spreads are that Gaussian's (`RefinedKeyframes`), since a few dozen weighted draws have
-no spread in most directions. The sensor's distortion field is an error that all frames share, which no number
-of them averages out: poses follow it, and its prior is in what is told of them (a consider parameter; Schmidt
-1966), scaled to what the recording tells of it (`slam.pose_graph.distortion_scale`). It is estimated jointly
-with the poses for the sensor's profile, by which frames may be corrected.
+form one mode with an optimum of its own, and draw their displacement from the graph's Gaussian there, the
+Laplace approximation of the overlaps' density (docs/model.md, section J). Reported spreads are that
+Gaussian's (`RefinedKeyframes`), since a few dozen weighted draws have no spread in most directions. The
+sensor's distortion field is an error that all frames share, which no number of them averages out: poses
+follow it, and its prior is in what is told of them (a consider parameter; Schmidt 1966), scaled to what the
+recording tells of it (`slam.pose_graph.distortion_scale`). It is estimated jointly with the poses for the
+sensor's profile, by which frames may be corrected.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of
 from slam.filter.state import CameraParticles, FilterState
-from slam.likelihood.distortion import NODES, Distortion, node_factor
+from slam.likelihood.distortion import Distortion, node_factor
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
 from slam.pose_graph.displacements import draw_poses
@@ -94,7 +92,7 @@ def refine_keyframes(
     motion: TrajectoryPrior | None = None,
     scales: Sequence[float] = (1.0,),
 ) -> tuple[FilterState, RefinedKeyframes]:
-    """The state with every particle's keyframes after one Metropolis-Hastings step, and where that led.
+    """The state with every particle's keyframes drawn about the optimum, and what that is.
 
     Args:
         key: consumed.
@@ -148,10 +146,7 @@ def _refined(
     Poses are those of the images as they are, and draws are given these; what an unknown field may have moved
     them by is in their covariances.
     """
-    draw_key, choice_key = jax.random.split(key)
     keyframes, found = optimise_coarse_to_fine(images, filtered, motion)
-    if found is not None and not _is_accepted(choice_key, keyframes, filtered, found, motion):
-        found = replace(found, poses=filtered)
     graph = found and with_distortion(keyframes, found, unknown, motion)
     if found is None or graph is None:
         return _unrefined(filtered, unknown, scales, count)
@@ -162,7 +157,7 @@ def _refined(
         held=sparse_gaussian.connected_to_first(graph),
         sensitivity=field.scale * sparse_gaussian.field_posterior(graph).sensitivity,
         **_told_of(field, unknown.factor),
-        drawn=draw_poses(found.poses, sparse_gaussian.draws(draw_key, graph, count)),
+        drawn=draw_poses(found.poses, sparse_gaussian.draws(key, graph, count)),
     )
 
 
@@ -210,18 +205,3 @@ def _unrefined(poses: NDArray[np.float32], unknown: Distortion, scales: Sequence
         **_told_of(unseen_field(size, scales), unknown.factor),
         drawn=np.tile(poses, (count, 1, 1)),
     )
-
-
-def _is_accepted(
-    key: jax.Array,
-    keyframes: Keyframes,
-    before: NDArray[np.float32],
-    after: GraphOptimum,
-    motion: TrajectoryPrior | None,
-) -> bool:
-    """Whether keyframes at `before` (N, 7) go to `after`; `key` is consumed."""
-    poses, none = np.stack([before, after.poses]), np.zeros((2, NODES))
-    log_densities = keyframes.log_densities(poses, none, after.exponents)
-    if motion is not None:
-        log_densities += [motion.log_density(matrices_of(one)) for one in poses]
-    return bool(np.log(float(jax.random.uniform(key))) < log_densities[1] - log_densities[0])
