@@ -28,6 +28,10 @@ greatest likelihood for the squared distances of all frames of 411 short walks w
 (`bench slam --only coverage`; docs/model.md, development films)."""
 
 
+FRAMES_AT_ONCE = 256
+"""Whose particles' spreads are in memory together, 4 MB a hundred: kernels are compiled for so many."""
+
+
 @dataclass(kw_only=True)
 class History:
     """Grows by a few kilobytes a frame; images are not kept."""
@@ -58,45 +62,25 @@ class History:
             intrinsics: of the camera.
         """
         particles: CameraParticles = state.population.particles
-        count = len(state.population.log_weights)
         log_weights = np.asarray(state.population.log_weights, np.float64)
-        lineage = np.arange(count)
-        anchor_of = [info.anchor if info.keyframe is None else info.keyframe for info in self.frames]
-        draws = np.tile(np.asarray(IDENTITY, np.float32), (count, len(self.frames), 1))
-        means = draws.copy()
-        conditional = np.zeros((count, len(self.frames), 6, 6), np.float32)
-        is_best = np.zeros((count, len(self.frames), 1), bool)
-        for index in range(len(self.frames) - 1, -1, -1):
-            info = self.frames[index]
-            if info.keyframe is None:
-                draws[:, index], means[:, index] = info.relative_poses[lineage], info.relative_means[lineage]
-                conditional[:, index] = info.component_covariances[info.component[lineage]]
-                is_best[:, index, 0] = info.component[lineage] == 0
-            lineage = info.ancestors[lineage]
-        anchors = particles.keyframe_poses[:, np.asarray(anchor_of)]
-        of_nodes = np.stack([info.field_sensitivity for info in self.frames])
-        following = np.einsum("tin,gnf->gtif", of_nodes, np.asarray(placed.factor))
-        ties: Ties = jax.tree.map(lambda *leaves: np.stack(leaves), *(info.ties for info in self.frames))
-        pulled, of_field = _by_ties(placed, ties)
-        pulls = jnp.where(is_best, pulled[placed.mode], 0.0)
-        draws, means = (_pulled(jnp.asarray(poses), pulls) for poses in (draws, means))
-        known, spread = _with_placed(
-            anchors,
-            means,
-            jnp.asarray(conditional),
-            placed,
-            jnp.asarray(anchor_of, jnp.int32),
-            jnp.asarray(following) + of_field,
-        )
         central = _of_the_heaviest_mode(particles.keyframe_poses[:, : len(state.keyframe_map)], log_weights)
-        mean, covariance = _marginals(known, means, state.population.log_weights, spread, central)
+        lineages = self._lineages()
+        parts = [
+            self._smoothed(slice(first, first + FRAMES_AT_ONCE), lineages, state, placed, central)
+            for first in range(0, len(self.frames), FRAMES_AT_ONCE)
+        ]
+        trajectories, mean, covariance = (
+            np.concatenate(leaves, axis)
+            for leaves, axis in zip(zip(*parts, strict=True), (1, 0, 0), strict=True)
+        )
+        anchor_of = self._anchors(slice(None))
         mode = int(np.argmax(np.bincount(np.asarray(placed.mode), np.exp(log_weights))))
         nodes = (NODE_ROWS, NODE_COLUMNS)
         untied = ~np.asarray(placed.held)[mode, anchor_of]
         displaced = np.asarray([info.doubt.displacements for info in self.frames], np.float64)
         return SlamResult(
             times_ns=np.asarray(self.times_ns, np.int64),
-            trajectories=matrices_of(_composed(anchors, draws)),
+            trajectories=matrices_of(trajectories),
             log_weights=log_weights - logsumexp(log_weights),
             mean=matrices_of(mean),
             covariance=np.asarray(covariance, np.float64) / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
@@ -110,6 +94,60 @@ class History:
             disparity_per_m=np.asarray(placed.disparity_per_m[mode], np.float64).reshape(nodes),
             disparity_sd_per_m=np.asarray(placed.sd_per_m[mode], np.float64).reshape(nodes),
             camera=np.asarray([float(value) for value in vars(intrinsics).values()]),
+        )
+
+    def _lineages(self) -> NDArray[np.int32]:
+        """Which particle (T, K) of each frame the last ones descend from."""
+        lineages = np.empty((len(self.frames), len(self.frames[-1].ancestors)), np.int32)
+        lineage = np.arange(lineages.shape[1])
+        for index in range(len(self.frames) - 1, -1, -1):
+            lineages[index] = lineage
+            lineage = self.frames[index].ancestors[lineage]
+        return lineages
+
+    def _anchors(self, frames: slice) -> NDArray[np.int32]:
+        """The keyframe (t,) that carries each of some frames, or that it became."""
+        anchors = [info.anchor if info.keyframe is None else info.keyframe for info in self.frames[frames]]
+        return np.asarray(anchors, np.int32)
+
+    def _smoothed(
+        self,
+        frames: slice,
+        lineages: NDArray[np.int32],
+        state: FilterState,
+        placed: RefinedKeyframes,
+        central: jax.Array | None,
+    ) -> tuple[NDArray[np.float32], ...]:
+        """Trajectories (K, t, 7), means (t, 7) and covariances (t, 6, 6) of some frames."""
+        infos = self.frames[frames]
+        infos, known_infos = infos + infos[-1:] * (FRAMES_AT_ONCE - len(infos)), len(infos)
+        lineages = lineages[frames][np.minimum(np.arange(FRAMES_AT_ONCE), known_infos - 1)]
+        draws = np.tile(np.asarray(IDENTITY, np.float32), (*lineages.T.shape, 1))
+        means, is_best = draws.copy(), np.zeros((*lineages.T.shape, 1), bool)
+        conditional = np.zeros((*lineages.T.shape, 6, 6), np.float32)
+        for index, (info, lineage) in enumerate(zip(infos, lineages, strict=True)):
+            if info.keyframe is None:
+                draws[:, index], means[:, index] = info.relative_poses[lineage], info.relative_means[lineage]
+                conditional[:, index] = info.component_covariances[info.component[lineage]]
+                is_best[:, index, 0] = info.component[lineage] == 0
+        anchor_of = self._anchors(frames)
+        anchor_of = anchor_of[np.minimum(np.arange(FRAMES_AT_ONCE), known_infos - 1)]
+        anchors = state.population.particles.keyframe_poses[:, anchor_of]
+        of_nodes = np.stack([info.field_sensitivity for info in infos])
+        following = np.einsum("tin,gnf->gtif", of_nodes, np.asarray(placed.factor))
+        ties: Ties = jax.tree.map(lambda *leaves: np.stack(leaves), *(info.ties for info in infos))
+        pulled, of_field = _by_ties(placed, ties)
+        pulls = jnp.where(is_best, pulled[placed.mode], 0.0)
+        draws, means = (_pulled(jnp.asarray(poses), pulls) for poses in (draws, means))
+        known, spread = _with_placed(
+            anchors, means, jnp.asarray(conditional), placed, jnp.asarray(anchor_of), following + of_field
+        )
+        mean, covariance = _marginals(known, means, state.population.log_weights, spread, central)
+        trajectories = np.asarray(_composed(anchors, draws))
+        return (
+            trajectories[:, :known_infos],
+            np.asarray(mean)[:known_infos],
+            np.asarray(covariance)[:known_infos],
         )
 
 

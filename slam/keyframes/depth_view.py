@@ -7,7 +7,7 @@ compiled once.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import lru_cache, partial, reduce
 from operator import add
 
 import jax
@@ -84,21 +84,28 @@ def view_of_frame(frame: Frame, intrinsics: CameraIntrinsics, canvas: tuple[int,
     padded: NDArray[np.float32] = np.full((rows * factor, columns * factor), NO_RETURN, np.float32)
     padded[:height, :width] = frame.depth_m
     whole_blocks = replace(intrinsics, width=columns * factor, height=rows * factor)
-    camera = Camera.from_intrinsics(whole_blocks.resized(columns, rows))
-    return _reduce(padded, camera, factor, canvas)
+    blank = _blank(whole_blocks.resized(columns, rows), canvas)
+    return replace(blank, depth_m=_reduced(padded, factor, canvas))
 
 
-@partial(jax.jit, static_argnames=("factor", "canvas"))
-def _reduce(depth_m: jax.Array, camera: Camera, factor: int, canvas: tuple[int, int]) -> CanvasView:
-    reduced = block_reduce(depth_m, factor)
-    rows, columns = reduced.shape
-    padding = ((0, canvas[0] - rows), (0, canvas[1] - columns))
+@lru_cache(maxsize=16)
+def _blank(intrinsics: CameraIntrinsics, canvas: tuple[int, int]) -> CanvasView:
+    """A view of nothing: its rays are in memory once, for all frames of a camera."""
+    camera = Camera.from_intrinsics(intrinsics)
+    padding = ((0, canvas[0] - intrinsics.height), (0, canvas[1] - intrinsics.width))
     return CanvasView(
-        depth_m=jnp.pad(reduced, padding),
-        measured=jnp.pad(jnp.ones((rows, columns), bool), padding),
+        depth_m=jnp.full(canvas, NO_RETURN, jnp.float32),
+        measured=jnp.pad(jnp.ones((intrinsics.height, intrinsics.width), bool), padding),
         rays=jnp.moveaxis(pixel_rays(camera, *canvas), -1, 0),
         camera=camera,
     )
+
+
+@partial(jax.jit, static_argnames=("factor", "canvas"))
+def _reduced(depth_m: jax.Array, factor: int, canvas: tuple[int, int]) -> jax.Array:
+    reduced = block_reduce(depth_m, factor)
+    rows, columns = reduced.shape
+    return jnp.pad(reduced, ((0, canvas[0] - rows), (0, canvas[1] - columns)))
 
 
 def block_reduce(depth_m: jax.Array, factor: int) -> jax.Array:

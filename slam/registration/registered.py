@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from shapes.geometry import pose_sets
 from shapes.geometry.poses import matrices_of
-from slam.registration.alignment import STIFFNESS
 from slam.registration.local_map import LocalMap
 from slam.registration.local_search import Optimum
 
@@ -23,6 +22,10 @@ map and that share of those lies on it."""
 
 UNMISTAKABLE_EXPLAINED = 0.92
 """The same after a wide step, when a wrong place explains up to 0.89 of a view round an object (measured)."""
+
+LEAST_HELD = 0.1
+"""Of a direction's precision, what a prediction may bring: along walls the noise of normals brings as much as
+it does, and a camera that follows it slides."""
 
 PLAUSIBLE_EXPLAINED = 0.6
 """Chosen by hand; what is below is worth no refinement."""
@@ -84,15 +87,10 @@ class Registration:
         return self.is_accepted and self.explained >= UNMISTAKABLE_EXPLAINED * self.covered
 
     def is_determined(self, hold: float) -> bool:
-        """Whether pixels tell more of every translation than a start does that is held so firmly.
-
-        `hold` as in `PixelTerms.held_step`; what they tell is that with rotations integrated out.
-        """
-        precision = np.asarray(self.optimum.layer_precisions, np.float64).sum(axis=0)
-        across = np.trace(precision[:3, :3]) / 3.0
-        turning = precision[3:, 3:] + STIFFNESS * np.eye(3)
-        alone = precision[:3, :3] - precision[:3, 3:] @ np.linalg.solve(turning, precision[3:, :3])
-        return bool(np.linalg.eigvalsh(alone)[0] > STIFFNESS + hold * across)
+        """Whether a start that is held so firmly, as in `PixelTerms.held_step`, decides nothing."""
+        translations = np.asarray(self.optimum.layer_precisions, np.float64).sum(axis=0)[:3, :3]
+        weakest = np.linalg.eigvalsh(translations)[0]
+        return bool(hold * np.trace(translations) / 3.0 < LEAST_HELD * weakest)
 
     @property
     def is_plausible(self) -> bool:
