@@ -104,7 +104,7 @@ def track(
     refinement_key = jax.random.fold_in(key, len(history.frames))
     look_key = jax.random.fold_in(key, len(history.frames) + 1)
     prior: TrajectoryPrior | None = None
-    if are_sparse_views(state, len(history.frames)):
+    if are_sparse_views(state, history.frames):
         prior = TrajectoryPrior.of(state, config)
         details = [detail.with_plane_segments(full_detail_noise) for detail in details]
     state = choose_map(look_key, state, config, details, full_detail_noise, prior)

@@ -28,7 +28,7 @@ from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
 from slam.filter import smc
-from slam.filter.state import CameraParticles, FilterState
+from slam.filter.state import CameraParticles, FilterState, FrameInfo
 from slam.map_hypotheses.candidate_maps import candidate_maps
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
 from slam.map_hypotheses.modes import assign_modes, transport
@@ -49,10 +49,14 @@ SPARSE_KEYFRAMES = 12
 """Keyframes few enough to be placed without regard to what the filter found."""
 
 
-def are_sparse_views(state: FilterState, frames: int) -> bool:
-    """Whether the keyframes are few and views of a recording of `frames` far apart."""
+def are_sparse_views(state: FilterState, frames: Sequence[FrameInfo]) -> bool:
+    """Whether the keyframes are few, the views of a recording far apart, and their places in doubt.
+
+    They are where a step was wide, or a frame was not found where the camera was expected, or in two places.
+    """
     used = len(state.keyframe_map)
-    return 2 < used <= SPARSE_KEYFRAMES and used > SPARSE_SHARE * frames
+    in_doubt = state.steps_were_wide or any(info.unexpected or info.components > 1 for info in frames)
+    return in_doubt and 2 < used <= SPARSE_KEYFRAMES and used > SPARSE_SHARE * len(frames)
 
 
 def choose_map(
