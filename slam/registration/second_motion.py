@@ -114,19 +114,18 @@ def two_motions(
         None where so little contradicts the first motion that there is nothing to find.
     """
     compared = ViewComparison(reference, view, noise)
-    here = _log_factors(compared, first)
-    if float(_contradiction(here[0])) < -PRIOR_LOG_ODDS:
+    here = _log_factors(compared, first[None])
+    if float(_contradiction(here[0][0])) < -PRIOR_LOG_ODDS:
         return None
-    optima, pairs = _fitted(compared, first, second, here[0])
-    alone = [here, *(_log_factors(compared, pose) for pose in optima)]
-    paired = [_log_factors(compared, pose)[0] for pose in pairs.poses.reshape(-1, 7)]
-    return _weighed(compared, tuple(alone), tuple(paired), pairs)
+    optima, pairs = _fitted(compared, first, second, here[0][0])
+    there = _log_factors(compared, jnp.concatenate([optima, pairs.poses.reshape(-1, 7)]))
+    return _weighed(compared, here, there, pairs)
 
 
 @jax.jit
-def _log_factors(compared: ViewComparison, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """As `ViewComparison.log_factors`: compiled once for all poses."""
-    return compared.log_factors(pose)
+def _log_factors(compared: ViewComparison, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """`ViewComparison.log_factors` at poses (n, 7): in a kernel of its own each takes thrice as long."""
+    return jax.lax.map(compared.log_factors, poses)
 
 
 @jax.jit
@@ -192,23 +191,22 @@ def _pair(compared: ViewComparison, first: jax.Array, second: jax.Array) -> _Pai
 @jax.jit
 def _weighed(
     compared: ViewComparison,
-    alone: tuple[tuple[jax.Array, jax.Array], ...],
-    paired: tuple[jax.Array, ...],
+    here: tuple[jax.Array, jax.Array],
+    there: tuple[jax.Array, jax.Array],
     pairs: _Pairs,
 ) -> TwoMotions:
     """The best pair, against the best single motion, on the pixels of which that says anything.
 
     Args:
         compared: the frame.
-        alone: log factors (P,) of single motions and which pixels they show.
-        paired: log factors (P,) of both motions of every pair.
+        here: log factors (1, P) of where it was found and which pixels that shows.
+        there: the same (6, P) of the other single motions, two, and of both motions of every pair.
         pairs: these.
     """
-    factors = jnp.stack([log_factors for log_factors, _ in alone])
+    factors, shown = (jnp.concatenate([one, other[:2]]) for one, other in zip(here, there, strict=True))
     log_ones = jnp.where(jnp.isfinite(factors).all(axis=1), factors.sum(axis=1), -jnp.inf)
     best = jnp.argmax(log_ones)
-    counted = jnp.stack([shown for _, shown in alone])[best]
-    log_blocks = jnp.where(counted, jnp.stack(paired), 0.0) @ BLOCKS
+    log_blocks = jnp.where(shown[best], there[0][2:], 0.0) @ BLOCKS
     log_blocks = pairs.exponent[:, None, None] * log_blocks.reshape(*pairs.poses.shape[:2], -1)
     log_two = jax.nn.logsumexp(jnp.log(pairs.shares)[:, :, None] + log_blocks, axis=1).sum(axis=1)
     count = jnp.maximum(compared.returned().sum(), 1)
