@@ -41,6 +41,8 @@ SHORT_WALK_DEGREES = (0.5, 6.0)
 """A frame, drawn anew for each short walk."""
 ORBIT_FRAMES = {1: 60, 6: 60, 12: 30}
 """Degrees a frame, and frames: the wider ones are whole circles."""
+UNEVEN = 0.3
+"""Share by which steps of circles that are walked unevenly differ from their mean, at most."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,10 +123,11 @@ def synthetic_rows() -> list[Row]:
     ]
     circles = [
         Row(
-            name=f"bare room, whole circle of {count}",
-            case=partial(_orbit, "bare", 360 / count, count),
+            name=f"bare room, whole circle of {count}{walked}",
+            case=partial(_orbit, "bare", 360 / count, count, uneven=uneven),
             configs=known,
         )
+        for walked, uneven in (("", 0.0), (" walked unevenly", UNEVEN))
         for count in (5, 12)
     ]
     return [*bare, *furnished, *views, *circles]
@@ -158,12 +161,15 @@ def _untold(done: int, total: int) -> None:
     del done, total
 
 
-def _orbit(kind: Literal["bare", "furnished"], degrees: float, frames: int, number: int) -> Case:
-    """An orbit in the room of that number; the same room at every rate."""
+def _orbit(
+    kind: Literal["bare", "furnished"], degrees: float, frames: int, number: int, *, uneven: float = 0.0
+) -> Case:
+    """An orbit in the room of that number; the same room at every rate of even steps."""
     rng = np.random.default_rng([number, 77_001])
     path = PathConfig(
         frames=frames,
         degrees_per_frame=degrees,
+        uneven=uneven,
         radius_m=RADIUS_M,
         elevations_deg=(ELEVATION_DEG,),
         look_at_error_deg=0.5,

@@ -22,6 +22,7 @@ class PathConfig:
             and shakes; `rings` are few views spread evenly over whole circles, one for each elevation.
         frames: number of views.
         degrees_per_frame: step of azimuth of `orbit`, mean step of `handheld`.
+        uneven: by up to which share of it each step of `orbit` is longer or shorter; the mean stays.
         radius_m: distance to the point looked at.
         elevations_deg: angles above the horizon: one for each of the `rings`; else passed through evenly
             from the first frame to the last.
@@ -35,6 +36,7 @@ class PathConfig:
     kind: Literal["orbit", "handheld", "rings"] = "orbit"
     frames: int = 60
     degrees_per_frame: float = 6.0
+    uneven: float = 0.0
     radius_m: float = 1.0
     elevations_deg: tuple[float, ...] = (30.0,)
     start_deg: float | None = None
@@ -45,6 +47,7 @@ class PathConfig:
 
     def __post_init__(self) -> None:
         check_finite(self)
+        check_within(self, 0.0, 1.0, ("uneven",))
         check_within(self, 0.0, 90.0, ("look_at_error_deg", "shake_m", "shake_deg"))
         if self.frames < 1:
             raise ValueError(f"frames must be at least 1, got {self.frames}")
@@ -62,13 +65,21 @@ def camera_path(
     if config.kind == "rings":
         poses = _rings(config, target_m, start)
     elif config.kind == "orbit":
-        azimuth = start + np.radians(config.degrees_per_frame) * np.arange(config.frames)
+        azimuth = start + np.radians(config.degrees_per_frame) * _steps_walked(config, rng)
         poses = _looking_at(_on_sphere(target_m, config.radius_m, azimuth, _climb(config)), target_m)
     else:
         poses = _hand_held(config, target_m, start, rng)
     aim = rng.normal(scale=np.radians(config.look_at_error_deg), size=(config.frames, 2))
     poses[:, :3, :3] @= Rotation.from_rotvec(np.pad(aim, ((0, 0), (0, 1)))).as_matrix()
     return poses
+
+
+def _steps_walked(config: PathConfig, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Mean steps (T,) from the first frame to each; with the one that would close a circle they are T."""
+    if not config.uneven:
+        return np.arange(config.frames, dtype=float)
+    steps = 1.0 + rng.uniform(-config.uneven, config.uneven, config.frames)
+    return np.append(0.0, np.cumsum(steps)[:-1]) / steps.mean()
 
 
 def _rings(config: PathConfig, target_m: NDArray[np.float64], start: float) -> NDArray[np.float64]:

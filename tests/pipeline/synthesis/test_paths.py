@@ -45,6 +45,17 @@ def test_an_orbit_steps_evenly_at_one_distance_and_looks_at_the_target() -> None
     np.testing.assert_allclose(poses[:, :3, 2], -arm / 1.3, atol=1e-12)
 
 
+def test_uneven_steps_differ_by_no_more_than_is_asked_and_close_the_circle() -> None:
+    """Twelve steps of 30 degrees on average, the one back to the start included; some are far from it."""
+    poses = path(kind="orbit", frames=12, degrees_per_frame=30.0, uneven=0.3, elevations_deg=(0.0,))
+
+    outward = (poses[:, :3, 3] - TARGET_M) / np.linalg.norm(poses[:, :3, 3] - TARGET_M, axis=1)[:, None]
+    steps = angles_deg(outward, np.roll(outward, -1, axis=0))
+    assert steps.sum() == pytest.approx(360.0)
+    assert 30 * 0.7 / 1.3 <= steps.min() < 27
+    assert 33 < steps.max() <= 30 * 1.3 / 0.7
+
+
 def test_an_orbit_passes_through_its_elevations() -> None:
     """Evenly, from the first frame to the last."""
     poses = path(frames=9, elevations_deg=(20.0, 60.0, 40.0), radius_m=1.0)
