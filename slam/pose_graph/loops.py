@@ -49,6 +49,10 @@ OUT_OF_SIGHT_M = 1000.0
 LEAST_COVERED = 0.5
 """Of a keyframe's returns, that the place must show."""
 
+LEAST_SHARE = 0.01
+"""Of the precision of translations in the weakest direction: as much as noise of normals passes for along a
+bare wall, where a place is found anywhere."""
+
 CLOSING_STEPS = 10
 """Of Gauss-Newton: turns of the path make the way round a loop nonlinear."""
 
@@ -93,6 +97,8 @@ def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float
             found = _registered(images, poses, later, earlier, np.isfinite(hops[earlier]))
             pose = np.asarray(found.optimum.pose)
             if not (found.is_finite and found.is_unambiguous and found.covered >= LEAST_COVERED):
+                continue
+            if found.weakest_share < LEAST_SHARE:
                 continue
             if _is_in_reach(poses[later][None], pose, walked[earlier : earlier + 1])[0]:
                 pairs.append((later, earlier))

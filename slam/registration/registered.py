@@ -23,10 +23,6 @@ map and that share of those lies on it."""
 UNMISTAKABLE_EXPLAINED = 0.92
 """The same after a wide step, when a wrong place explains up to 0.89 of a view round an object (measured)."""
 
-LEAST_HELD = 0.1
-"""Of a direction's precision, what a prediction may bring: along walls the noise of normals brings as much as
-it does, and a camera that follows it slides."""
-
 PLAUSIBLE_EXPLAINED = 0.6
 """Chosen by hand; what is below is worth no refinement."""
 
@@ -86,11 +82,11 @@ class Registration:
         """No need to look elsewhere, even where the camera may be far from where it is expected."""
         return self.is_accepted and self.explained >= UNMISTAKABLE_EXPLAINED * self.covered
 
-    def is_determined(self, hold: float) -> bool:
-        """Whether a start that is held so firmly, as in `PixelTerms.held_step`, decides nothing."""
+    @property
+    def weakest_share(self) -> float:
+        """Precision of the translation that pixels hold least, over the mean of all."""
         translations = np.asarray(self.optimum.layer_precisions, np.float64).sum(axis=0)[:3, :3]
-        weakest = np.linalg.eigvalsh(translations)[0]
-        return bool(hold * np.trace(translations) / 3.0 < LEAST_HELD * weakest)
+        return float(np.linalg.eigvalsh(translations)[0] / max(np.trace(translations) / 3.0, 1e-12))
 
     @property
     def is_plausible(self) -> bool:

@@ -63,6 +63,10 @@ FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
 SETTLED_SHIFT_M, SETTLED_ANGLE_RAD = 0.003, 0.003
 """Half a pixel of the working image, at a metre: a rendering anew would show the same."""
 
+LEAST_HELD = 0.1
+"""Of a direction's precision, what a prediction may bring: along walls the noise of normals brings as much as
+it does, and a camera that follows it slides."""
+
 SETTLING = 2
 """Renderings by which an optimum next to the prediction is to settle: search effort."""
 
@@ -134,7 +138,9 @@ class Searcher:
         pose = start
         for _ in range(SETTLING):
             found = self.at(group, pose, hold)
-            if not (found.is_finite and found.is_unambiguous and found.is_determined(hold)):
+            if not (found.is_finite and found.is_unambiguous):
+                return None
+            if hold > LEAST_HELD * found.weakest_share:
                 return None
             if _is_near(found.optimum.pose, pose, SETTLED_SHIFT_M, SETTLED_ANGLE_RAD):
                 return found
