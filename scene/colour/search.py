@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.lattice import YAWS, Lattice, candidates, surroundings
+from scene.colour.lattice import YAWS, Lattice, candidates, placed_gains, surroundings
 from scene.colour.light import LampShares
 from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior
 from scene.colour.refinement import COARSE, FINE, Refined, refine
@@ -24,6 +24,10 @@ OF_EACH_KIND = 3
 """Candidates of each kind that are refined: a mug's handle may be taken to be on any side."""
 COMPARED = 3
 """Refined candidates whose scenes are weighed exactly."""
+FINER_YAWS = 4
+"""Times the lattice's yaws are tried of a thing in place: 7.5 degrees, or a pixel at a handle's tip."""
+TURNS_REFINED = 6
+"""Best of them, which are refined."""
 SWEEPS = 4
 """Most times that all moves are tried, ..."""
 WORTH_NATS = 2.0
@@ -128,16 +132,18 @@ class _Table:
         return weighed
 
     def turned(self, weighed: Weighed, one: int) -> Weighed:
-        """One thing turned in place: the best of the lattice's yaws, each refined."""
+        """One thing turned in place: the best of many yaws, refined."""
         kind = self.world.kinds[weighed.scene.kinds[one]]
         if not kind.turns:
             return weighed
         rest = surroundings(self.world, self.image, weighed.scene.without(one))
-        count = max(YAWS // kind.turns, 2)
+        count = FINER_YAWS * YAWS // kind.turns
         poses = np.repeat(weighed.scene.poses[one : one + 1], count, axis=0)
         poses[:, 2] += np.arange(count) * (2 * np.pi / kind.turns / count)
         kinds = np.repeat(weighed.scene.kinds[one : one + 1], count)
-        own = refine(self.world, self.image, rest, kinds, poses, COMPARED)
+        gains = placed_gains(self.world, self.image, rest, kinds, poses)
+        best = np.argsort(-gains)[:TURNS_REFINED]
+        own = refine(self.world, self.image, rest, kinds[best], poses[best], COMPARED)
         return self.weigh(*_replaced(weighed, one, own, int(own.gains.argmax())))
 
     def moves(self, weighed: Weighed) -> Iterator[Weighed]:
