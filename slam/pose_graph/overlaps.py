@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +41,7 @@ class KeyframeDetail:
     region_sizes: jax.Array
     is_segmented: bool = False
 
-    @property
+    @cached_property
     def surface(self) -> PlaneImage:
         """With planes where regions have one."""
         return PlaneImage.of(self.view, jnp.where((self.region_sizes > 0)[None], self.planes, 0.0))
@@ -70,22 +70,6 @@ def keyframe_detail(view: CanvasView, noise: DepthNoise) -> KeyframeDetail:
     return KeyframeDetail(view, *region_planes(view, noise))
 
 
-SURFACES_KEPT = 64
-"""2 MB each: more than a recording of a room has keyframes."""
-
-
-class PlaneImages:
-    """Keyframes as surfaces, made when they are asked for; those asked for last are kept."""
-
-    def __init__(self, details: Sequence[KeyframeDetail]) -> None:
-        """Of these keyframes."""
-        self._made = lru_cache(SURFACES_KEPT)(lambda index: details[index].surface)
-
-    def __getitem__(self, index: int) -> PlaneImage:
-        """One of them."""
-        return self._made(index)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Keyframes:
     """Keyframes at full detail, and which of them overlap.
@@ -97,14 +81,15 @@ class Keyframes:
         noise: the sensor, at full detail.
     """
 
-    surfaces: PlaneImages
+    surfaces: Sequence[PlaneImage]
     samples: Sequence[PointSample]
     images_of: Sequence[NDArray[np.int_]]
     noise: DepthNoise
 
     def of(self, details: Sequence[KeyframeDetail]) -> Keyframes:
         """The same overlaps of other images of the keyframes."""
-        return replace(self, surfaces=PlaneImages(details), samples=[detail.sample for detail in details])
+        surfaces, samples = [detail.surface for detail in details], [detail.sample for detail in details]
+        return replace(self, surfaces=surfaces, samples=samples)
 
     def batches(self, stride: int) -> Iterator[tuple[PlaneImage, PointSample, int, NDArray[np.int_]]]:
         """Surface, every `stride`-th sample of the images, the surface's index, the images' (n,)."""
@@ -172,7 +157,7 @@ def keyframes_at(
         frame = framing(details[second].view)
         overlap[second, selected_keyframes(before, poses[:second], poses[second], frame, OVERLAPS)] = True
     return Keyframes(
-        surfaces=PlaneImages(details),
+        surfaces=[detail.surface for detail in details],
         samples=[detail.sample for detail in details],
         images_of=[np.nonzero(row)[0] for row in overlap | overlap.T],
         noise=noise,
