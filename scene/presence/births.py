@@ -90,8 +90,8 @@ def _mixture(centres: NDArray[np.float64], factors: NDArray[np.float64], lines: 
         each = jax.tree.map(lambda leaf: jnp.repeat(leaf, SITES, axis=0), lines)
         about = jax.vmap(of_points)(jnp.asarray(covariances), jnp.asarray(means), each.points_m)
         parts = jax.vmap(own_components)(jnp.asarray(even), jnp.asarray(means), about, each)
-        together = (leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts)
-        return PoseMixture.build(*together, lines.points_m)
+        log_weights, means, about = (leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts)
+        return PoseMixture.build(log_weights, means, about, lines.points_m)
 
 
 def _moved(poses: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
