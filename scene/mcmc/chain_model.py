@@ -97,17 +97,18 @@ def scene_model(
         upward_concentration=jnp.asarray(config.upward_concentration if supports else 0.0),
     )
     trees = WeightedTrees(jnp.asarray(config.floating_weight)) if supports else WeightedTrees.uniform()
-    return SceneModel(bodies_of(objects, supports), prior, trees, likelihood)
+    return SceneModel(_bodies(objects, supports), prior, trees, likelihood)
 
 
-def bodies_of(objects: Sequence[SceneObject], supports: Sequence[SupportPlane]) -> Bodies:
+def half_sizes(supports: Sequence[SupportPlane]) -> NDArray[np.float64]:
+    """(S, 3) of the slabs under the supports."""
+    sizes = [np.append(one.half_size_m, TABLE_HALF_THICKNESS_M) for one in supports]
+    return np.stack(sizes) if sizes else np.zeros((0, 3))
+
+
+def _bodies(objects: Sequence[SceneObject], supports: Sequence[SupportPlane]) -> Bodies:
     """The objects, then a slab under each support."""
-    half_extents = [one.half_extents_m for one in objects]
-    movable = [True] * len(objects)
-    supporting = [[True] * 6 for _ in objects]
-    for support in supports:
-        half_extents.append(np.append(support.half_size_m, TABLE_HALF_THICKNESS_M))
-        movable.append(False)
-        supporting.append([face == TOP_FACE for face in range(6)])
-    leaves = np.stack(half_extents), np.array(movable), np.array(supporting)
-    return Bodies(*map(jax.device_put, leaves))
+    half_extents = [*(one.half_extents_m for one in objects), *half_sizes(supports)]
+    movable = np.arange(len(half_extents)) < len(objects)
+    supporting = movable[:, None] | (np.arange(6) == TOP_FACE)
+    return Bodies(*map(jax.device_put, (np.stack(half_extents), movable, supporting)))

@@ -1,52 +1,68 @@
-"""Where objects may be born that no chain has looked at: Gaussians round poses that the search rejected."""
+"""Where candidates are drawn: Gaussians round states of the chains, round poses that the search rejected, and
+round unknown solids that may stand there instead.
+"""
 
 from __future__ import annotations
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from scene.mcmc.mixture_init import of_points, own_components
+from scene.mcmc.mixture_init import own_components
 from scene.mcmc.pose_mixture import PoseMixture
-from scene.mcmc.symmetry_arrays import SpinLines
 from scene.presence.depth_candidates import PosePriors, PresenceFrames
-from scene.search.importance_sampling import FIRST_SIGMA, LEAST_SIGMA, MODES, WIDER, apart, tempered
+from scene.presence.gaussian_fits import climbed, fitted
+from scene.presence.solids import FREE_OF_CYLINDERS, SolidFits, log_sizes_density, tied, upright
+from scene.search.importance_sampling import FIRST_SIGMA, LEAST_SIGMA, MODES, apart
 from scene.search.search_result import Initialisation
-
-SITES = 3
-"""Of an object: where the search would put it, where it explains most alone, and the next such place."""
 
 LEAST_DENSITY = 1e-30
 """Of the prior where it excludes a pose: what is fitted may still come to where it does not."""
 
-DRAWS, ALIVE, TURNS = 32, 10.0, 3
+SOLID_M, SOLID_RAD, LEAST_SIZE = 0.002, 0.015, 0.002
+"""First standard deviations of a solid's place and sizes, and of its turn; least one of the logs of sizes."""
+
+CLIMBS, CLIMB_DRAWS, SOLID_TURNS, SOLID_DRAWS = 10, 40, 3, 40
+"""Turns and draws of climbing to a solid's best place, and of the fit there."""
+
+UNFREE = 1e-6
+"""Of steps that change nothing."""
+
+NEAR_M, NEAR_RAD = 0.002, 0.02
+"""First standard deviations round states of chains."""
+
+DRAWS, TURNS = 24, 2
 """A site and turn; a third of what refinement takes, whose Gaussians start chains."""
 
 
-def sites_of(start: Initialisation, one: int) -> NDArray[np.float64]:
-    """Poses (SITES, 7) camera_from_box where an object may be that was not found."""
+def sites_of(start: Initialisation, one: int, count: int) -> NDArray[np.float64]:
+    """Poses (count, 7) camera_from_box where an object may be that was not found.
+
+    Where the search would put it were it there, where it explains most alone, and the next such places.
+    """
     pool = start.pools[one]
     ranked = pool[np.argsort(-start.log_alone[one, : len(pool)], kind="stable")]
     sites = start.rivals[one][None]
     for pose in ranked:
-        if len(sites) == SITES:
+        if len(sites) == count:
             break
         if apart(pose, sites, 1.0).all():
             sites = np.append(sites, pose[None], axis=0)
-    return np.resize(sites, (SITES, 7))
+    return np.resize(sites, (count, 7))
 
 
 def born_near(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    slots: NDArray[np.integer],
     sites: NDArray[np.float64],
-    lines: SpinLines,
+    axes: NDArray[np.integer],
+    sampled: NDArray[np.bool_],
 ) -> PoseMixture:
-    """Mixtures of slots (R,) round sites (R, SITES, 7) world_from_box.
+    """Mixtures of objects round sites (N, S, 7) world_from_box.
 
     Gaussians are fitted to what the object explains there alone, by importance sampling in some turns.
 
@@ -54,49 +70,81 @@ def born_near(
         rng: random numbers.
         frames: what is seen.
         priors: of poses.
-        slots: numbers of the objects.
         sites: where they may be.
-        lines: about which they (R,) are round.
+        axes: (N,) the box axis about which each is round, or -1.
+        sampled: (N,) whether the sites are where chains ended, so that Gaussians begin narrow.
     """
-    owners = np.repeat(slots, SITES)
-    centres = sites.reshape(-1, 7)
-    factors = np.tile(np.diag(FIRST_SIGMA), (len(owners), 1, 1))
-    for _ in range(TURNS):
-        normal = rng.standard_normal((len(owners), DRAWS, 6))
-        normal[:, 0] = 0.0
-        tangents = np.einsum("nij,nsj->nsi", factors, normal)
-        poses = _moved(centres, tangents)
-        _, gain = frames.shown(rng, np.repeat(owners, DRAWS), poses.reshape(-1, 7))
-        log_alone = gain.sum(axis=1, dtype=np.float64).reshape(-1, DRAWS)
-        log_alone += np.log(np.maximum(priors.alone(owners, poses), LEAST_DENSITY))
-        log_weights = log_alone + 0.5 * (normal**2).sum(axis=-1)
-        weights = np.stack([tempered(one, ALIVE) for one in log_weights])
-        steps = np.einsum("ns,nsi->ni", weights, tangents)
-        spread = tangents - steps[:, None]
-        covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread) + np.diag(LEAST_SIGMA**2)
-        centres = _moved(centres, steps[:, None])[:, 0]
-        factors = WIDER * np.linalg.cholesky(covariances)
-    return _mixture(centres, factors, lines)
+    owners = np.repeat(np.arange(len(sites)), sites.shape[1])
+
+    def log_density(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        _, gain = frames.shown(rng, np.repeat(owners, poses.shape[1]), poses.reshape(-1, 7))
+        log_alone = gain.sum(axis=1, dtype=np.float64).reshape(poses.shape[:2])
+        half_m = np.repeat(priors.half_m[owners][:, None], poses.shape[1], axis=1)
+        return log_alone + np.log(np.maximum(priors.alone(poses, half_m), LEAST_DENSITY))
+
+    first = np.where(sampled[owners, None], np.repeat([NEAR_M, NEAR_RAD], 3), FIRST_SIGMA)
+    wide = first[:, :, None] * np.eye(6)
+    centres, factors = fitted(rng, log_density, sites.reshape(-1, 7), wide, LEAST_SIGMA, TURNS, DRAWS)
+    return _mixture(centres, factors, np.repeat(axes, sites.shape[1]), sites.shape[1])
 
 
-def _mixture(centres: NDArray[np.float64], factors: NDArray[np.float64], lines: SpinLines) -> PoseMixture:
-    """Mixtures of objects with SITES Gaussians each, of round ones spun round the circle."""
-    count = len(centres) // SITES
+def solids_near(
+    rng: np.random.Generator,
+    frames: PresenceFrames,
+    priors: PosePriors,
+    boxes: NDArray[np.float64],
+    axes: NDArray[np.integer],
+) -> SolidFits:
+    """Unknown solids in the places of objects: what else might be seen there.
+
+    Args:
+        rng: random numbers.
+        frames: what is seen.
+        priors: of poses.
+        boxes: (n, 10) world_from_box and logs of half sizes of the objects' boxes.
+        axes: (n,) the box axis about which each is round: then a cylinder stands there; -1 of others: a box.
+    """
+    starts = upright(boxes, axes)
+    centres, factors = np.zeros_like(starts), np.zeros((len(starts), 9, 9))
+    for kind in (False, True):
+        mine = np.flatnonzero((axes >= 0) == kind)
+        if len(mine):
+            log_density = partial(_log_alone, frames, priors, kind)
+            best = climbed(rng, log_density, starts[mine], CLIMBS, CLIMB_DRAWS)
+            free = FREE_OF_CYLINDERS if kind else np.ones(9)
+            sizes = np.exp(best[:, 7:])
+            first = np.tile(np.repeat([SOLID_M, SOLID_RAD], 3), (len(mine), 1))
+            first = np.where(free, np.concatenate([first, SOLID_M / sizes], axis=1), UNFREE)
+            least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
+            wide = first[:, :, None] * np.eye(9)
+            found = fitted(rng, log_density, best, wide, least, SOLID_TURNS, SOLID_DRAWS)
+            centres[mine], factors[mine] = found
+    centres = tied(centres[:, None], axes >= 0)[:, 0]
+    return SolidFits(is_round=axes >= 0, centres=centres, factors=factors)
+
+
+def _log_alone(
+    frames: PresenceFrames, priors: PosePriors, is_round: bool, states: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Log density (n, S) of solids (n, S, 10) of one kind, alone in the scene."""
+    rounds = np.full(len(states), is_round)
+    states = tied(states, rounds)
+    _, gain = frames.shown_solids(states.reshape(-1, 10), np.repeat(rounds, states.shape[1]))
+    poses, log_half = states[..., :7], states[..., 7:]
+    log_alone = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
+    log_alone += np.log(np.maximum(priors.alone(poses, np.exp(log_half)), LEAST_DENSITY))
+    return log_alone + np.maximum(log_sizes_density(log_half, rounds[:, None]), np.log(LEAST_DENSITY))
+
+
+def _mixture(
+    centres: NDArray[np.float64], factors: NDArray[np.float64], axes: NDArray[np.integer], sites: int
+) -> PoseMixture:
+    """Mixtures of objects with so many Gaussians each, of round ones spun round the circle."""
+    count = len(centres) // sites
     even = np.full((len(centres), MODES), -np.log(MODES))
     means, covariances = (
         np.repeat(part[:, None], MODES, axis=1) for part in (centres, factors @ np.swapaxes(factors, 1, 2))
     )
     with jax.enable_x64(True):
-        each = jax.tree.map(lambda leaf: jnp.repeat(leaf, SITES, axis=0), lines)
-        about = jax.vmap(of_points)(jnp.asarray(covariances), jnp.asarray(means), each.points_m)
-        parts = jax.vmap(own_components)(jnp.asarray(even), jnp.asarray(means), about, each)
-        log_weights, means, about = (leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts)
-        return PoseMixture.build(log_weights, means, about, lines.points_m)
-
-
-def _moved(poses: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (n, S, 7) from poses (n, 7) by offsets in the world and turns of the box (n, S, 6)."""
-    turned = Rotation.from_quat(np.repeat(poses[:, :4], steps.shape[1], axis=0), scalar_first=True)
-    turned *= Rotation.from_rotvec(steps[..., 3:].reshape(-1, 3))
-    wxyz = turned.as_quat(scalar_first=True).reshape(*steps.shape[:2], 4)
-    return np.concatenate([wxyz, poses[:, None, 4:] + steps[..., :3]], axis=-1)
+        parts = jax.vmap(own_components)(*map(jnp.asarray, (even, means, covariances, axes)))
+        return PoseMixture.build(*(leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts))

@@ -24,17 +24,21 @@ class ForestPrior:
         on_root: (N, K) weight of each candidate by itself: floating, or on a support.
         on_others: (N, K, N, K) weight of a candidate on another one.
         log_trees: (N + 1,) log of the sum of the weights of all trees over so many objects.
-        log_sets: (N + 1,) log probability of one given set of slots, by its size.
+        log_sets: (A + 1,) log probability of one given set of slots that are asked for, by its size.
+        asked: A, the first of the slots; the others' rates are part of their weights.
     """
 
     on_root: NDArray[np.float64]
     on_others: NDArray[np.float64]
     log_trees: NDArray[np.float64]
     log_sets: NDArray[np.float64]
+    asked: int
 
     def log_density(self, taken: Sequence[tuple[int, int]], hidden: int) -> float:
         """Of slots at candidates (slot, place), and so many others somewhere out of sight."""
-        return float(self._log_forests(*self._weights(taken))) + self._log_number(len(taken), hidden)
+        return float(self._log_forests(*self._weights(taken))) + self._log_number(
+            [slot for slot, _ in taken], hidden
+        )
 
     def log_densities(self, taken: Sequence[tuple[int, int]], slot: int, hidden: int) -> NDArray[np.float64]:
         """(K,) the same with one slot more, at each of its candidates."""
@@ -49,7 +53,7 @@ class ForestPrior:
         if taken:
             every[:, count, :count] = self.on_others[slot][:, slots, places]
             every[:, :count, count] = self.on_others[slots, places, slot].T
-        return self._log_forests(roots, every) + self._log_number(count + 1, hidden)
+        return self._log_forests(roots, every) + self._log_number([*slots, slot], hidden)
 
     def _weights(self, taken: Sequence[tuple[int, int]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """On the root (n,), and of each on each (n, n)."""
@@ -68,8 +72,11 @@ class ForestPrior:
         sign, log_sum = np.linalg.slogdet(laplacian)
         return np.where(sign > 0, log_sum, -np.inf)
 
-    def _log_number(self, count: int, hidden: int) -> float:
-        return float(self.log_sets[count + hidden] - self.log_trees[count])
+    def _log_number(self, slots: Sequence[int], hidden: int) -> float:
+        asked = sum(slot < self.asked for slot in slots) + hidden
+        if asked >= len(self.log_sets):  # nothing else can be hidden
+            return -np.inf
+        return float(self.log_sets[asked] - self.log_trees[len(slots)])
 
 
 def log_weighted_trees(floating_weight: float, supports: int, slots: int) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import jax
 import numpy as np
@@ -13,18 +12,18 @@ from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
-from scene.mcmc.chain_model import bodies_of, slabs_under
-from scene.mcmc.pose_mixture import PoseMixture
+from scene.mcmc.chain_model import half_sizes, slabs_under
+from scene.mcmc.mixture_init import round_axis
 from scene.mcmc.sampling import SampledScenes
-from scene.mcmc.symmetry_arrays import SpinLines
 from scene.model.number_prior import UncertainBinomialNumber
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
-from scene.presence.births import born_near, sites_of
+from scene.presence.births import born_near, sites_of, solids_near
 from scene.presence.depth_candidates import PosePriors, PresenceFrames
 from scene.presence.posterior import Presence, presence_posterior
+from scene.presence.solids import SolidFits
 from scene.search.colour_layers import ColourLayers
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
@@ -70,56 +69,35 @@ def presence_in_scene(
     frames = PresenceFrames.of(views, densities, camera_from_world, draws, len(objects), colours, weight)
     priors = PosePriors(
         prior=jax.device_get(chains.model.prior),
-        bodies=jax.device_get(bodies_of(objects, supports)),
+        half_m=np.stack([one.half_extents_m for one in objects]),
         supports=slabs_under(supports, world_from_camera),
+        slab_half_m=half_sizes(supports),
         floating_weight=config.floating_weight if supports else 1.0,
         log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(len(objects)),
         grafts=config.graph == "infer",
     )
-    mixture = _mixture(rng, frames, priors, world_from_camera, objects, start, found, chains.mixture)
-    starts = np.tile([1.0, 0, 0, 0, 0, 0, 0], (CHAINS, len(objects), 1))
     last = chains.samples.poses[-1]
+    starts = np.tile([1.0, 0, 0, 0, 0, 0, 0], (CHAINS, len(objects), 1))
     starts[:, found.indices] = last[np.arange(CHAINS) % len(last)][:, : len(found.indices)]
-    return presence_posterior(rng, frames, priors, mixture, starts, start.found, hidden)
+    sites = np.moveaxis(starts, 0, 1)
+    for one in np.flatnonzero(~start.found).tolist():
+        sites[one] = poses_of(world_from_camera @ matrices_of(sites_of(start, one, CHAINS)))
+    axes = np.array([round_axis(one) for one in objects])
+    mixture = born_near(rng, frames, priors, sites, axes, start.found)
+    solids = _solids(rng, frames, priors, axes, starts[0], start.found)
+    return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden)
 
 
-def _mixture(
+def _solids(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    world_from_camera: NDArray[np.float64],
-    objects: Sequence[SceneObject],
-    start: Initialisation,
-    found: FoundObjects,
-    learned: PoseMixture,
-) -> PoseMixture:
-    """Where candidates of all N objects are drawn from."""
-    parts, owners = [], []
-    if len(found.indices):
-        slots = np.arange(len(found.indices))
-        parts.append(jax.tree.map(lambda leaf: np.asarray(leaf)[slots], learned))
-        owners.append(found.indices)
-    if missing := np.flatnonzero(~start.found).tolist():
-        sites = world_from_camera @ matrices_of(np.stack([sites_of(start, one) for one in missing]))
-        lines = SpinLines.of([objects[one] for one in missing], 0)
-        births = born_near(rng, frames, priors, np.array(missing), poses_of(sites), lines)
-        parts.append(jax.tree.map(np.asarray, births))
-        owners.append(missing)
-    components = max(part.log_weights.shape[1] for part in parts)
-    parts = [_with_places(part, components) for part in parts]
-    order = np.argsort(np.concatenate(owners))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
-
-
-def _with_places(mixture: PoseMixture, components: int) -> PoseMixture:
-    """The mixture with unused places up to so many."""
-    places = np.arange(components)
-    taken = np.minimum(places, mixture.log_weights.shape[1] - 1)
-    used = places < mixture.log_weights.shape[1]
-    return replace(
-        mixture,
-        log_weights=np.where(used, mixture.log_weights[:, taken], -np.inf),
-        centres=mixture.centres[:, taken],
-        choleskys=mixture.choleskys[:, taken],
-        whitenings=mixture.whitenings[:, taken],
-    )
+    axes: NDArray[np.integer],
+    poses: NDArray[np.float64],
+    found: NDArray[np.bool_],
+) -> SolidFits:
+    """Unknown solids in the places of what was found, at poses (N, 7) world_from_box."""
+    if not found.any():
+        return SolidFits.none()
+    boxes = np.concatenate([poses, np.log(priors.half_m)], axis=1)
+    return solids_near(rng, frames, priors, boxes[found], axes[found])

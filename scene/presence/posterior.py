@@ -20,6 +20,7 @@ from scene.hidden.hidden_places import HiddenPlaces
 from scene.mcmc import pose_mixture
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.presence.depth_candidates import PosePriors, PresenceFrames, candidates_of
+from scene.presence.solids import SolidFits
 from scene.presence.toggling import ABSENT, Candidates, toggle
 
 CANDIDATES = 32
@@ -53,28 +54,26 @@ def chain_presence(
     rng: np.random.Generator,
     draw: DrawCandidates,
     poses: NDArray[np.float64],
-    taken: NDArray[np.bool_],
     drawings: int = DRAWN,
     sweeps: int = SWEEPS,
 ) -> NDArray[np.float64]:
-    """Presence (N, 2) by a chain, all and hidden.
+    """Presence (N, 2) by a chain from the empty scene, all and hidden.
 
     Args:
         rng: random numbers.
         draw: draws candidates anew.
-        poses: (N, 7) of those that are there at first.
-        taken: (N,) which are.
+        poses: (N, ...) of what is not there, any.
         drawings: of candidates.
         sweeps: with each.
     """
-    choice, sums = np.where(taken, 0, ABSENT), np.zeros((len(taken), 3))
+    choice, sums = np.full(len(poses), ABSENT), np.zeros((len(poses), 3))
     for drawing in range(drawings):
         drawn, candidates = draw(poses, choice >= 0)
         choice = np.where(choice >= 0, 0, choice)
         if drawing == 0:
             choice, _ = toggle(rng, candidates, choice, BURN_IN)
         choice, expected = toggle(rng, candidates, choice, sweeps)
-        poses = drawn[np.arange(len(taken)), np.maximum(choice, 0)]
+        poses = drawn[np.arange(len(poses)), np.maximum(choice, 0)]
         sums += expected
     return sums[:, :2] / sums[:, 2:]
 
@@ -84,35 +83,43 @@ def presence_posterior(
     frames: PresenceFrames,
     priors: PosePriors,
     mixture: PoseMixture,
-    starts: NDArray[np.float64],
-    taken: NDArray[np.bool_],
+    solids: SolidFits,
+    chains: int,
     hidden: HiddenPlaces,
 ) -> Presence:
-    """Presence of N objects by chains (B) that start where others ended.
+    """Presence of N objects by chains that start with the empty scene.
 
     Args:
         rng: random numbers.
         frames: what is seen.
         priors: of sets and poses.
         mixture: of the objects, from which candidates are drawn.
-        starts: (B, N, 7) world_from_box of those that are there at first.
-        taken: (N,) which are.
+        solids: unknown things that may be there in their place.
+        chains: how many.
         hidden: what objects that were not found do to the likelihood out of sight.
     """
     with np.errstate(divide="ignore"):
         log_hidden = np.log(hidden.share)
+    objects, beside = len(priors.half_m), len(solids.is_round)
+    log_half = np.log(priors.half_m)
+    sizes = np.tile(log_half[:, None], (1, CANDIDATES, 1))
 
-    def draw(poses: NDArray[np.float64], kept: NDArray[np.bool_]) -> tuple[NDArray[np.float64], Candidates]:
-        drawn, log_offered = _drawn(mixture, rng, poses, kept)
-        return drawn, candidates_of(rng, frames, priors, drawn, log_offered, log_hidden)
+    def draw(states: NDArray[np.float64], kept: NDArray[np.bool_]) -> tuple[NDArray[np.float64], Candidates]:
+        poses, log_poses = _drawn(mixture, rng, states[:objects, :7], kept[:objects])
+        others = solids.drawn(rng, CANDIDATES)
+        others[kept[objects:], 0] = states[objects:][kept[objects:]]
+        drawn = np.concatenate([np.concatenate([poses, sizes], axis=-1), others])
+        log_offered = np.concatenate([log_poses, solids.log_density(others)])
+        return drawn, candidates_of(rng, frames, priors, drawn, solids.is_round, log_offered, log_hidden)
 
-    by_chain = [chain_presence(rng, draw, start, taken) for start in starts]
+    nowhere = np.tile([1.0, *[0.0] * 9], (objects + beside, 1))
+    by_chain = [chain_presence(rng, draw, nowhere)[:objects] for _ in range(chains)]
     there, unseen = np.moveaxis(np.stack(by_chain), 2, 0)
     told = there.mean(axis=0)
     of_share = (
         unseen.mean(axis=0) * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
     )
-    of_chains = there.std(axis=0, ddof=1) / np.sqrt(len(starts))
+    of_chains = there.std(axis=0, ddof=1) / np.sqrt(chains)
     return Presence(probability=told, standard_error=np.hypot(of_chains, of_share))
 
 

@@ -88,6 +88,7 @@ def candidates_at(
             on_others=np.zeros((slots, count, slots, count)),
             log_trees=np.zeros(slots + 1),
             log_sets=number.log_set_probabilities(slots),
+            asked=slots,
         ),
         np.full(slots, -np.inf),
         WIDTH,

@@ -22,6 +22,7 @@ from scene.model.scene_graph import ROOT, SceneGraph, all_trees
 from scene.presence.depth_candidates import PosePriors, PresenceFrames
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.posterior import Presence, presence_posterior
+from scene.presence.solids import SolidFits
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 WEIGHT = 0.5
@@ -43,8 +44,9 @@ def priors_of(free: int, number: NumberPrior) -> PosePriors:
     model = cube_model(free, table=True, upward_concentration=2.0)
     return PosePriors(
         prior=jax.device_get(model.prior),
-        bodies=jax.device_get(model.bodies),
+        half_m=np.full((free, 3), 0.5),
         supports=TABLE_POSE[None],
+        slab_half_m=np.full((1, 3), 0.5),
         floating_weight=WEIGHT,
         log_sets=number.log_set_probabilities(free),
         grafts=True,
@@ -55,7 +57,7 @@ def test_forests_are_summed(seed: int) -> None:
     """Four objects with weights that are any: all graphs without a circle, to 1e-12."""
     rng = np.random.default_rng(seed)
     root, others = rng.random((4, 1)), rng.random((4, 1, 4, 1))
-    prior = ForestPrior(root, others, np.zeros(5), np.zeros(5))
+    prior = ForestPrior(root, others, np.zeros(5), np.zeros(5), 4)
     taken = [(slot, 0) for slot in range(4)]
 
     total = 0.0
@@ -95,7 +97,11 @@ def test_the_prior_is_that_of_the_chains(seed: int) -> None:
     contacts = (parents[:, :2] != ROOT).sum(axis=1)
     total = np.exp(log_priors + LOG_CONTACT_JACOBIAN * contacts).sum()
 
-    found = priors_of(2, FixedNumber(2)).of(poses[:, None]).log_density([(0, 0), (1, 0)], 0)
+    found = (
+        priors_of(2, FixedNumber(2))
+        .of(poses[:, None], np.full((2, 1, 3), 0.5), np.zeros((0, 1)))
+        .log_density([(0, 0), (1, 0)], 0)
+    )
     np.testing.assert_allclose(found, np.log(total), atol=1e-9)
 
 
@@ -150,7 +156,14 @@ def presence_without_data(priors: PosePriors, seed: int, chains: int = 24) -> Pr
     )
     starts = random_poses(rng, chains, 3)
     return presence_posterior(
-        rng, NothingSeen(), priors, cloud, starts, np.array([True, True, False]), HiddenPlaces.none(3)
+        rng,
+        NothingSeen(),
+        priors,
+        cloud,
+        SolidFits.none(),
+        starts,
+        np.array([True, True, False]),
+        HiddenPlaces.none(3),
     )
 
 

@@ -25,7 +25,7 @@ def toy_candidates(target: np.ndarray, chances: np.ndarray, places: np.ndarray) 
     ]
     slots, count = places.shape
     prior = ForestPrior(
-        np.ones((slots, count)), np.zeros((slots, count, slots, count)), np.zeros(3), np.zeros(3)
+        np.ones((slots, count)), np.zeros((slots, count, slots, count)), np.zeros(3), np.zeros(3), slots
     )
     log_offered = np.log(chances[np.arange(2)[:, None], places])
     return Candidates(layers, log_offered, prior, np.full(2, -np.inf), 2)
@@ -120,7 +120,7 @@ def chain_in_strips(
         return strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
 
     nowhere = np.zeros(len(kinds), int)
-    return chain_presence(rng, draw, nowhere, nowhere > 0, drawings=60, sweeps=2)[:, 0]
+    return chain_presence(rng, draw, nowhere, drawings=60, sweeps=2)[:, 0]
 
 
 @pytest.mark.parametrize("worlds", [60, pytest.param(1000, marks=pytest.mark.slow)])

@@ -1,0 +1,171 @@
+"""Unknown solids: boxes and cylinders of free size that nobody asked for, seen as what is asked for is seen.
+
+A shape that is asked for has to explain an image better than some box or cylinder does, and not better than
+nothing in particular. Their number is Poisson, sizes are log-uniform, poses have the prior of all objects.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scene.execution import FAST_COMPILE
+from scene.presence.gaussian_fits import moved
+from shapes.geometry.camera import Camera
+from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
+
+LEAST_M, GREATEST_M = 0.01, 0.3
+"""Of half sizes: what a hand holds to what stands on a table."""
+
+RATE = 1.0
+"""Expected number of each kind, before anything is seen."""
+
+FREE_OF_CYLINDERS = np.array([1, 1, 1, 1, 1, 0, 1, 0, 1])
+"""Which steps change a cylinder: not its spin, nor its radius twice."""
+
+BOX_TURNS, CYLINDER_TURNS = 24, 2
+"""Ways in which one solid is told: axes exchanged, with the sizes; the ends."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SolidFits:
+    """Gaussians on solids, each round one; what is drawn from all of a kind together.
+
+    Attributes:
+        is_round: (U,) which are cylinders.
+        centres: (U, 10) world_from_solid and logs of half sizes.
+        factors: (U, 9, 9) lower factors of offset, turn and logs of sizes; a cylinder's spin and second radius
+            are not told by them.
+    """
+
+    is_round: NDArray[np.bool_]
+    centres: NDArray[np.float64]
+    factors: NDArray[np.float64]
+
+    @classmethod
+    def none(cls) -> SolidFits:
+        """Of no solids."""
+        return cls(is_round=np.zeros(0, bool), centres=np.zeros((0, 10)), factors=np.zeros((0, 9, 9)))
+
+    def drawn(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """States (U, count, 10), a draw from each."""
+        normal = rng.standard_normal((len(self.centres), count, 9))
+        steps = np.einsum("uij,ukj->uki", self.factors, normal)
+        steps[self.is_round] = steps[self.is_round] * FREE_OF_CYLINDERS
+        states = moved(self.centres, steps)
+        spins = np.zeros_like(steps)
+        spins[self.is_round, :, 5] = rng.uniform(-np.pi, np.pi, (int(self.is_round.sum()), count))
+        states = moved(states.reshape(-1, 10), spins.reshape(-1, 1, 9)).reshape(states.shape)
+        return tied(states, self.is_round)
+
+    def log_density(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log density (U, K) of states (U, K, 10): the sum over the Gaussians of the solid's kind.
+
+        Lebesgue times rotations of mass pi^2 times Lebesgue for the logs of sizes.
+        """
+        total = np.full(states.shape[:2], -np.inf)
+        for one in range(len(self.centres)):
+            alike = np.flatnonzero(self.is_round == self.is_round[one])
+            steps = self._steps(one, states[alike])
+            free = np.flatnonzero(FREE_OF_CYLINDERS) if self.is_round[one] else np.arange(9)
+            covariance = self.factors[one] @ self.factors[one].T
+            factor = np.linalg.cholesky(covariance[np.ix_(free, free)])
+            white = np.linalg.solve(factor, steps[..., free].reshape(-1, len(free)).T)
+            log_normal = -0.5 * (white**2).sum(axis=0) - np.log(np.diag(factor)).sum()
+            log_normal -= len(free) / 2 * math.log(2 * math.pi)
+            log_normal += LOG_CONTACT_JACOBIAN - (math.log(2 * math.pi) if self.is_round[one] else 0.0)
+            total[alike] = np.logaddexp(total[alike], log_normal.reshape(len(alike), -1))
+        return total
+
+    def _steps(self, one: int, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Steps (u, K, 9) from a centre to states (u, K, 10)."""
+        centre = self.centres[one]
+        turn = Rotation.from_quat(centre[:4], scalar_first=True).inv()
+        turns = turn * Rotation.from_quat(states[..., :4].reshape(-1, 4), scalar_first=True)
+        if self.is_round[one]:  # how the axis tilts; the spin is free
+            axis = turns.as_matrix()[:, :, 2]
+            angle = np.arccos(np.clip(axis[:, 2], -1, 1))
+            scale = angle / np.maximum(np.sin(angle), 1e-12)
+            tangents = np.stack([-axis[:, 1] * scale, axis[:, 0] * scale, np.zeros(len(axis))], axis=1)
+        else:
+            tangents = turns.as_rotvec()
+        tangents = tangents.reshape(*states.shape[:2], 3)
+        return np.concatenate(
+            [states[..., 4:7] - centre[4:7], tangents, states[..., 7:] - centre[7:]], axis=-1
+        )
+
+
+def tied(states: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """States (U, K, 10) in which both radii of cylinders are the first."""
+    states = np.array(states)
+    states[is_round, :, 8] = states[is_round, :, 7]
+    return states
+
+
+def upright(boxes: NDArray[np.float64], axes: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Boxes (n, 10) turned so that the axis about which each is round, if any, is the last."""
+    turned = np.array(boxes)
+    for one in np.flatnonzero(axes >= 0):
+        order = np.roll(np.arange(3), 2 - axes[one])
+        turn = Rotation.from_matrix(np.eye(3)[:, order])
+        turned[one, :4] = (Rotation.from_quat(boxes[one, :4], scalar_first=True) * turn).as_quat(
+            scalar_first=True
+        )
+        turned[one, 7:] = boxes[one, 7:][order]
+    return tied(turned[:, None], axes >= 0)[:, 0]
+
+
+def log_sizes_density(log_half: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Log density (...) of logs of half sizes (..., 3), of cylinders radius twice and height, with the rate.
+
+    All ways of telling a solid count together: one of them is looked at.
+    """
+    inside = ((log_half >= math.log(LEAST_M)) & (log_half <= math.log(GREATEST_M))).all(axis=-1)
+    sizes, turns = np.where(is_round, 2, 3), np.where(is_round, CYLINDER_TURNS, BOX_TURNS)
+    log_density = math.log(RATE) + np.log(turns) - sizes * math.log(math.log(GREATEST_M / LEAST_M))
+    return np.where(inside, log_density, -np.inf)
+
+
+@partial(jax.jit, static_argnames=("height", "width"), compiler_options=FAST_COMPILE)
+def solid_layers(
+    camera: Camera, poses: jax.Array, half_m: jax.Array, is_round: jax.Array, height: int, width: int
+) -> jax.Array:
+    """Depth (n, height, width) of solids alone, +inf beside them.
+
+    Args:
+        camera: of a window.
+        poses: (n, 7) camera_from_solid.
+        half_m: (n, 3) half sizes; of cylinders the first is the radius, the last lies along the axis.
+        is_round: (n,) which are cylinders.
+        height, width: of the window.
+    """
+    columns, rows = jnp.meshgrid(jnp.arange(width), jnp.arange(height))
+    rays = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, jnp.ones(columns.shape)
+    rays = jnp.stack(rays, axis=-1).astype(jnp.float32)
+
+    def layer(pose: jax.Array, half_m: jax.Array, is_round: jax.Array) -> jax.Array:
+        rotation = jaxlie.SO3(pose[:4]).as_matrix()
+        towards, start = rays @ rotation, -pose[4:] @ rotation
+        towards = jnp.where(jnp.abs(towards) < 1e-9, 1e-9, towards)
+        ends = jnp.stack([(-half_m - start) / towards, (half_m - start) / towards])
+        enters, leaves = jnp.min(ends, axis=0), jnp.max(ends, axis=0)
+        a = jnp.sum(towards[..., :2] ** 2, axis=-1)
+        b = jnp.sum(towards[..., :2] * start[:2], axis=-1)
+        root = b * b - a * (jnp.sum(start[:2] ** 2) - half_m[0] ** 2)
+        width = jnp.sqrt(jnp.maximum(root, 0.0))
+        round_in = jnp.where(root > 0, (-b - width) / a, jnp.inf)
+        round_out = jnp.where(root > 0, (-b + width) / a, -jnp.inf)
+        flat_in, flat_out = (jnp.max(enters[..., :2], axis=-1), jnp.min(leaves[..., :2], axis=-1))
+        near = jnp.maximum(enters[..., 2], jnp.where(is_round, round_in, flat_in))
+        far = jnp.minimum(leaves[..., 2], jnp.where(is_round, round_out, flat_out))
+        return jnp.where((near < far) & (near > 0), near, jnp.inf)
+
+    return jax.lax.map(lambda solid: layer(*solid), (poses, half_m, is_round))
