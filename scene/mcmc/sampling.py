@@ -61,13 +61,11 @@ class SampledScenes:
         samples: that are kept.
         log_estimate_variance: of the log likelihood's estimate.
         model: their target.
-        mixture: what they learned of where each object is.
     """
 
     samples: Samples
     log_estimate_variance: float
     model: SceneModel
-    mixture: PoseMixture
 
 
 def sample_posterior(
@@ -169,7 +167,7 @@ def _sample(
     if not start.found.any():
         nothing = jnp.zeros_like(states.log_prior)
         recorded = _samples(_scene_and_value(states), nothing)
-        return SampledScenes(jax.tree.map(lambda leaf: leaf[None], recorded), 0.0, model, kernel.mixture)
+        return SampledScenes(jax.tree.map(lambda leaf: leaf[None], recorded), 0.0, model)
     groups = [
         jax.tree.map(lambda leaf, first=first: np.asarray(leaf)[first : first + TOGETHER], states)
         for first in range(0, config.chains, TOGETHER)
@@ -195,7 +193,7 @@ def _sample(
                 model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
             if progress:
                 progress(block + 1, blocks)
-    return SampledScenes(Samples.joined(kept), variance, model, kernel.mixture)
+    return SampledScenes(Samples.joined(kept), variance, model)
 
 
 def _advanced(

@@ -1,6 +1,4 @@
-"""Where candidates are drawn: Gaussians round states of the chains, round poses that the search rejected, and
-round unknown solids that may stand there instead.
-"""
+"""Where candidates are drawn: Gaussians round states of chains, rejected poses, and unknown solids there."""
 
 from __future__ import annotations
 
@@ -13,8 +11,9 @@ from numpy.typing import NDArray
 
 from scene.mcmc.mixture_init import own_components
 from scene.mcmc.pose_mixture import PoseMixture
-from scene.presence.depth_candidates import PosePriors, PresenceFrames
+from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.gaussian_fits import climbed, fitted
+from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import FREE_OF_CYLINDERS, SolidFits, log_sizes_density, tied, upright
 from scene.search.importance_sampling import FIRST_SIGMA, LEAST_SIGMA, MODES, apart
 from scene.search.search_result import Initialisation
@@ -35,7 +34,7 @@ NEAR_M, NEAR_RAD = 0.002, 0.02
 """First standard deviations round states of chains."""
 
 DRAWS, TURNS = 24, 2
-"""A site and turn; a third of what refinement takes, whose Gaussians start chains."""
+"""Of a site; a third of what refinement takes, whose Gaussians start chains."""
 
 
 def sites_of(start: Initialisation, one: int, count: int) -> NDArray[np.float64]:

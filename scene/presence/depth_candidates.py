@@ -10,32 +10,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from scene.execution import FAST_COMPILE, map_parallel
 from scene.likelihood.object_density import object_density
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
-from scene.model.contact import TOP_FACE
-from scene.model.prior import PosePrior, contact_densities, log_floating
-from scene.model.scene_graph import Bodies
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import support_depth
-from scene.presence.forests import ForestPrior, log_weighted_trees
+from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_layers
 from scene.presence.toggling import Candidates, SlotLayers
 from scene.search.colour_layers import ColourLayers
 from shapes.geometry.poses import matrices_of, poses_of
-from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 BATCH = 64
 """Layers of a kernel, as in the search."""
-
-PAIRS = 4096
-"""Of candidates, in one kernel."""
-
-TOUCHING_SIGMAS = 10.0
-"""Boxes further apart than so many standard deviations of a loose contact rest not on each other."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,13 +88,15 @@ class PresenceFrames:
         """Depth and log gain (n, X) of slots (n,) at poses (n, 7) world_from_box, each of a drawn shape."""
         numbers = rng.integers(self.draws, size=len(slots)) * self.objects + slots
 
-        def in_frame(frame: int, in_camera: NDArray[np.float64]) -> tuple[NDArray[np.float32], ...]:
+        def in_frame(
+            frame: int, in_camera: NDArray[np.float64]
+        ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             layers_m = self.renderer.layers(numbers, in_camera, self.views[frame].window)
             depth_m, gain = self._weighed(frame, layers_m)
             if self.colours and self.colours[0] == frame:
                 factors = self.colours[1].log_factors(slots, in_camera, layers_m)
                 shown = np.isfinite(depth_m) & np.isfinite(layers_m)
-                gain += np.where(shown, self.colour_weight * np.asarray(factors), 0)
+                gain = gain + np.where(shown, self.colour_weight * np.asarray(factors), 0)
             return depth_m, gain
 
         return self._in_all_frames(poses, in_frame)
@@ -115,7 +106,9 @@ class PresenceFrames:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth and log gain (n, X) of solids (n, 10): world_from_solid and logs of half sizes."""
 
-        def in_frame(frame: int, in_camera: NDArray[np.float64]) -> tuple[NDArray[np.float32], ...]:
+        def in_frame(
+            frame: int, in_camera: NDArray[np.float64]
+        ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             window, count = self.views[frame].window, len(in_camera)
             fill = np.resize(np.arange(count), BATCH * -(-count // BATCH)).reshape(-1, BATCH)
             given = np.float32(in_camera), np.float32(np.exp(states[:, 7:])), is_round
@@ -131,7 +124,7 @@ class PresenceFrames:
     def _in_all_frames(
         self,
         poses: NDArray[np.float64],
-        in_frame: Callable[[int, NDArray[np.float64]], tuple[NDArray[np.float32], ...]],
+        in_frame: Callable[[int, NDArray[np.float64]], tuple[NDArray[np.float32], NDArray[np.float32]]],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         world_from_box, parts = matrices_of(poses), []
         for frame, camera_from_world in enumerate(self.camera_from_world):
@@ -183,116 +176,6 @@ def slot_layers(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> 
     return SlotLayers(
         pixels, np.ascontiguousarray(depth_m[:, pixels]), np.ascontiguousarray(log_gain[:, pixels])
     )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PosePriors:
-    """The chains' prior over poses of N objects, and of sets of them.
-
-    Attributes:
-        prior: of poses.
-        half_m: (N, 3) half sizes of the objects' boxes.
-        supports: (S, 7) poses of slabs.
-        slab_half_m: (S, 3) their half sizes.
-        floating_weight: of trees, the odds of floating.
-        log_sets: (N + 1,) of sets, by their size.
-        grafts: whether things rest on others; else all float.
-    """
-
-    prior: PosePrior
-    half_m: NDArray[np.float64]
-    supports: NDArray[np.float64]
-    slab_half_m: NDArray[np.float64]
-    floating_weight: float
-    log_sets: NDArray[np.float64]
-    grafts: bool
-
-    def of(
-        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], log_rate: NDArray[np.float64]
-    ) -> ForestPrior:
-        """Of candidates (N + U, K, 7) world_from_box of objects that are asked for, and then of unknown solids.
-
-        Args:
-            poses: of the candidates.
-            half_m: (N + U, K, 3) half sizes of their boxes.
-            log_rate: (U, K) of the solids' sizes.
-        """
-        slots, count = poses.shape[:2]
-        asked = slots - len(log_rate)
-        rate = np.concatenate([np.ones((asked, count)), np.exp(log_rate)])
-        on_others = np.zeros((slots * count, slots * count))
-        log_trees = np.zeros(slots + 1)
-        if self.grafts:
-            child, parent = self._near(poses, half_m)
-            flat = poses.reshape(-1, 7), half_m.reshape(-1, 3)
-            on_others[child, parent] = self._contacts(*(part[np.stack([parent, child])] for part in flat))
-            log_trees = log_weighted_trees(self.floating_weight, len(self.supports), slots)
-        on_others = rate[..., None, None] * on_others.reshape(slots, count, slots, count)
-        return ForestPrior(rate * self.alone(poses, half_m), on_others, log_trees, self.log_sets, asked)
-
-    def alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Weights (n, S) of poses (n, S, 7) of boxes (n, S, 3) by themselves, floating or on a support."""
-        with jax.enable_x64(True):
-            floating = np.exp(np.asarray(log_floating(self.prior, jnp.asarray(poses[..., 4:]))))
-        if not self.grafts:
-            return floating
-        shape = len(self.supports), floating.size
-        two = [
-            np.stack(
-                [np.repeat(on[:, None], shape[1], axis=1), np.broadcast_to(own, (*shape, own.shape[-1]))]
-            )
-            for on, own in (
-                (self.supports, poses.reshape(-1, 7)),
-                (np.asarray(self.slab_half_m), half_m.reshape(-1, 3)),
-            )
-        ]
-        contacts = self._contacts(*(part.reshape(2, -1, part.shape[-1]) for part in two), on_support=True)
-        return self.floating_weight * floating + contacts.reshape(shape).sum(axis=0).reshape(floating.shape)
-
-    def _near(
-        self, poses: NDArray[np.float64], half_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Children and parents (P,) among the candidates of different slots whose boxes may touch."""
-        owners = np.repeat(np.arange(len(poses)), poses.shape[1])
-        places_m, radii = poses[..., 4:].reshape(-1, 3), np.linalg.norm(half_m, axis=-1).ravel()
-        slack_m = TOUCHING_SIGMAS * float(self.prior.loose_sigma_m)
-        near = KDTree(places_m).query_pairs(2 * radii.max() + slack_m, output_type="ndarray")
-        far_m = np.linalg.norm(places_m[near[:, 0]] - places_m[near[:, 1]], axis=1)
-        touch = far_m < radii[near].sum(axis=1) + slack_m
-        first, second = near[touch & (owners[near[:, 0]] != owners[near[:, 1]])].T
-        return np.append(first, second), np.append(second, first)
-
-    def _contacts(
-        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], *, on_support: bool = False
-    ) -> NDArray[np.float64]:
-        """Densities (P,) of the second of two boxes at poses (2, P, 7) on the first, all pairs of faces."""
-        count = poses.shape[1]
-        densities = np.empty(count)
-        faces = np.arange(6) == TOP_FACE if on_support else np.ones(6, bool)
-        for first in range(0, count, PAIRS):
-            part = np.resize(np.arange(first, min(first + PAIRS, count)), PAIRS)
-            with jax.enable_x64(True):
-                found = np.asarray(_on_another(self.prior, faces, half_m[:, part], poses[:, part]))
-            densities[first : first + PAIRS] = found[: count - first]
-        return np.exp(LOG_CONTACT_JACOBIAN) * densities
-
-
-@partial(jax.jit, compiler_options=FAST_COMPILE)
-def _on_another(prior: PosePrior, faces: jax.Array, half_m: jax.Array, poses: jax.Array) -> jax.Array:
-    """Densities (P,), of contacts, of the second of two boxes (2, P, 3) at poses (2, P, 7) on the first.
-
-    Args:
-        prior: of poses.
-        faces: (6,) bool, of the first, that carry.
-        half_m: half sizes.
-        poses: world_from_box.
-    """
-
-    def one(half_m: jax.Array, poses: jax.Array) -> jax.Array:
-        two = Bodies(half_m, jnp.ones(2, bool), jnp.stack([faces, faces]))
-        return jnp.sum(contact_densities(prior, two, poses, jnp.int32(1))[0])
-
-    return jax.vmap(one, in_axes=1)(half_m, poses)
 
 
 def candidates_of(

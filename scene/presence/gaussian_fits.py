@@ -1,4 +1,4 @@
-"""Gaussians fitted to a density by adaptive importance sampling (population Monte Carlo, Cappe et al. 2004)."""
+"""Gaussians fitted by adaptive importance sampling (population Monte Carlo, Cappe et al. 2004)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scene.search.importance_sampling import WIDER, tempered
 
 STEP_M, STEP_RAD, FACE_M, LAST_STEP = 0.006, 0.06, 0.03, 0.1
-"""First standard deviations of steps of a solid and of its faces, and the share of them that is left at last."""
+"""First standard deviations of steps of a solid and of its faces, and the share that is left at last."""
 
 
 def fitted(
@@ -57,16 +57,12 @@ def climbed(
 ) -> NDArray[np.float64]:
     """The densest solids (n, 10), poses and logs of half sizes, that are met on the way up.
 
-    Half of the draws move one face, the others the whole; steps become smaller. The best one of a turn, or the
-    one before, is the next one's centre.
+    Half of the draws move one face, the others the whole; steps become smaller. The best one of a turn is the
+    centre of the next.
     """
-    count = len(solids)
+    count, sigmas = len(solids), np.repeat([STEP_M, STEP_RAD, 0.0], 3)
     for scale in np.geomspace(1.0, LAST_STEP, turns):
-        steps = (
-            rng.standard_normal((count, draws, 9))
-            * scale
-            * np.append(np.repeat([STEP_M, STEP_RAD], 3), [0.0] * 3)
-        )
+        steps = scale * sigmas * rng.standard_normal((count, draws, 9))
         axes, side = rng.integers(3, size=(count, draws)), rng.choice([-1.0, 1.0], (count, draws))
         grow_m = scale * FACE_M * rng.standard_normal((count, draws))
         faces = np.arange(draws) < draws // 2
@@ -85,7 +81,7 @@ def climbed(
 
 
 def moved(states: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """States (n, S, 7 + D) from states (n, 7 + D) by offsets in the world, turns of the box, and additions."""
+    """States (n, S, 7 + D) from states (n, 7 + D) by offsets, turns of the box, and additions."""
     turned = Rotation.from_quat(np.repeat(states[:, :4], steps.shape[1], axis=0), scalar_first=True)
     turned *= Rotation.from_rotvec(steps[..., 3:6].reshape(-1, 3))
     wxyz = turned.as_quat(scalar_first=True).reshape(*steps.shape[:2], 4)

@@ -21,7 +21,8 @@ from scene.objects.slots import FoundObjects
 from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 from scene.presence.births import born_near, sites_of, solids_near
-from scene.presence.depth_candidates import PosePriors, PresenceFrames
+from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import Presence, presence_posterior
 from scene.presence.solids import SolidFits
 from scene.search.colour_layers import ColourLayers

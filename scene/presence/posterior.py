@@ -19,7 +19,8 @@ from scene.execution import FAST_COMPILE
 from scene.hidden.hidden_places import HiddenPlaces
 from scene.mcmc import pose_mixture
 from scene.mcmc.pose_mixture import PoseMixture
-from scene.presence.depth_candidates import PosePriors, PresenceFrames, candidates_of
+from scene.presence.depth_candidates import PresenceFrames, candidates_of
+from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import SolidFits
 from scene.presence.toggling import ABSENT, Candidates, toggle
 

@@ -42,8 +42,8 @@ class SolidFits:
     Attributes:
         is_round: (U,) which are cylinders.
         centres: (U, 10) world_from_solid and logs of half sizes.
-        factors: (U, 9, 9) lower factors of offset, turn and logs of sizes; a cylinder's spin and second radius
-            are not told by them.
+        factors: (U, 9, 9) lower factors of offset, turn and logs of sizes; a cylinder's spin and second
+            radius are not told by them.
     """
 
     is_round: NDArray[np.bool_]
@@ -145,7 +145,8 @@ def solid_layers(
         poses: (n, 7) camera_from_solid.
         half_m: (n, 3) half sizes; of cylinders the first is the radius, the last lies along the axis.
         is_round: (n,) which are cylinders.
-        height, width: of the window.
+        height: of the window.
+        width: of the window.
     """
     columns, rows = jnp.meshgrid(jnp.arange(width), jnp.arange(height))
     rays = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, jnp.ones(columns.shape)
@@ -155,10 +156,10 @@ def solid_layers(
         rotation = jaxlie.SO3(pose[:4]).as_matrix()
         towards, start = rays @ rotation, -pose[4:] @ rotation
         towards = jnp.where(jnp.abs(towards) < 1e-9, 1e-9, towards)
-        ends = jnp.stack([(-half_m - start) / towards, (half_m - start) / towards])
+        ends = jnp.stack([side[None, None] / towards for side in (-half_m - start, half_m - start)])
         enters, leaves = jnp.min(ends, axis=0), jnp.max(ends, axis=0)
         a = jnp.sum(towards[..., :2] ** 2, axis=-1)
-        b = jnp.sum(towards[..., :2] * start[:2], axis=-1)
+        b = towards[..., :2] @ start[:2]
         root = b * b - a * (jnp.sum(start[:2] ** 2) - half_m[0] ** 2)
         width = jnp.sqrt(jnp.maximum(root, 0.0))
         round_in = jnp.where(root > 0, (-b - width) / a, jnp.inf)

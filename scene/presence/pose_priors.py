@@ -1,0 +1,135 @@
+"""The chains' prior over poses, as weights of candidates by themselves and on each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from scene.execution import FAST_COMPILE
+from scene.model.contact import TOP_FACE
+from scene.model.prior import PosePrior, contact_densities, log_floating
+from scene.model.scene_graph import Bodies
+from scene.presence.forests import ForestPrior, log_weighted_trees
+from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
+
+PAIRS = 4096
+"""Of candidates, in one kernel."""
+
+TOUCHING_SIGMAS = 10.0
+"""Boxes further apart than so many standard deviations of a loose contact rest not on each other."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosePriors:
+    """The chains' prior over poses of N objects, and of sets of them.
+
+    Attributes:
+        prior: of poses.
+        half_m: (N, 3) half sizes of the objects' boxes.
+        supports: (S, 7) poses of slabs.
+        slab_half_m: (S, 3) their half sizes.
+        floating_weight: of trees, the odds of floating.
+        log_sets: (N + 1,) of sets, by their size.
+        grafts: whether things rest on others; else all float.
+    """
+
+    prior: PosePrior
+    half_m: NDArray[np.float64]
+    supports: NDArray[np.float64]
+    slab_half_m: NDArray[np.float64]
+    floating_weight: float
+    log_sets: NDArray[np.float64]
+    grafts: bool
+
+    def of(
+        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], log_rate: NDArray[np.float64]
+    ) -> ForestPrior:
+        """Of candidates (N + U, K, 7) world_from_box of objects that are asked for, then of solids.
+
+        Args:
+            poses: of the candidates.
+            half_m: (N + U, K, 3) half sizes of their boxes.
+            log_rate: (U, K) of the solids' sizes.
+        """
+        slots, count = poses.shape[:2]
+        asked = slots - len(log_rate)
+        rate = np.concatenate([np.ones((asked, count)), np.exp(log_rate)])
+        on_others = np.zeros((slots * count, slots * count))
+        log_trees = np.zeros(slots + 1)
+        if self.grafts:
+            child, parent = self._near(poses, half_m)
+            flat = poses.reshape(-1, 7), half_m.reshape(-1, 3)
+            on_others[child, parent] = self._contacts(*(part[np.stack([parent, child])] for part in flat))
+            log_trees = log_weighted_trees(self.floating_weight, len(self.supports), slots)
+        on_others = rate[..., None, None] * on_others.reshape(slots, count, slots, count)
+        return ForestPrior(rate * self.alone(poses, half_m), on_others, log_trees, self.log_sets, asked)
+
+    def alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Weights (n, S) of poses (n, S, 7) of boxes (n, S, 3) by themselves, floating or on a support."""
+        with jax.enable_x64(True):
+            floating = np.exp(np.asarray(log_floating(self.prior, jnp.asarray(poses[..., 4:]))))
+        if not self.grafts:
+            return floating
+        shape = len(self.supports), floating.size
+        two = [
+            np.stack(
+                [np.repeat(on[:, None], shape[1], axis=1), np.broadcast_to(own, (*shape, own.shape[-1]))]
+            )
+            for on, own in (
+                (self.supports, poses.reshape(-1, 7)),
+                (np.asarray(self.slab_half_m), half_m.reshape(-1, 3)),
+            )
+        ]
+        contacts = self._contacts(*(part.reshape(2, -1, part.shape[-1]) for part in two), on_support=True)
+        return self.floating_weight * floating + contacts.reshape(shape).sum(axis=0).reshape(floating.shape)
+
+    def _near(
+        self, poses: NDArray[np.float64], half_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Children and parents (P,) among the candidates of different slots whose boxes may touch."""
+        owners = np.repeat(np.arange(len(poses)), poses.shape[1])
+        places_m, radii = poses[..., 4:].reshape(-1, 3), np.linalg.norm(half_m, axis=-1).ravel()
+        slack_m = TOUCHING_SIGMAS * float(self.prior.loose_sigma_m)
+        near = KDTree(places_m).query_pairs(2 * radii.max() + slack_m, output_type="ndarray")
+        far_m = np.linalg.norm(places_m[near[:, 0]] - places_m[near[:, 1]], axis=1)
+        touch = far_m < radii[near].sum(axis=1) + slack_m
+        first, second = near[touch & (owners[near[:, 0]] != owners[near[:, 1]])].T
+        return np.append(first, second), np.append(second, first)
+
+    def _contacts(
+        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], *, on_support: bool = False
+    ) -> NDArray[np.float64]:
+        """Densities (P,) of the second of two boxes at poses (2, P, 7) on the first, all pairs of faces."""
+        count = poses.shape[1]
+        densities = np.empty(count)
+        faces = np.arange(6) == TOP_FACE if on_support else np.ones(6, bool)
+        for first in range(0, count, PAIRS):
+            part = np.resize(np.arange(first, min(first + PAIRS, count)), PAIRS)
+            with jax.enable_x64(True):
+                found = np.asarray(_on_another(self.prior, faces, half_m[:, part], poses[:, part]))
+            densities[first : first + PAIRS] = found[: count - first]
+        return np.exp(LOG_CONTACT_JACOBIAN) * densities
+
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _on_another(prior: PosePrior, faces: jax.Array, half_m: jax.Array, poses: jax.Array) -> jax.Array:
+    """Densities (P,), of contacts, of the second of two boxes (2, P, 3) at poses (2, P, 7) on the first.
+
+    Args:
+        prior: of poses.
+        faces: (6,) bool, of the first, that carry.
+        half_m: half sizes.
+        poses: world_from_box.
+    """
+
+    def one(half_m: jax.Array, poses: jax.Array) -> jax.Array:
+        two = Bodies(half_m, jnp.ones(2, bool), jnp.stack([faces, faces]))
+        return jnp.sum(contact_densities(prior, two, poses, jnp.int32(1))[0])
+
+    return jax.vmap(one, in_axes=1)(half_m, poses)

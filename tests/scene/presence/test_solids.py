@@ -1,0 +1,71 @@
+"""Unknown solids: how they are seen, and the density that they are drawn from."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from scene.presence.solids import SolidFits, solid_layers, upright
+from shapes.geometry.camera import Camera
+from tests.statistical import assert_mean
+
+HEIGHT, WIDTH = 24, 32
+CAMERA = Camera(*(jnp.float32(value) for value in (40.0, 40.0, 15.5, 11.5)))
+HALF_M = np.array([[0.1, 0.06, 0.15], [0.1, 0.1, 0.12]])
+
+
+def inside(points_m: np.ndarray, half_m: np.ndarray, is_round: bool, slack_m: float) -> np.ndarray:
+    """Whether points (n, 3) in a solid's own frame are inside it, grown by so much."""
+    flat = np.abs(points_m[:, 2]) < half_m[2] + slack_m
+    if is_round:
+        return flat & (np.linalg.norm(points_m[:, :2], axis=1) < half_m[0] + slack_m)
+    return flat & (np.abs(points_m[:, :2]) < half_m[:2] + slack_m).all(axis=1)
+
+
+@pytest.mark.parametrize("is_round", [False, True])
+def test_a_solid_is_seen_where_rays_enter_it(is_round: bool, seed: int) -> None:
+    """Points seen lie on it to 0.1 mm, nothing nearer on their rays is inside, other rays miss it."""
+    rotation = Rotation.random(rng=np.random.default_rng(seed))
+    pose = np.concatenate([rotation.as_quat(scalar_first=True), [0.02, -0.03, 0.8]])
+    half_m = HALF_M[int(is_round)]
+    layer = np.asarray(
+        solid_layers(CAMERA, *(np.asarray(one)[None] for one in (pose, half_m, is_round)), HEIGHT, WIDTH)
+    )[0]
+    columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    rays = np.stack([(columns - 15.5) / 40, (rows - 11.5) / 40, np.ones_like(rows)], axis=-1)
+
+    def own(depth_m: np.ndarray) -> np.ndarray:
+        return rotation.inv().apply((rays * depth_m[..., None]).reshape(-1, 3) - pose[4:])
+
+    seen = np.isfinite(layer)
+    assert seen.sum() > 40
+    at = own(np.where(seen, layer, 0.0))[seen.ravel()]
+    assert inside(at, half_m, is_round, 1e-4).all()
+    assert not inside(at, half_m, is_round, -1e-4).any()
+    for depth in np.linspace(0.4, 1.2, 200):
+        before = np.where(seen, depth < layer - 1e-3, True).ravel()
+        assert not inside(own(np.full(layer.shape, depth)), half_m, is_round, -1e-3)[before].any()
+
+
+@pytest.mark.parametrize("is_round", [False, True])
+def test_the_density_is_that_of_the_draws(is_round: bool, seed: int) -> None:
+    """The mean over draws of a wider density's ratio to that of the draws is 1, spins and sizes included."""
+    rng = np.random.default_rng(seed)
+    centre = np.concatenate([[1.0, 0, 0, 0, 0.3, 0.1, 0.2], np.log(HALF_M[int(is_round)])])[None]
+    mixed = np.diag(np.repeat([0.01, 0.03, 0.02], 3)) + 0.004 * np.tril(rng.standard_normal((9, 9)), -1)
+    drawn_from = SolidFits(is_round=np.array([is_round]), centres=centre, factors=mixed[None])
+    narrower = SolidFits(is_round=np.array([is_round]), centres=centre, factors=0.8 * mixed[None])
+    states = drawn_from.drawn(rng, 20_000)
+
+    ratio = np.exp(narrower.log_density(states) - drawn_from.log_density(states))[0]
+
+    assert_mean(ratio, 1.0, detectable=0.1)
+
+
+def test_what_is_round_stands_on_its_axis() -> None:
+    """A box round about its first axis becomes a cylinder along it."""
+    box = np.concatenate([[1.0, 0, 0, 0, 0, 0, 0], np.log([0.2, 0.05, 0.05])])[None]
+    turned = upright(box, np.array([0]))[0]
+    along = Rotation.from_quat(turned[:4], scalar_first=True).as_matrix()[:, 2]
+    np.testing.assert_allclose(np.abs(along), [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(np.exp(turned[7:]), [0.05, 0.05, 0.2])
