@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.mcmc.mixture_init import own_components
+from scene.mcmc.mixture_init import of_points, own_components
 from scene.mcmc.pose_mixture import PoseMixture
+from scene.mcmc.symmetry_arrays import SpinLines
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.gaussian_fits import climbed, fitted
 from scene.presence.pose_priors import PosePriors
@@ -58,7 +59,7 @@ def born_near(
     frames: PresenceFrames,
     priors: PosePriors,
     sites: NDArray[np.float64],
-    axes: NDArray[np.integer],
+    lines: SpinLines,
     sampled: NDArray[np.bool_],
 ) -> PoseMixture:
     """Mixtures of objects round sites (N, S, 7) world_from_box.
@@ -70,7 +71,7 @@ def born_near(
         frames: what is seen.
         priors: of poses.
         sites: where they may be.
-        axes: (N,) the box axis about which each is round, or -1.
+        lines: about which they are round.
         sampled: (N,) whether the sites are where chains ended, so that Gaussians begin narrow.
     """
     owners = np.repeat(np.arange(len(sites)), sites.shape[1])
@@ -84,7 +85,7 @@ def born_near(
     first = np.where(sampled[owners, None], np.repeat([NEAR_M, NEAR_RAD], 3), FIRST_SIGMA)
     wide = first[:, :, None] * np.eye(6)
     centres, factors = fitted(rng, log_density, sites.reshape(-1, 7), wide, LEAST_SIGMA, TURNS, DRAWS)
-    return _mixture(centres, factors, np.repeat(axes, sites.shape[1]), sites.shape[1])
+    return _mixture(centres, factors, lines, sites.shape[1])
 
 
 def solids_near(
@@ -136,14 +137,17 @@ def _log_alone(
 
 
 def _mixture(
-    centres: NDArray[np.float64], factors: NDArray[np.float64], axes: NDArray[np.integer], sites: int
+    centres: NDArray[np.float64], factors: NDArray[np.float64], lines: SpinLines, sites: int
 ) -> PoseMixture:
     """Mixtures of objects with so many Gaussians each, of round ones spun round the circle."""
     count = len(centres) // sites
     even = np.full((len(centres), MODES), -np.log(MODES))
-    means, covariances = (
+    at, spread = (
         np.repeat(part[:, None], MODES, axis=1) for part in (centres, factors @ np.swapaxes(factors, 1, 2))
     )
     with jax.enable_x64(True):
-        parts = jax.vmap(own_components)(*map(jnp.asarray, (even, means, covariances, axes)))
-        return PoseMixture.build(*(leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts))
+        each = jax.tree.map(lambda leaf: jnp.repeat(leaf, sites, axis=0), lines)
+        about = jax.vmap(of_points)(jnp.asarray(spread), jnp.asarray(at), each.points_m)
+        parts = jax.vmap(own_components)(jnp.asarray(even), jnp.asarray(at), about, each)
+        log_weights, means, covariances = (leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts)
+        return PoseMixture.build(log_weights, means, covariances, lines.points_m)

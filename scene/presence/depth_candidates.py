@@ -111,7 +111,7 @@ class PresenceFrames:
         ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             window, count = self.views[frame].window, len(in_camera)
             fill = np.resize(np.arange(count), BATCH * -(-count // BATCH)).reshape(-1, BATCH)
-            given = np.float32(in_camera), np.float32(np.exp(states[:, 7:])), is_round
+            given = in_camera.astype(np.float32), np.exp(states[:, 7:]).astype(np.float32), is_round
 
             def rendered(some: NDArray[np.intp]) -> NDArray[np.float32]:
                 parts = (part[some] for part in given)

@@ -13,8 +13,8 @@ from scene.hidden.hidden_places import HiddenPlaces
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.mcmc.chain_model import half_sizes, slabs_under
-from scene.mcmc.mixture_init import round_axis
 from scene.mcmc.sampling import SampledScenes
+from scene.mcmc.symmetry_arrays import SpinLines
 from scene.model.number_prior import UncertainBinomialNumber
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
@@ -28,6 +28,9 @@ from scene.presence.solids import SolidFits
 from scene.search.colour_layers import ColourLayers
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
+
+ALONG = 0.9
+"""Cosine to an axis of its box of the line about which a cylinder is round."""
 
 CHAINS = 4
 """Whose differences tell the standard error."""
@@ -83,9 +86,9 @@ def presence_in_scene(
     sites = np.moveaxis(starts, 0, 1)
     for one in np.flatnonzero(~start.found).tolist():
         sites[one] = poses_of(world_from_camera @ matrices_of(sites_of(start, one, CHAINS)))
-    axes = np.array([round_axis(one) for one in objects])
-    mixture = born_near(rng, frames, priors, sites, axes, start.found)
-    solids = _solids(rng, frames, priors, axes, starts[0], start.found)
+    lines = SpinLines.of(objects, 0)
+    mixture = born_near(rng, frames, priors, sites, lines, start.found)
+    solids = _solids(rng, frames, priors, np.asarray(lines.directions), starts[0], start.found)
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden)
 
 
@@ -93,12 +96,17 @@ def _solids(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    axes: NDArray[np.integer],
+    directions: NDArray[np.floating],
     poses: NDArray[np.float64],
     found: NDArray[np.bool_],
 ) -> SolidFits:
-    """Unknown solids in the places of what was found, at poses (N, 7) world_from_box."""
+    """Unknown solids in the places of what was found, at poses (N, 7) world_from_box.
+
+    A cylinder where the object is round about a direction (N, 3), else 0, that is near an axis of its box.
+    """
     if not found.any():
         return SolidFits.none()
     boxes = np.concatenate([poses, np.log(priors.half_m)], axis=1)
+    along = np.abs(directions)
+    axes = np.where(along.max(axis=1) > ALONG, along.argmax(axis=1), -1)
     return solids_near(rng, frames, priors, boxes[found], axes[found])
