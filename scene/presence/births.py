@@ -25,7 +25,7 @@ LEAST_DENSITY = 1e-30
 SOLID_M, SOLID_RAD, LEAST_SIZE = 0.002, 0.015, 0.002
 """First standard deviations of a solid's place and sizes, and of its turn; least one of the logs of sizes."""
 
-CLIMBS, CLIMB_DRAWS, SOLID_TURNS, SOLID_DRAWS = 10, 40, 3, 40
+CLIMBS, CLIMB_DRAWS, SOLID_TURNS, SOLID_DRAWS = 8, 40, 2, 32
 """Turns and draws of climbing to a solid's best place, and of the fit there."""
 
 UNFREE = 1e-6
@@ -34,7 +34,7 @@ UNFREE = 1e-6
 NEAR_M, NEAR_RAD = 0.002, 0.02
 """First standard deviations round states of chains."""
 
-DRAWS, TURNS = 24, 2
+DRAWS, TURNS = 20, 2
 """Of a site; a third of what refinement takes, whose Gaussians start chains."""
 
 

@@ -32,6 +32,10 @@ from shapes.geometry.poses import matrices_of, poses_of
 ALONG = 0.9
 """Cosine to an axis of its box of the line about which a cylinder is round."""
 
+MOST_SOLIDS, APART_M, UNFOUND = 12, 0.03, 20.0
+"""Unknown solids that are looked at, how far apart they begin, and by how many nats places of what the search
+left out come behind: what an object in one pose costs there."""
+
 CHAINS = 4
 """Whose differences tell the standard error."""
 
@@ -88,7 +92,9 @@ def presence_in_scene(
         sites[one] = poses_of(world_from_camera @ matrices_of(sites_of(start, one, CHAINS)))
     lines = SpinLines.of(objects, 0)
     mixture = born_near(rng, frames, priors, sites, lines, start.found)
-    solids = _solids(rng, frames, priors, np.asarray(lines.directions), starts[0], start.found)
+    solids = SolidFits.none()
+    if config.unknown_solids:
+        solids = _solids(rng, frames, priors, np.asarray(lines.directions), sites, start.found)
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden)
 
 
@@ -97,16 +103,25 @@ def _solids(
     frames: PresenceFrames,
     priors: PosePriors,
     directions: NDArray[np.floating],
-    poses: NDArray[np.float64],
+    sites: NDArray[np.float64],
     found: NDArray[np.bool_],
 ) -> SolidFits:
-    """Unknown solids in the places of what was found, at poses (N, 7) world_from_box.
+    """Unknown solids in the places (N, S, 7) world_from_box where objects explain something.
 
     A cylinder where the object is round about a direction (N, 3), else 0, that is near an axis of its box.
     """
-    if not found.any():
+    owners = np.repeat(np.arange(len(sites)), sites.shape[1])
+    _, gain = frames.shown(rng, owners, sites.reshape(-1, 7))
+    gains = gain.sum(axis=1, dtype=np.float64)
+    places: list[int] = []
+    for place in np.argsort(-np.where(found[owners], gains, gains - UNFOUND), kind="stable").tolist():
+        middles_m = sites.reshape(-1, 7)[[place, *places], 4:]
+        apart = np.linalg.norm(middles_m[1:] - middles_m[0], axis=1) > APART_M
+        if (gains[place] > 0 or found[owners[place]]) and apart.all() and len(places) < MOST_SOLIDS:
+            places.append(place)
+    if not places:
         return SolidFits.none()
-    boxes = np.concatenate([poses, np.log(priors.half_m)], axis=1)
-    along = np.abs(directions)
+    along = np.abs(directions)[owners[places]]
     axes = np.where(along.max(axis=1) > ALONG, along.argmax(axis=1), -1)
-    return solids_near(rng, frames, priors, boxes[found], axes[found])
+    boxes = np.concatenate([sites.reshape(-1, 7)[places], np.log(priors.half_m[owners[places]])], axis=1)
+    return solids_near(rng, frames, priors, boxes, axes)

@@ -24,8 +24,8 @@ from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import SolidFits
 from scene.presence.toggling import ABSENT, Candidates, toggle
 
-CANDIDATES = 32
-"""K of a slot: of draws from a fitted Gaussian in six dimensions some ten then count."""
+CANDIDATES = 24
+"""K of a slot: of draws from a fitted Gaussian in six dimensions a third or so then counts."""
 
 DRAWN, SWEEPS = 2, 12
 """How often candidates are drawn in a chain, and sweeps with each."""

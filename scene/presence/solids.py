@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scene.execution import FAST_COMPILE
 from scene.presence.gaussian_fits import moved
 from shapes.geometry.camera import Camera
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
@@ -134,7 +133,7 @@ def log_sizes_density(log_half: NDArray[np.float64], is_round: NDArray[np.bool_]
     return np.where(inside, log_density, -np.inf)
 
 
-@partial(jax.jit, static_argnames=("height", "width"), compiler_options=FAST_COMPILE)
+@partial(jax.jit, static_argnames=("height", "width"))
 def solid_layers(
     camera: Camera, poses: jax.Array, half_m: jax.Array, is_round: jax.Array, height: int, width: int
 ) -> jax.Array:
