@@ -47,8 +47,8 @@ class ParseConfig:
         presence: prior probability that an object is there.
         proposals: where the search's poses come from before they are refined: templates matched to observed
             `points`, convolution `masks`, or `both`, half and half.
-        unknown_solids: whether boxes and cylinders of free size compete with what is asked for when presence is
-            told; it takes about as long as all the rest.
+        unknown_solids: whether boxes and cylinders of free size compete with what is asked for when presence
+            is told; it takes about as long as all the rest.
         exact: one object or two whose presence is computed exactly where they are not found: at rest on a
             support, or without one anywhere in the region.
         rounds: of renewed search on what is left unexplained.

@@ -136,17 +136,17 @@ class NothingSeen(PresenceFrames):
 def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int) -> None:
     """Three cubes over a table, graph inferred, candidates from a cloud: presence is the prior's for each.
 
-    Within five standard errors, each 0.025 at most.
+    Within five standard errors, each 0.03 at most.
     """
     told = presence_without_data(priors_of(3, number), seed)
     expected = np.exp(number.log_set_probabilities(3)) @ (np.array([1, 3, 3, 1]) * np.arange(4)) / 3
 
     error = told.standard_error
-    assert (error < 0.025).all()
+    assert (error < 0.03).all()
     assert (np.abs(told.probability - expected) < 5 * np.maximum(error, 1e-9)).all()
 
 
-def presence_without_data(priors: PosePriors, seed: int, chains: int = 24) -> Presence:
+def presence_without_data(priors: PosePriors, seed: int, chains: int = 16) -> Presence:
     """Of three slots."""
     rng = np.random.default_rng(seed)
     cloud = PoseMixture.build(

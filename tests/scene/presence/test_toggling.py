@@ -120,10 +120,10 @@ def chain_in_strips(
         return strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
 
     nowhere = np.zeros(len(kinds), int)
-    return chain_presence(rng, draw, nowhere, drawings=60, sweeps=2)[:, 0]
+    return chain_presence(rng, draw, nowhere, drawings=40, sweeps=2)[:, 0]
 
 
-@pytest.mark.parametrize("worlds", [60, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("worlds", [40, pytest.param(1000, marks=pytest.mark.slow)])
 def test_presence_is_calibrated_on_worlds_of_its_own(worlds: int, seed: int) -> None:
     """Worlds drawn from the model: what is told in bins of presence is there that often (1e-6 a bin)."""
     rng = np.random.default_rng(seed)
