@@ -1,7 +1,9 @@
 """Local planes: round every pixel a plane fitted robustly to its neighbours, with its covariance.
 
 A plane in space is linear in inverse depth over the image: 1/z = w + g_u du + g_v dv. Neighbours across an
-edge are gated out, so that a plane never bridges two surfaces.
+edge are gated out, so that a plane never bridges two surfaces. Through the pixels of a round surface a plane
+lies too deep, by as much as the mean of its bend over them; that is taken off, by the change of the slope
+from one side of the window to the other.
 """
 
 from __future__ import annotations
@@ -91,19 +93,60 @@ def local_planes(depth_m: jax.Array, camera: Camera, noise: DepthNoise, *, half:
         covariance = _inverse([part + load for part, load in zip(sums[:6], loading, strict=True)])
         misfit, count = sums[9], sums[10]
         scaled = jnp.stack(covariance) * jnp.maximum(1.0, misfit / jnp.maximum(count - 3, 1))[None]
-        return jnp.stack(_times(covariance, list(sums[6:9]))), (scaled, seen & (count >= FEWEST))
+        across = jnp.stack([sums[one] / jnp.maximum(sums[0], 1e-9) for one in (3, 5)])
+        return jnp.stack(_times(covariance, list(sums[6:9]))), (scaled, seen & (count >= FEWEST), across)
 
     start = jnp.zeros((3, *depth_m.shape), depth_m.dtype)
     rounds = jnp.asarray([1.0] + [0.0] * (ROUNDS - 1), depth_m.dtype)
     # loops, since XLA would compute each round anew for every use of it
-    (offset, slope_u, slope_v), (covariances, valids) = jax.lax.scan(refined, start, rounds)
+    (offset, slope_u, slope_v), (covariances, valids, squares) = jax.lax.scan(refined, start, rounds)
     to_inverse = -1.0 / (z * z)
+    flat = inverse + offset * to_inverse
+    valid, apart = valids[-1], half + 1
+    bulge = jnp.zeros_like(flat)
+    covariance = covariances[-1]
+    for slope, square, slope_variance, axis in zip(
+        (slope_u, slope_v), squares[-1], (covariance[3], covariance[5]), (1, 0), strict=True
+    ):
+        limit = GATE * jnp.hypot(sigma, BENDING * apart * jnp.hypot(pixel_m, slope)) / (z * z)
+        bulge += 0.5 * square * _bend(flat, slope * to_inverse, valid, limit, apart, axis)
+        covariance = covariance.at[0].add((0.5 * square / apart) ** 2 * slope_variance / 2)
     return LocalPlanes(
-        inverse_depth=inverse + offset * to_inverse,
+        inverse_depth=flat - bulge,
         slope=jnp.stack([slope_u * to_inverse, slope_v * to_inverse]),
-        covariance=covariances[-1],
-        valid=valids[-1],
+        covariance=covariance,
+        valid=valid,
     )
+
+
+def _bend(
+    inverse: jax.Array, slope: jax.Array, valid: jax.Array, limit: jax.Array, apart: int, axis: int
+) -> jax.Array:
+    """Change (H, W) of the planes' slope along an axis, per pixel; 0 where one side is another surface's.
+
+    Args:
+        inverse: (H, W) of the planes.
+        slope: (H, W) along the axis.
+        valid: (H, W).
+        limit: (H, W) difference of inverse depth up to which a side's plane continues the pixel's.
+        apart: pixels to either side, where windows do not share the middle.
+        axis: of the image.
+    """
+    ahead, behind = (
+        [_moved(image, step, axis) for image in (inverse, slope, valid)] for step in (apart, -apart)
+    )
+    goes_on = [
+        there & (jnp.abs(at - inverse - step * slope) < limit)
+        for (at, _, there), step in ((ahead, apart), (behind, -apart))
+    ]
+    return jnp.where(goes_on[0] & goes_on[1], (ahead[1] - behind[1]) / (2 * apart), 0.0)
+
+
+def _moved(image: jax.Array, step: int, axis: int) -> jax.Array:
+    """What stands `step` pixels ahead along an axis of an image (H, W), nothing beyond its border."""
+    size = image.shape[axis]
+    padded = jnp.pad(image, [(abs(step), abs(step)) if one == axis else (0, 0) for one in range(2)])
+    return jax.lax.dynamic_slice_in_dim(padded, abs(step) + step, size, axis)
 
 
 def _shifted(image: jax.Array, half: int, at: tuple[int, ...]) -> jax.Array:

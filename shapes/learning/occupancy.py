@@ -131,8 +131,8 @@ def occupancy(
     phi = np.asarray(posterior.probability[:count, 0], np.float64)
     seen = (found.crossed > REACHED) | (np.asarray(posterior.reach[:count]) > REACHED)
     hidden = ~seen & found.hidden
-    phi = np.where(seen, phi, np.where(hidden, config.hidden_occupied, p0))
     beside = surfels(readings, walls, grid, config.shared_sigma_m)
+    phi = np.where(seen, phi, np.where(hidden, config.hidden_occupied, p0))
     return Occupancy(phi=phi, seen=seen, hidden=hidden, surfels=beside)
 
 
