@@ -98,8 +98,11 @@ def _group(rows: Sequence[Mapping[str, Any]], views: int, poses: str) -> list[Ma
 def _mean(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     figures: dict[str, Any] = {
         key: float(np.mean([row[key] for row in rows]))
-        for key in ("solid", "shell", "observed", "ceiling", "ratio", "reachable", "seconds")
+        for key in ("solid", "shell", "observed", "ceiling", "ratio", "reachable", "touched", "seconds")
     }
+    for key in ("wall_mm", "true_wall_mm"):
+        known = [row[key] for row in rows if row[key] is not None]
+        figures[key] = float(np.mean(known)) if known else None
     draws = np.random.default_rng(0).integers(len(rows), size=(RESAMPLES, len(rows)))
     solid = np.asarray([row["solid"] for row in rows])[draws].mean(axis=1)
     figures["solid_95"] = [float(value) for value in np.quantile(solid, [0.025, 0.975])]

@@ -24,6 +24,7 @@ from pipeline.benchmarks.shape_films import (
     with_true_poses,
 )
 from pipeline.benchmarks.shape_row import KeptRows, ShapeRow
+from pipeline.benchmarks.shape_walls import WALL_FIGURES, wall_figures
 from pipeline.errors import PipelineError
 from pipeline.evaluation.calibration import calibration
 from pipeline.evaluation.shapes import intersection_over_union, shape_agreement, true_voxels
@@ -197,6 +198,7 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
         "ceiling": ceiling,
         "reachable": intersection_over_union(shape.solid, within_reach),
         "ratio": agreement["solid"] / ceiling,
+        **wall_figures(film, posed.reference_from_mesh, learned, shape.grid),
         **{score: getattr(calibrated, score) if calibrated.count else None for score in SCORES},
         "seconds": seconds,
         "particles": len(posed.trajectories),
@@ -227,8 +229,9 @@ def _row(film: ObjectFilm, posed: PosedFilm, peers: Sequence[str], config: Learn
 
 def _failure(mesh: trimesh.Trimesh, config: LearnConfig, problem: str) -> dict[str, Any]:
     """What is counted where no shape could be learned: no agreement at all, and nothing for peers to fill."""
-    nothing = dict.fromkeys(("solid", "shell", "observed", "ceiling", "ratio", "reachable", "seconds"), 0.0)
-    unknown = dict.fromkeys(SCORES)
+    names = ("solid", "shell", "observed", "ceiling", "ratio", "reachable", "touched", "seconds")
+    nothing = dict.fromkeys(names, 0.0)
+    unknown = dict.fromkeys((*SCORES, *WALL_FIGURES))
     return {"thin": _is_thin(mesh, config.pitch_m), **nothing, **unknown, "peers": {}, "failed": problem}
 
 

@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
-from pipeline.synthesis.world import Part, RayCaster
+from pipeline.evaluation.inside import lies_inside
 from shapes.prior import ShapePrior
 
 
@@ -47,11 +47,14 @@ def shape_agreement(
 def true_voxels(
     shape: ShapePrior, mesh: trimesh.Trimesh, reference_from_mesh: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Voxels (I, J, K) of a shape's grid whose centre lies inside the mesh (Open3D's ray parity)."""
+    """Voxels (I, J, K) of a shape's grid whose centre lies inside the mesh.
+
+    Raises:
+        PipelineError: as `lies_inside`.
+    """
     mesh_from_grid = np.linalg.inv(reference_from_mesh) @ shape.reference_from_grid
     points = trimesh.transform_points(shape.grid.centres_m, mesh_from_grid)
-    surface = RayCaster([Part(name="object", mesh=mesh, world_from_part=np.eye(4))])
-    return surface.holds(points).reshape(shape.phi.shape)
+    return lies_inside(mesh, points).reshape(shape.phi.shape)
 
 
 def intersection_over_union(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:

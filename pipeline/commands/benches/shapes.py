@@ -13,12 +13,14 @@ from pipeline.options import Common, common_options, words
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
 POSES = ("true", "slam", "orbit")
-FIGURES = ("solid", "shell", "observed", "ceiling", "ratio", "reachable")
+FIGURES = ("solid", "shell", "observed", "ceiling", "ratio", "reachable", "touched")
+WALLS = ("wall_mm", "true_wall_mm")
 SCORES = ("brier", "log_loss", "ece")
-TITLES = (*FIGURES[:-1], "reach", *PEERS, "Brier", "log loss", "ECE", "seconds")
+OURS = (*FIGURES[:-2], "reach", "touched", "wall mm", "true mm")
+TITLES = (*OURS, *PEERS, "Brier", "log loss", "ECE", "seconds")
 COLUMNS: tuple[str, ...] = (
-    *("object", "thin", "conditions", "noise_free", "poses", "views", *FIGURES, *PEERS, *SCORES),
-    *("seconds", "supplement", "particles", "hidden_occupied", "failed"),
+    *("object", "thin", "conditions", "noise_free", "poses", "views", *FIGURES, *WALLS, *PEERS, *SCORES),
+    *("walls_drawn", "seconds", "supplement", "particles", "hidden_occupied", "failed"),
 )
 
 
@@ -92,6 +94,9 @@ def command(
     ratio     solid to ceiling
     reachable solid against the true object and all voxels that no noise-free ray reaches: 1 where all that
               these views can show was learned
+    touched   voxels that the learned surface touches or fills against those of the true one
+    wall mm   median thickness of the learned surface where the object is thinner than a voxel and some view
+              sees either side; true mm is that of the object there
     peers     solid of each, in a row at its best setting for that object, in means at its best for all
     Brier ... of voxels that some ray decided, within three voxels of the true surface
     paper     what Table 1 of the supplement says of the object
@@ -182,7 +187,7 @@ def _row_line(row: dict[str, Any]) -> str:
     if "failed" in row:
         return _line([name, row["poses"], row["views"], f"  failed: {row['failed']}"])
     flat = _with_peers(row)
-    cells = [flat[key] for key in (*FIGURES, *PEERS)]
+    cells = [flat[key] for key in (*FIGURES, *WALLS, *PEERS)]
     cells += [row[score] for score in SCORES] + [row["seconds"], row["supplement"]]
     return _line([name, row["poses"], row["views"], *map(_number, cells)])
 
@@ -202,7 +207,8 @@ def _summary_lines(document: dict[str, Any]) -> list[str]:
     for mean in document["means"]:
         name = f"mean, {mean['walls']} walls ({mean['objects']})"
         peers = {peer: best["solid"] for peer, best in mean["peers"].items()}
-        cells = [*(mean[key] for key in FIGURES), *(peers.get(peer) for peer in PEERS), *[None] * len(SCORES)]
+        cells = [mean[key] for key in (*FIGURES, *WALLS)] + [peers.get(peer) for peer in PEERS]
+        cells += [None] * len(SCORES)
         lines.append(_line([name, mean["poses"], mean["views"], *map(_number, [*cells, mean["seconds"]])]))
         if mean["walls"] == "all":
             lines += [f"  {peer}: {best['setting']}" for peer, best in mean["peers"].items()]
