@@ -14,11 +14,14 @@ import trimesh
 from numpy.typing import NDArray
 
 from pipeline.export.meshes import mean_colour, mesh_bytes
+from pipeline.simplification import few_triangles
 
 DENSITY_KG_M3 = 1000.0
 """Of water: nothing that a depth camera sees tells what a thing weighs."""
 CONCAVITY = 0.05
 """How far a part may be from its hull, in half the object's size: the default of CoACD's authors."""
+CONTACT_TRIANGLES = 4_000
+"""From which parts for contact are cut: those of a learned shape without thin walls, which have many more."""
 GREY = (0.6, 0.6, 0.6)
 
 
@@ -79,7 +82,8 @@ def convex_parts(mesh: trimesh.Trimesh, detail_m: float) -> list[trimesh.Trimesh
 
     coacd.set_log_level("error")
     threshold = min(max(CONCAVITY, 2 * detail_m / float(mesh.extents.max())), 1.0)
-    found = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), threshold=threshold, seed=0)
+    fewer = few_triangles(mesh.vertices, mesh.faces, CONTACT_TRIANGLES)
+    found = coacd.run_coacd(coacd.Mesh(fewer.vertices, fewer.faces), threshold=threshold, seed=0)
     return [trimesh.Trimesh(vertices, faces).convex_hull for vertices, faces in found]
 
 
