@@ -78,11 +78,11 @@ def solid_of(mesh: trimesh.Trimesh, density: float) -> Solid:
 
 def convex_parts(mesh: trimesh.Trimesh, detail_m: float) -> list[trimesh.Trimesh]:
     """Convex meshes that together fill a closed mesh up to a size of detail; the same ones at each call."""
-    import coacd
+    fewer = few_triangles(mesh.vertices, mesh.faces, CONTACT_TRIANGLES)
+    import coacd  # after Open3D, which cannot be imported after it
 
     coacd.set_log_level("error")
     threshold = min(max(CONCAVITY, 2 * detail_m / float(mesh.extents.max())), 1.0)
-    fewer = few_triangles(mesh.vertices, mesh.faces, CONTACT_TRIANGLES)
     found = coacd.run_coacd(coacd.Mesh(fewer.vertices, fewer.faces), threshold=threshold, seed=0)
     return [trimesh.Trimesh(vertices, faces).convex_hull for vertices, faces in found]
 
