@@ -12,6 +12,7 @@ from recordings.cameras.matching import is_rectified, matching_camera
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_images import DepthImages
 from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour, resampled
+from recordings.images.depth_pixels import DEPTH_DTYPES
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
     CameraMessage,
@@ -59,6 +60,15 @@ def registered_colour(
             and _sees_the_same(topic, first, colour, cameras)
         ):
             return replace(colour, name=topic)
+    return None
+
+
+def unread_images(decoded: DecodedBag) -> str | None:
+    """A sentence on the first raw images whose encoding is neither depth nor a colour that is read."""
+    for topic in decoded.topic_names:
+        first = decoded.first(topic)
+        if isinstance(first, ImageMessage) and not is_colour(first) and first.encoding not in DEPTH_DTYPES:
+            return f"{topic} has the encoding {first.encoding!r}, which is not read"
     return None
 
 

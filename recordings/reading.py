@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recordings.cameras.recorded import recorded_cameras
 from recordings.colour_frames import ColourFrames, first_colour_topic
 from recordings.colour_projection import ColourCamera, projected_colour
-from recordings.colour_topics import ColourTopic, registered_colour
+from recordings.colour_topics import ColourTopic, registered_colour, unread_images
 from recordings.depth_clouds import DepthClouds
 from recordings.depth_images import DepthImages
 from recordings.depth_statistics import DepthStatistics
@@ -149,6 +149,12 @@ class McapRecording:
     def colour_topic(self) -> str | None:
         """The topic of colour images that come with the frames, if any."""
         return self._colour.name if self._colour else None
+
+    @property
+    def colour_problem(self) -> str:
+        """Why frames come without colour, so far as the recording shows."""
+        unread = unread_images(self.decoded)
+        return f"; {unread}" if unread and self._colour is None else ""
 
     @property
     def colour_is_projected(self) -> bool:
@@ -305,7 +311,9 @@ def _what_else(decoded: DecodedBag) -> str:
     problems = [*decoded.bag.problems, *decoded.undecodable_topics()]
     if problems:
         return problems[0]
-    return f"its topics: {', '.join(sorted({topic.name for topic in decoded.bag.topics})) or 'none'}"
+    topics = f"its topics: {', '.join(sorted({topic.name for topic in decoded.bag.topics})) or 'none'}"
+    unread = unread_images(decoded)
+    return f"{unread}; {topics}" if unread else topics
 
 
 def _ignore(_: object) -> None:

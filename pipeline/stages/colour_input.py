@@ -30,7 +30,7 @@ def check_colours(
         if frame.rgb is None:
             raise PipelineError(
                 f"frame {number} of {session.source.path} has no colour that is registered to its depth; "
-                "--colour add needs it"
+                f"--colour add needs it{session.recording.colour_problem}"
             )
         tell_of_clipped(session, number, frame)
     bare = [name for name, surface in surfaces.items() if surface.rgb is None]

@@ -80,7 +80,10 @@ def _colour_frame(session: Session, numbers: tuple[int, ...]) -> tuple[int, Fram
         found = next((one for one in enumerate(session.recording) if one[1].rgb is not None), None)
     if found is None or found[1].rgb is None:
         where = f"frame {numbers[0]} of {path}" if numbers else str(path)
-        raise PipelineError(f"{where} has no colour that is registered to its frames; --colour only needs it")
+        raise PipelineError(
+            f"{where} has no colour that is registered to its frames; --colour only needs it"
+            f"{session.recording.colour_problem}"
+        )
     return found
 
 

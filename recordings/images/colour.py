@@ -1,4 +1,4 @@
-"""Colour images: raw 8-bit pixels in the usual orders, JPEG and PNG."""
+"""Colour images: raw pixels of 8 or 16 bits in the usual orders, YUV 4:2:2, JPEG and PNG."""
 
 from __future__ import annotations
 
@@ -21,6 +21,12 @@ _CHANNELS = {
     "8UC4": (4, (2, 1, 0)),
 }
 """Bytes a pixel and where red, green and blue stand. OpenCV's own names mean its order, BGR."""
+_WIDE_CHANNELS = {"rgb16": (0, 1, 2), "bgr16": (2, 1, 0), "16UC3": (2, 1, 0)}
+"""The same of three 16-bit numbers, of which the upper 8 bits are taken."""
+_CHROMA_FIRST = {"yuv422": 1, "UYVY": 1, "uyvy": 1, "yuv422_yuy2": 0, "YUY2": 0, "YUYV": 0, "yuyv": 0}
+"""Two bytes a pixel, Y and one of U and V for two pixels: where Y stands (sensor_msgs/image_encodings)."""
+_RGB_FROM_YUV = np.array([[1.164, 0, 1.596], [1.164, -0.392, -0.813], [1.164, 2.017, 0]], np.float32)
+"""Of Y - 16, U - 128, V - 128 in the range of television (ITU-R BT.601), as cv_bridge takes it."""
 
 ColourMessage = ImageMessage | CompressedImageMessage
 
@@ -28,7 +34,7 @@ ColourMessage = ImageMessage | CompressedImageMessage
 def is_colour(message: object) -> bool:
     """Whether an image message holds colour; what a compressed one holds shows when it is decoded."""
     if isinstance(message, ImageMessage):
-        return message.encoding in _CHANNELS
+        return message.encoding in {*_CHANNELS, *_WIDE_CHANNELS, *_CHROMA_FIRST}
     return isinstance(message, CompressedImageMessage) and _compressed_format(message.data) is not None
 
 
@@ -51,16 +57,38 @@ def decode_colour(message: ColourMessage) -> NDArray[np.uint8]:
         UndecodableMessage: the image is damaged, too large or no colour image.
     """
     if isinstance(message, ImageMessage):
-        if message.encoding not in _CHANNELS:
-            raise UndecodableMessage(f"has the encoding {message.encoding!r}, which is no known colour")
-        channels, order = _CHANNELS[message.encoding]
-        rows = pixel_rows(message, channels)
-        return np.ascontiguousarray(rows.reshape(message.height, message.width, channels)[..., order])
+        return np.ascontiguousarray(_raw_rgb(message))
     with _opened(message.data) as image:
         try:
             return np.asarray(image.convert("RGB"))
         except Exception as error:  # Pillow raises half a dozen kinds on damaged images
             raise UndecodableMessage(f"is a damaged colour image ({error})") from error
+
+
+def _raw_rgb(message: ImageMessage) -> NDArray[np.uint8]:
+    shape = message.height, message.width
+    if message.encoding in _CHANNELS:
+        channels, order = _CHANNELS[message.encoding]
+        return pixel_rows(message, channels).reshape(*shape, channels)[..., order]
+    if message.encoding in _WIDE_CHANNELS:
+        upper = 0 if message.big_endian else 1
+        return pixel_rows(message, 6).reshape(*shape, 3, 2)[..., _WIDE_CHANNELS[message.encoding], upper]
+    if message.encoding in _CHROMA_FIRST:
+        return _rgb_of_yuv422(pixel_rows(message, 2).reshape(*shape, 2), _CHROMA_FIRST[message.encoding])
+    raise UndecodableMessage(f"has the encoding {message.encoding!r}, which is no known colour")
+
+
+def _rgb_of_yuv422(pixels: NDArray[np.uint8], luma: int) -> NDArray[np.uint8]:
+    """RGB (H, W, 3) of bytes (H, W, 2) that hold Y at `luma`, and U of even beside V of odd pixels.
+
+    Raises:
+        UndecodableMessage: the width is odd, so that a pixel lacks its other half.
+    """
+    if pixels.shape[1] % 2:
+        raise UndecodableMessage(f"is YUV 4:2:2 of an odd width, {pixels.shape[1]} pixels")
+    chroma = np.repeat(pixels[..., 1 - luma].reshape(len(pixels), -1, 2), 2, axis=1)
+    yuv = np.concatenate([pixels[..., luma, None], chroma], axis=2).astype(np.float32) - [16, 128, 128]
+    return np.clip(np.rint(yuv.astype(np.float32) @ _RGB_FROM_YUV.T), 0, 255).astype(np.uint8)
 
 
 def resampled(rgb: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

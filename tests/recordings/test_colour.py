@@ -48,6 +48,40 @@ def test_raw_colours_come_as_rgb(encoding, rgb, recording_path):
     np.testing.assert_array_equal(frame.rgb, rgb)
 
 
+@pytest.mark.parametrize(("encoding", "big_endian"), [("rgb16", False), ("bgr16", True), ("16UC3", False)])
+def test_wide_colours_keep_their_upper_bits(encoding, big_endian, rgb, recording_path):
+    """Of 16 bits the upper 8 count, in either byte order."""
+    order = [0, 1, 2] if encoding == "rgb16" else [2, 1, 0]
+    wide = 256 * rgb[..., order].astype(np.uint16) + 99
+    pixels = np.ascontiguousarray(wide, ">u2" if big_endian else "<u2").view(np.uint8)
+    frame = read(recording_path, [image(SECOND_NS, encoding, pixels, is_bigendian=int(big_endian))])
+    np.testing.assert_array_equal(frame.rgb, rgb)
+
+
+@pytest.mark.parametrize("encoding", ["yuv422", "yuv422_yuy2"])
+def test_brightness_and_chroma_give_the_colour(encoding, recording_path):
+    """Bars of ITU-R BT.601 at 75%: white, yellow, cyan, green, magenta, red, blue and black."""
+    on = np.array([[1, 1, 1], [1, 1, 0], [0, 1, 1], [0, 1, 0], [1, 0, 1], [1, 0, 0], [0, 0, 1], [0, 0, 0]])
+    yuv = [
+        [180, 128, 128], [162, 44, 142], [131, 156, 44], [112, 72, 58],
+        [84, 184, 198], [65, 100, 212], [35, 212, 114], [16, 128, 128],
+    ]  # fmt: skip
+    y, u, v = np.repeat(np.array(yuv, np.uint8), [6, 4] * 4, axis=0).T
+    chroma = np.where(np.arange(40) % 2 == 0, u, v)
+    pair = (chroma, y) if encoding == "yuv422" else (y, chroma)
+    pixels = np.tile(np.stack(pair, axis=-1), (30, 1, 1))
+    frame = read(recording_path, [image(SECOND_NS, encoding, pixels)])
+    assert frame.rgb is not None
+    np.testing.assert_allclose(frame.rgb[0, 2::5], 191 * on, atol=2)
+
+
+def test_an_encoding_that_is_not_read_is_named(rgb, recording_path):
+    """Bayer patterns want a debayer first: the frame comes without colour, and why is told."""
+    message = image(SECOND_NS, "bayer_rggb8", rgb[..., :1])
+    assert read(recording_path, [message]).rgb is None
+    assert "/c/image has the encoding 'bayer_rggb8'" in open_recording(recording_path).colour_problem
+
+
 @pytest.mark.parametrize(("format_", "tolerance"), [("JPEG", 12), ("PNG", 0)])
 def test_compressed_colours_are_decoded(format_, tolerance, rgb, recording_path):
     """JPEG within its loss, PNG exactly."""
