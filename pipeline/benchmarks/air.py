@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import binomtest
 
 from pipeline.errors import PipelineError
+from pipeline.evaluation.calibration import expected_calibration_error
 from pipeline.simplification import few_triangles
 from pipeline.synthesis.air import AirScene, air_scene, air_world
 from scene.colour.camera_view import LONGEST_PX, pooled_image
@@ -207,11 +208,10 @@ def figures(rows: Sequence[AirRow]) -> dict[str, Any]:
 
 
 def _calibration_error(rows: Sequence[AirRow]) -> float:
-    """Expected calibration error of the most probable number, in equal bins (Naeini et al. 2015)."""
+    """Of the most probable number."""
     told = np.array([row.told_probability for row in rows])
     right = np.array([row.most_probable == len(_parts(row.true_kinds)) for row in rows])
-    cell = np.minimum((told * ECE_BINS).astype(np.int64), ECE_BINS - 1)
-    return float(np.abs(np.bincount(cell, told - right)).sum() / len(rows))
+    return expected_calibration_error(told, right, ECE_BINS)
 
 
 def read_rows(path: Path) -> list[AirRow]:

@@ -33,19 +33,28 @@ def calibration(phi: NDArray[np.floating], truth: NDArray[np.bool_]) -> VoxelCal
     if len(phi) == 0:
         return VoxelCalibration(brier=np.nan, log_loss=np.nan, ece=np.nan, count=0)
     phi = np.clip(np.asarray(phi, np.float64), CLIP, 1 - CLIP)
-    error = sum(count * abs(said - found) for said, found, count in reliability(phi, truth)) / len(phi)
     return VoxelCalibration(
         brier=float(np.mean((phi - truth) ** 2)),
         log_loss=float(-np.mean(np.where(truth, np.log(phi), np.log1p(-phi)))),
-        ece=float(error),
+        ece=expected_calibration_error(phi, truth),
         count=len(phi),
     )
 
 
-def reliability(phi: NDArray[np.floating], truth: NDArray[np.bool_]) -> list[tuple[float, float, int]]:
-    """Mean probability, share that was true, and number of voxels of each bin that holds some."""
-    bins = np.minimum((phi * BINS).astype(int), BINS - 1)
+def expected_calibration_error(
+    phi: NDArray[np.floating], truth: NDArray[np.bool_], bins: int = BINS
+) -> float:
+    """Mean over outcomes (N,) of how far their bin's probability is from its share (Naeini et al. 2015)."""
+    gaps = [count * abs(said - found) for said, found, count in reliability(phi, truth, bins)]
+    return float(sum(gaps) / len(phi))
+
+
+def reliability(
+    phi: NDArray[np.floating], truth: NDArray[np.bool_], bins: int = BINS
+) -> list[tuple[float, float, int]]:
+    """Mean probability, share that was true, and number of outcomes of each bin that holds some."""
+    cell = np.minimum((phi * bins).astype(int), bins - 1)
     return [
-        (float(phi[bins == one].mean()), float(truth[bins == one].mean()), int((bins == one).sum()))
-        for one in np.unique(bins)
+        (float(phi[cell == one].mean()), float(truth[cell == one].mean()), int((cell == one).sum()))
+        for one in np.unique(cell)
     ]
