@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from scene.colour.posterior import Scene, log_prior
+from scene.colour.posterior import Scene
 from scene.colour.world import TableWorld
 
 EXCHANGES = ((0, 1), (1, 0), (1, 1), (1, 2), (2, 1), (2, 2))
@@ -62,11 +62,6 @@ Target = Callable[[Scene, int], float]
 def log_spins(world: TableWorld, scene: Scene) -> float:
     """Log prior of the yaws that round things carry along."""
     return -np.log(2 * np.pi) * sum(world.kinds[kind].turns == 0 for kind in scene.kinds)
-
-
-def prior_target(world: TableWorld) -> Target:
-    """The prior alone: what a chain returns that sees no image."""
-    return lambda scene, _lamp: log_prior(world, scene) + log_spins(world, scene)
 
 
 def sample_scenes(

@@ -6,8 +6,8 @@ from scipy.stats import chisquare, kstest
 
 from pipeline.benchmarks.air_lattice import LatticeWorld, Summed, chain_kinds
 from pipeline.synthesis.air import TABLE_COLOUR
-from scene.colour.chains import EXCHANGES, State, exchange_weight, prior_target, sample_scenes
-from scene.colour.posterior import Scene, colour_image, log_likelihood, overlapping
+from scene.colour.chains import EXCHANGES, State, exchange_weight, log_spins, sample_scenes
+from scene.colour.posterior import Scene, colour_image, log_likelihood, log_prior, overlapping
 from scene.colour.proposals import FoundThings
 from tests.scene.colour.worlds import small_world
 from tests.statistical import FALSE_ALARM
@@ -62,7 +62,10 @@ def test_without_an_image_chains_return_the_prior(seed: int) -> None:
     False alarm 1e-6 each, on every 7th sweep.
     """
     rng = np.random.default_rng(seed)
-    target = prior_target(WORLD)
+
+    def target(scene: Scene, _lamp: int) -> float:
+        return log_prior(WORLD, scene) + log_spins(WORLD, scene)
+
     start = State(Scene.empty(), 0, target(Scene.empty(), 0))
     chain = sample_scenes(rng, target, start, found_things(), 2, np.zeros(1), 7_000)
     scenes = [state.scene for number, state in enumerate(chain) if number % 7 == 0]
