@@ -15,6 +15,7 @@ from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likel
 from scene.objects.scene_object import SceneObject
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import ObjectLibrary, join
 from shapes.rendering.ray_casting import PosedObjects
 
 PAIRS_TOGETHER = 128
@@ -89,7 +90,7 @@ class DepthImages:
         total = np.zeros(len(world_from_box))
         for image, evidence in zip(self.images, self._evidence, strict=True):
             posed = _posed(image.camera_from_world, one, world_from_box, draw)
-            total += image.weight * log_likelihood_ratio(one.library, self.noise, evidence, posed)
+            total += image.weight * log_likelihood_ratio(_library(one), self.noise, evidence, posed)
         return total
 
     def log_ratios_behind(
@@ -125,14 +126,14 @@ class DepthImages:
             known = _posed(
                 image.camera_from_world, other, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int)
             )
-            layers_m = render_layers(other.library, known, _cameras(image.camera, 1), *image.observed_m.shape)
+            layers_m = render_layers(_library(other), known, _cameras(image.camera, 1), *image.observed_m.shape)
             rest_m = jnp.minimum(layers_m, jnp.asarray(image.rest_m)[draw])
             cameras = _cameras(image.camera, PAIRS_TOGETHER)
             evidence: DepthEvidence = depth_evidence(
                 self.noise, cameras, jnp.asarray(image.observed_m)[None], rest_m
             )
             posed = _posed(image.camera_from_world, one, world_from_box[filled], np.arange(PAIRS_TOGETHER))
-            total += image.weight * log_likelihood_ratio(one.library, self.noise, evidence, posed)
+            total += image.weight * log_likelihood_ratio(_library(one), self.noise, evidence, posed)
         return total[:count]
 
 
@@ -145,7 +146,12 @@ def rendered_m(
 ) -> NDArray[np.float32]:
     """Depth (n, H, W) of an object alone at poses (n, 4, 4); +inf where it is not. `shape` is (H, W)."""
     posed = _posed(camera_from_world, one, world_from_box, np.zeros(len(world_from_box), int))
-    return np.asarray(render_layers(one.library, posed, _cameras(camera, 1), *shape))
+    return np.asarray(render_layers(_library(one), posed, _cameras(camera, 1), *shape))
+
+
+def _library(one: SceneObject) -> ObjectLibrary:
+    """The object's, padded like all: one kernel serves all shapes."""
+    return join([one.library])
 
 
 def _cameras(camera: Camera, count: int) -> Camera:

@@ -166,7 +166,13 @@ def meet(
     one: SceneObject, poses: NDArray[np.float64], other: SceneObject, others: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """(n,) whether two objects at poses (n, 4, 4), or (1, 4, 4), meet: points of one in the other's box."""
-    return _reaches(one, poses, other, others) | _reaches(other, others, one, poses)
+    poses, others = np.broadcast_arrays(poses, others)
+    apart_m = np.linalg.norm(poses[:, :3, 3] - others[:, :3, 3], axis=1)
+    together = apart_m < np.linalg.norm(one.half_extents_m) + np.linalg.norm(other.half_extents_m)
+    poses, others = poses[together], others[together]
+    met = np.zeros(len(together), bool)
+    met[together] = _reaches(one, poses, other, others) | _reaches(other, others, one, poses)
+    return met
 
 
 def _reaches(
