@@ -126,7 +126,9 @@ class DepthImages:
             known = _posed(
                 image.camera_from_world, other, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int)
             )
-            layers_m = render_layers(_library(other), known, _cameras(image.camera, 1), *image.observed_m.shape)
+            layers_m = render_layers(
+                _library(other), known, _cameras(image.camera, 1), *image.observed_m.shape
+            )
             rest_m = jnp.minimum(layers_m, jnp.asarray(image.rest_m)[draw])
             cameras = _cameras(image.camera, PAIRS_TOGETHER)
             evidence: DepthEvidence = depth_evidence(
