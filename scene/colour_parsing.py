@@ -6,10 +6,9 @@ lamps tell how sure they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics
@@ -38,7 +37,7 @@ def parse_colour(
     rgb: NDArray[np.uint8],
     camera: CameraIntrinsics,
     camera_from_world: NDArray[np.float64],
-    shapes: Mapping[str, trimesh.Trimesh],
+    kinds: Sequence[Kind],
     frame: int,
     config: ParseConfig,
 ) -> tuple[SceneResult, float]:
@@ -49,7 +48,7 @@ def parse_colour(
         rgb: (H, W, 3).
         camera: of the image.
         camera_from_world: (4, 4), the table's top z = 0; see `scene.colour.camera_view`.
-        shapes: meshes by name, which stand on the table with their own z up.
+        kinds: of things, which stand on the table with their own z up.
         frame: number of the frame in the recording.
         config: settings.
 
@@ -57,11 +56,10 @@ def parse_colour(
         ValueError: hardly any of the table is in view.
     """
     image, pooled = pooled_image(rgb, camera, config.gamma)
-    kinds = tuple(Kind.standing(name, mesh) for name, mesh in shapes.items())
     world = TableWorld(
         camera=pooled,
         camera_from_world=camera_from_world,
-        kinds=kinds,
+        kinds=tuple(kinds),
         half_m=square_in_view(pooled, camera_from_world),
         most=config.most,
         light=_light(config),

@@ -35,8 +35,8 @@ KINDS = ("cube", "mug")
 NOISE = ColourNoise(sigma=0.4, outlier=0.3)
 """So much that number or kinds are in doubt in every other image."""
 LAMPS = (Light(), Light(direction=(0.6, -0.3, 0.6), ambient=0.2))
-SWEEPS = 200_000
-"""Of a chain."""
+SWEEPS = 600_000
+"""Of a chain: shares of kinds are then told to .003 or so, of the .01 that are asked."""
 TAUGHT = (0.1, 0.2)
 """Parts of them that teach the proposal, one after the other, and are dropped."""
 TOGETHER = 40

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
-from pipeline.simplification import few_triangles
+from pipeline.simplification import few_coloured_triangles, few_triangles
 from pipeline.stages.colour_input import tell_of_clipped
 from recordings.types import Frame
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from pipeline.session import Session
     from pipeline.surfaces import SceneSurface
+    from scene.colour.world import Kind
     from scene.config import ParseConfig
     from scene.result import SceneResult
 
@@ -54,9 +55,9 @@ def parse_colour_frame(
         progress.phase("searching the colour image")
         try:
             camera_from_world = _camera_over_table(session, frame, config)
-            meshes = {name: few_triangles(one.vertices_m, one.faces) for name, one in shapes.items()}
+            kinds = [_kind(name, one, config) for name, one in shapes.items()]
             scene, strange = parse_colour(
-                seed, frame.rgb, session.recording.intrinsics, camera_from_world, meshes, number, config
+                seed, frame.rgb, session.recording.intrinsics, camera_from_world, kinds, number, config
             )
         except ValueError as error:
             raise PipelineError(f"{session.source.path}: {error}") from error
@@ -66,6 +67,16 @@ def parse_colour_frame(
             "colour: what is told of it is not to be trusted"
         )
     return scene
+
+
+def _kind(name: str, surface: SceneSurface, config: ParseConfig) -> Kind:
+    """A shape as it stands, with its colours where they are known."""
+    from scene.colour.world import Kind
+
+    if surface.rgb is None:
+        return Kind.standing(name, few_triangles(surface.vertices_m, surface.faces))
+    mesh, light = few_coloured_triangles(surface.vertices_m, surface.faces, surface.rgb, config.gamma)
+    return Kind.standing(name, mesh, light)
 
 
 def _colour_frame(session: Session, numbers: tuple[int, ...]) -> tuple[int, Frame]:

@@ -141,7 +141,14 @@ def _upright(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 def photograph(
     world: TableWorld, scene: Scene, albedo: NDArray[np.float64], subsamples: int = SUBSAMPLES
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Noise-free image (H, W, 3) on the table, and how many pixels each thing fills by more than half."""
+    """Noise-free image (H, W, 3) on the table, and how many pixels each thing fills by more than half.
+
+    Args:
+        world: camera, kinds and light.
+        scene: the things.
+        albedo: (N, 3); of a kind with known colours the gain of the light on it.
+        subsamples: of a pixel, along each axis.
+    """
     camera = world.camera
     fine = (np.arange(subsamples) + 0.5) / subsamples - 0.5
     columns = (np.arange(camera.width)[:, None] + fine).ravel()
@@ -160,6 +167,10 @@ def photograph(
     thing = np.minimum(hits["geometry_ids"].numpy().astype(np.int64), len(scene))  # none is the greatest
     shade = world.light.shade(hits["primitive_normals"].numpy())
     colours = np.concatenate([albedo, [TABLE_COLOUR]])[thing]
+    for one, kind in enumerate(scene.kinds):
+        if (known := world.kinds[kind].colours) is not None:
+            mine = thing == one
+            colours[mine] *= known[hits["primitive_ids"].numpy()[mine]]
     colours *= np.where(thing < len(scene), shade, 1.0)[..., None]
     blocks = (camera.height, subsamples, camera.width, subsamples)
     filled = [(thing == one).reshape(blocks).mean(axis=(1, 3)) > 0.5 for one in range(len(scene))]

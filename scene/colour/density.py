@@ -1,12 +1,13 @@
 """Density of colour given what is rendered: shaded albedo with noise and outliers, albedo integrated out.
 
-A channel y of a pixel whose surface has shade s and albedo a:
+A channel y of a pixel whose surface has shade s and colour m:
 
-    p(y | s, a) = (1 - p_out) Normal(y; s a, sigma) + p_out 1[0 <= y <= 1]
+    p(y | s, a) = (1 - p_out) Normal(y; s m a, sigma) + p_out 1[0 <= y <= 1]
 
 Nothing is clipped; where a camera did, the value is infinite, and counts for all that is as bright, or as
-dark. An object of unknown albedo has one a per channel, a ~ Normal(0.5, 0.3); channels part, so that
-integrating it out is one quadrature each, over all pixels of the object together.
+dark. An object has one a per channel. Where its colours are unknown m is 1 and a its albedo, a ~ Normal(0.5,
+0.3); where they are known m is its surface's and a the gain of the light there, log a ~ Normal(0, 0.3).
+Channels part, so that integrating it out is one quadrature each, over all pixels of the object together.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ FEW = 16
 NODES_OF_FEW = 512
 """... which this many nodes resolve to the same 1e-8 all over the prior."""
 REACH = 6.0
-"""Standard deviations of the albedo's prior round its mean that the nodes span."""
+"""Standard deviations of the albedo's prior round its mean, or of a gain's logarithm, that the nodes span."""
+DIMMEST = 1e-3
+"""Gain that is fitted at least."""
 BIN = 0.05
 """Width of the cells in which pixels vote for an albedo."""
 CELLS = 40
@@ -48,16 +51,19 @@ class ColourNoise:
         outlier: probability that a channel tells nothing (mixed pixels at silhouettes, highlights).
         albedo_mean: of the prior.
         albedo_sd: of the prior.
+        gain_sd: of the logarithm of a channel's gain, where colours are known: lamps and white balances
+            differ by a third.
     """
 
     sigma: float = 0.03
     outlier: float = 0.05
     albedo_mean: float = 0.5
     albedo_sd: float = 0.3
+    gain_sd: float = 0.3
 
     def __post_init__(self) -> None:
         check_finite(self)
-        check_within(self, 1e-4, 1.0, ("sigma", "albedo_sd"))
+        check_within(self, 1e-4, 1.0, ("sigma", "albedo_sd", "gain_sd"))
         check_within(self, 1e-6, 0.999, ("outlier",))
 
 
@@ -94,12 +100,14 @@ class Segments:
     Attributes:
         start: (B + 1,).
         colour: (P, C) in 0..1.
-        shade: (P,).
+        lit: (P, C), or (P, 1) for all channels: the shade, times the surface's colour where it is known.
+        is_known: (B,) whether it is.
     """
 
     start: NDArray[np.int64]
     colour: NDArray[np.floating]
-    shade: NDArray[np.floating]
+    lit: NDArray[np.floating]
+    is_known: NDArray[np.bool_]
 
     @property
     def owner(self) -> NDArray[np.int64]:
@@ -111,25 +119,30 @@ class Segments:
         counts = np.diff(self.start)
         rows = np.repeat(chosen, counts)
         start = np.concatenate([[0], np.cumsum(counts[chosen])])
-        return Segments(start, self.colour[rows], self.shade[rows])
+        return Segments(start, self.colour[rows], self.lit[rows], self.is_known[chosen])
+
+    def prior(self, noise: ColourNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and standard deviation (B, 1) of a Gaussian that is, or is near, the prior of the factor a."""
+        mean = np.where(self.is_known, 1.0, noise.albedo_mean)
+        return mean[:, None], np.where(self.is_known, noise.gain_sd, noise.albedo_sd)[:, None]
 
 
 def fitted_albedo(segments: Segments, noise: ColourNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Most probable albedo and its precision, both (B, C): a vote, then expectation and maximisation."""
-    albedo = _voted(segments, noise)
-    shade, owner = segments.shade[:, None], segments.owner
+    """Most probable albedo, or gain, and its precision, (B, C): a vote, then expectation and maximisation."""
+    mean, sd = segments.prior(noise)
+    albedo = _voted(segments, mean)
+    lit, owner = segments.lit, segments.owner
     told = np.isfinite(segments.colour)
     colour = np.where(told, segments.colour, 0.0)
-    precision = np.full_like(albedo, noise.albedo_sd**-2)
+    precision = np.zeros_like(albedo) + sd**-2
     peak = (1 - noise.outlier) / (noise.sigma * np.sqrt(2 * np.pi))
     for _ in range(FITS):
-        residual = (colour - shade * albedo[owner]) * (1 / noise.sigma)
+        residual = (colour - lit * albedo[owner]) * (1 / noise.sigma)
         inlier = told * peak * np.exp(-0.5 * residual * residual)
-        weight = inlier / (inlier + noise.outlier) * (shade / noise.sigma**2)
-        precision = noise.albedo_sd**-2 + _sums(segments.start, weight * shade)
-        total = noise.albedo_mean * noise.albedo_sd**-2 + _sums(segments.start, weight * colour)
-        albedo = total / precision
-    return albedo, precision
+        weight = inlier / (inlier + noise.outlier) * (lit / noise.sigma**2)
+        precision = sd**-2 + _sums(segments.start, weight * lit)
+        albedo = (mean * sd**-2 + _sums(segments.start, weight * colour)) / precision
+    return np.where(segments.is_known[:, None], np.maximum(albedo, DIMMEST), albedo), precision
 
 
 def laplace_evidence(
@@ -137,8 +150,8 @@ def laplace_evidence(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Log evidence (B,) by a Gaussian at the most probable albedo (B, C), and that albedo; for searching."""
     albedo, precision = fitted_albedo(segments, noise)
-    density = log_density(segments.colour, segments.shade[:, None] * albedo[segments.owner], noise)
-    joint = _sums(segments.start, density) + _log_prior(albedo, noise)
+    density = log_density(segments.colour, segments.lit * albedo[segments.owner], noise)
+    joint = _sums(segments.start, density) + _log_prior(albedo, segments.is_known[:, None], noise)
     evidence = joint + 0.5 * np.log(2 * np.pi / precision)
     return np.where(np.diff(segments.start) > 0, evidence.sum(axis=1), 0.0), albedo
 
@@ -159,37 +172,44 @@ def albedo_evidence(segments: Segments, noise: ColourNoise) -> NDArray[np.float6
 
 def _quadrature(segments: Segments, noise: ColourNoise, count: int) -> NDArray[np.float64]:
     albedo, precision = fitted_albedo(segments, noise)
-    narrow = precision**-0.5
-    centre = noise.albedo_mean
-    span = REACH * noise.albedo_sd + np.abs(albedo - centre)
+    narrow, known = precision**-0.5, segments.is_known[:, None]
+    spread = REACH * noise.albedo_sd
+    low = np.where(known, 0.0, noise.albedo_mean - spread)
+    high = np.where(known, np.exp(REACH * noise.gain_sd), noise.albedo_mean + spread)
+    span = np.maximum(albedo - low, high - albedo)
     furthest = np.arcsinh(span / narrow)
     u = furthest[..., None] * np.linspace(-1, 1, count)
     nodes = albedo[..., None] + narrow[..., None] * np.sinh(u)  # (B, C, Q)
     log_weight = np.log(narrow[..., None] * np.cosh(u) * (2 / (count - 1) * furthest)[..., None])
-    rendered = segments.shade[:, None, None] * nodes[segments.owner]
+    rendered = segments.lit[..., None] * nodes[segments.owner]
     density = log_density(segments.colour[..., None], rendered, noise)
-    joint = _sums(segments.start, density) + _log_prior(nodes, noise) + log_weight
+    joint = _sums(segments.start, density) + _log_prior(nodes, known[..., None], noise) + log_weight
     most = joint.max(axis=-1)
     return (most + np.log(np.exp(joint - most[..., None]).sum(axis=-1))).sum(axis=1)
 
 
-def _log_prior(albedo: NDArray[np.float64], noise: ColourNoise) -> NDArray[np.float64]:
-    scaled = (albedo - noise.albedo_mean) / noise.albedo_sd
-    return -0.5 * scaled * scaled - np.log(noise.albedo_sd * np.sqrt(2 * np.pi))
+def _log_prior(
+    factor: NDArray[np.float64], is_known: NDArray[np.bool_], noise: ColourNoise
+) -> NDArray[np.float64]:
+    """Normal for albedos, log-normal of median 1 for gains, by Lebesgue measure on the factor."""
+    log_factor = np.log(np.maximum(factor, LEAST))
+    scaled = np.where(is_known, log_factor / noise.gain_sd, (factor - noise.albedo_mean) / noise.albedo_sd)
+    sd = np.where(is_known, noise.gain_sd * np.maximum(factor, LEAST), noise.albedo_sd)
+    return -0.5 * scaled * scaled - np.log(sd * np.sqrt(2 * np.pi))
 
 
-def _voted(segments: Segments, noise: ColourNoise) -> NDArray[np.float64]:
-    """The albedo (B, C) for which most pixels vote; the prior's mean without pixels."""
+def _voted(segments: Segments, mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The albedo (B, C) for which most pixels vote; the prior's mean (B, 1) without pixels."""
     objects, channels = len(segments.start) - 1, segments.colour.shape[1]
     colour = np.nan_to_num(segments.colour, posinf=1.0, neginf=0.0)
-    ratio = colour / np.maximum(segments.shade[:, None], 1e-3)
+    ratio = colour / np.maximum(segments.lit, 1e-3)
     cell = np.clip(np.floor(ratio / BIN).astype(np.int64) + CELLS // 4, 0, CELLS - 1)
     place = (segments.owner[:, None] * channels + np.arange(channels)) * CELLS + cell
     votes = np.bincount(place.ravel(), minlength=objects * channels * CELLS)
     votes = np.pad(votes.reshape(objects, channels, CELLS), ((0, 0), (0, 0), (1, 1)))
     best = (votes[..., :-2] + 2 * votes[..., 1:-1] + votes[..., 2:]).argmax(axis=-1)
     albedo = (best - CELLS // 4 + 0.5) * BIN
-    return np.where(np.diff(segments.start)[:, None] > 0, albedo, noise.albedo_mean)
+    return np.where(np.diff(segments.start)[:, None] > 0, albedo, mean)
 
 
 def _sums(start: NDArray[np.int64], rows: NDArray[np.floating]) -> NDArray[np.float64]:

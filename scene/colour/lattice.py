@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.density import Segments, laplace_evidence, log_density
+from scene.colour.density import laplace_evidence, log_density
 from scene.colour.kernels import log_gains
-from scene.colour.posterior import ColourImage, Scene, boxes_overlap, visible
+from scene.colour.posterior import ColourImage, Scene, boxes_overlap, segments_of, visible
 from scene.colour.world import Layers, Light, TableWorld, render, render_with_normals
 
 SPACING_M = 0.02
@@ -104,9 +104,9 @@ def surroundings(world: TableWorld, image: ColourImage, scene: Scene) -> Surroun
     depth, explained = np.full(len(image.table), np.inf), image.table.copy()
     if len(scene):
         seen = visible(world, render(world, scene.kinds, scene.poses))
-        segments = Segments(seen.start, image.colour[seen.pixel], seen.shade)
+        segments = segments_of(world, image, seen)
         _, albedo = laplace_evidence(segments, world.noise)
-        rendered = seen.shade[:, None] * albedo[segments.owner]
+        rendered = segments.lit * albedo[segments.owner]
         depth[seen.pixel] = seen.depth_m
         explained[seen.pixel] = log_density(segments.colour, rendered, world.noise).sum(axis=1)
     return Surroundings(scene, depth, explained)
@@ -117,7 +117,7 @@ def gains(world: TableWorld, image: ColourImage, rest: Surroundings, layers: Lay
 
     Laplace's evidence, the albedos of the rest held: for searching.
     """
-    return log_gains(image.colour, rest.explained, rest.depth_m, layers, world.noise)
+    return log_gains(world, image.colour, rest.explained, rest.depth_m, layers)
 
 
 def placed_gains(

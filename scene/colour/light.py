@@ -63,9 +63,11 @@ class LampShares:
             np.tile(seen.pixel, len(tried)),
             np.tile(seen.depth_m, len(tried)),
             np.concatenate([light.shade(normals) for light in tried]),
+            np.tile(seen.face, len(tried)),
+            np.tile(seen.kinds, len(tried)),
         )
         nothing = np.full(len(image.table), np.inf)
-        values = log_gains(image.colour, image.table, nothing, every, world.noise)
+        values = log_gains(world, image.colour, image.table, nothing, every)
         values = values.reshape(len(tried), len(scene)).sum(axis=1)
         shares = np.exp(values - np.logaddexp.reduce(values))
         return cls(tried, np.log((1 - EVENLY) * shares + EVENLY / len(tried)))

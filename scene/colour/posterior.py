@@ -113,9 +113,16 @@ def visible(world: TableWorld, layers: Layers, scenes: NDArray[np.int64] | None 
     return layers.kept(layers.depth_m <= nearest[place])
 
 
+def segments_of(world: TableWorld, image: ColourImage, seen: Layers) -> Segments:
+    """The pixels that show each thing, with what is known of its colours."""
+    colours = world.face_colours(image.colour.shape[1])
+    lit = seen.shade[:, None] * colours[seen.face]
+    return Segments(seen.start, image.colour[seen.pixel], lit, world.is_coloured[seen.kinds])
+
+
 def visible_gain(world: TableWorld, image: ColourImage, seen: Layers) -> NDArray[np.float64]:
     """Log evidence (B,) of the pixels of each thing against the table."""
-    segments = Segments(seen.start, image.colour[seen.pixel], seen.shade)
+    segments = segments_of(world, image, seen)
     table = np.concatenate([[0], np.cumsum(image.table[seen.pixel])])
     evidence = albedo_evidence(segments, world.noise)
     return np.where(np.diff(seen.start) > 0, evidence, 0.0) - np.diff(table[seen.start])

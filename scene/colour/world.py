@@ -24,6 +24,9 @@ SURFACE_POINTS = 4000
 SAME_SPACINGS = 5.0
 """Median distances between neighbours that the furthest point of a turned surface may lie from the surface:
 of points drawn at random on one surface twice, none in 10^4 lies further."""
+SAME_COLOURS = 0.02
+"""Mean difference of light from a surface's to that of the turned one: half a standard deviation of the noise
+that a pixel has, so that a whole thing tells more."""
 UPRIGHT = 0.999
 """Least cosine to the vertical of a line of symmetry that stands upright: within 2.6 degrees."""
 TOGETHER = 96
@@ -73,6 +76,7 @@ class Kind:
         faces: (F, 3), counter-clockwise from outside.
         turns: by how many turns about z it looks the same; 0 for a round thing, whose yaw says nothing.
         base_m: (3,) where the origin is in the frame of the mesh.
+        colours: (F, 3) light of 0..1 that each triangle returns; None where its one colour is unknown.
     """
 
     name: str
@@ -80,10 +84,11 @@ class Kind:
     faces: NDArray[np.int64]
     turns: int
     base_m: NDArray[np.float64]
+    colours: NDArray[np.float64] | None = None
 
     @classmethod
-    def standing(cls, name: str, mesh: trimesh.Trimesh) -> Kind:
-        """A mesh as it stands with its own z up.
+    def standing(cls, name: str, mesh: trimesh.Trimesh, colours: NDArray[np.floating] | None = None) -> Kind:
+        """A mesh as it stands with its own z up, and the light (F, 3) that its triangles return.
 
         Raises:
             ValueError: it would fall over.
@@ -96,8 +101,14 @@ class Kind:
         base = np.array([*_axis(mesh), mesh.bounds[0, 2]])
         moved = trimesh.Trimesh(mesh.vertices - base, mesh.faces, process=False)
         faces = np.asarray(mesh.faces, np.int64)
-        vertices = np.asarray(moved.vertices)
-        return cls(name=name, vertices_m=vertices, faces=faces, turns=_turns(moved), base_m=base)
+        return cls(
+            name=name,
+            vertices_m=np.asarray(moved.vertices),
+            faces=faces,
+            turns=_turns(moved, colours),
+            base_m=base,
+            colours=None if colours is None else np.asarray(colours, np.float64),
+        )
 
     @cached_property
     def half_m(self) -> NDArray[np.float64]:
@@ -149,6 +160,23 @@ class TableWorld:
         if self.most < 1 or self.half_m <= 0:
             raise ValueError(f"most and half_m must be positive, got {self.most} and {self.half_m}")
 
+    @cached_property
+    def is_coloured(self) -> NDArray[np.bool_]:
+        """(K,) whether colours are known, of each kind."""
+        return np.array([kind.colours is not None for kind in self.kinds])
+
+    @cached_property
+    def _face_rgb(self) -> NDArray[np.float64]:
+        """(F, 3) of all kinds' triangles in turn, 1 where nothing is known; (F, 1) if nothing is of any."""
+        if not self.is_coloured.any():
+            return np.ones((sum(len(kind.faces) for kind in self.kinds), 1))
+        colours = [np.ones((len(one.faces), 3)) if one.colours is None else one.colours for one in self.kinds]
+        return np.concatenate(colours)
+
+    def face_colours(self, channels: int) -> NDArray[np.float64]:
+        """Light (F, C) that triangles of all kinds return, one kind after the other; a grey image's mean."""
+        return self._face_rgb.mean(axis=1, keepdims=True) if channels == 1 else self._face_rgb
+
 
 @dataclass(frozen=True, eq=False)
 class Layers:
@@ -159,24 +187,34 @@ class Layers:
         pixel: (P,) row * width + column.
         depth_m: (P,).
         shade: (P,).
+        face: (P,) triangle, counted through all kinds.
+        kinds: (B,).
     """
 
     start: NDArray[np.int64]
     pixel: NDArray[np.int64]
     depth_m: NDArray[np.floating]
     shade: NDArray[np.floating]
+    face: NDArray[np.int64]
+    kinds: NDArray[np.int64]
 
     def kept(self, rows: NDArray[np.bool_]) -> Layers:
         """Of every thing only some pixels (P,)."""
         start = np.concatenate([[0], np.cumsum(rows)])[self.start]
-        return Layers(start, self.pixel[rows], self.depth_m[rows], self.shade[rows])
+        return self._taken(start, rows, self.kinds)
 
     def of(self, things: NDArray[np.int64]) -> Layers:
         """Of some things, in the order given."""
         counts = np.diff(self.start)[things]
         start = np.concatenate([[0], np.cumsum(counts)])
         rows = np.arange(start[-1]) + np.repeat(self.start[things] - start[:-1], counts)
-        return Layers(start, self.pixel[rows], self.depth_m[rows], self.shade[rows])
+        return self._taken(start, rows, self.kinds[things])
+
+    def _taken(self, start: NDArray[np.int64], rows: NDArray, kinds: NDArray[np.int64]) -> Layers:
+        pixel, depth_m, shade, face = (
+            part[rows] for part in (self.pixel, self.depth_m, self.shade, self.face)
+        )
+        return Layers(start, pixel, depth_m, shade, face, kinds)
 
 
 def render(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> Layers:
@@ -201,6 +239,8 @@ def render_with_normals(
         np.concatenate([np.zeros(0, np.int64), *(part.pixel for part in layers)]),
         np.concatenate([np.zeros(0), *(part.depth_m for part in layers)]),
         np.concatenate([np.zeros(0), *(part.shade for part in layers)]),
+        np.concatenate([np.zeros(0, np.int64), *(part.face for part in layers)]),
+        kinds,
     )
     return together, np.concatenate([np.zeros((0, 3)), *(normals for _, normals in parts)])
 
@@ -216,9 +256,10 @@ def _rendered(
     seen = rasterise(meshes, kinds, world.camera_from_world @ world_from_thing, world.camera)
     owner = np.repeat(np.arange(len(poses)), np.diff(seen.start))
     first = np.cumsum([0, *(len(kind.faces) for kind in world.kinds)])
-    normals = np.concatenate([kind.normals for kind in world.kinds])[first[kinds[owner]] + seen.face]
+    face = first[kinds[owner]] + seen.face
+    normals = np.concatenate([kind.normals for kind in world.kinds])[face]
     turned = np.einsum("pij,pj->pi", world_from_thing[owner, :3, :3], normals)
-    return Layers(seen.start, seen.pixel, seen.depth_m, world.light.shade(turned)), turned
+    return Layers(seen.start, seen.pixel, seen.depth_m, world.light.shade(turned), face, kinds), turned
 
 
 def _axis(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
@@ -239,17 +280,21 @@ def _overhang(mesh: trimesh.Trimesh) -> float:
     return float((outwards @ middle - (outwards @ low.T).max(axis=1)).max())
 
 
-def _turns(mesh: trimesh.Trimesh) -> int:
+def _turns(mesh: trimesh.Trimesh, colours: NDArray[np.floating] | None) -> int:
     """By how many turns about z a surface looks the same: 0 where by any, else 4, 2 or 1."""
-    points = np.asarray(trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=0)[0])
-    again = np.asarray(trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=1)[0])
+    (points, mine), (again, other) = (
+        map(np.asarray, trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=seed)[:2]) for seed in (0, 1)
+    )
     tree = KDTree(points)
     limit = SAME_SPACINGS * float(np.median(tree.query(again)[0]))
 
     def same(turn: float) -> bool:
         cosine, sine = np.cos(turn), np.sin(turn)
         turned = again @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
-        return bool(tree.query(turned)[0].max() <= limit)
+        apart_m, near = tree.query(turned)
+        if apart_m.max() > limit:
+            return False
+        return colours is None or np.abs(colours[mine[near]] - colours[other]).mean() < SAME_COLOURS
 
     if all(same(turn) for turn in ODD_TURNS_RAD):
         return 0

@@ -117,10 +117,7 @@ def surface_colour(
     size = np.ceil(np.ptp(mesh.bounds, axis=0) / pitch_m).astype(int) + 2 * MARGIN + 1
     values = np.zeros((*size, 3), np.float32)
     if rgb is not None:
-        corners = mesh.faces[places]
-        weights = trimesh.triangles.points_to_barycentric(mesh.vertices[corners], points)
-        light = (rgb[corners].astype(np.float64) / 255) ** gamma
-        shown = components_of_light((weights[..., None] * light).sum(axis=1).clip(0, 1))
+        shown = components_of_light(_light_at(mesh, points, places, rgb, gamma))
         values = _along_surface(points, shown, origin_m, pitch_m, tuple(size.tolist()))
     bare = SurfaceColour(
         values=values,
@@ -137,6 +134,41 @@ def surface_colour(
     turns, spins, exact = alike_turns(points, *lines)
     looks = bare.told_apart(turns, points[:TOLD_BY])
     return replace(bare, turns=turns, looks=looks, spins=spins, exact=exact)
+
+
+def light_of_triangles(
+    few: trimesh.Trimesh, mesh: trimesh.Trimesh, rgb: NDArray[np.uint8], gamma: float
+) -> NDArray[np.float64]:
+    """Light (F, 3) in 0..1 that the triangles of a mesh return, each the mean over its part of a finer one.
+
+    Args:
+        few: the mesh, in the same frame as the finer one.
+        mesh: with colours.
+        rgb: (V, 3) of its vertices.
+        gamma: exponent by which stored values become light.
+    """
+    points, places = _sampled(mesh, SAMPLES)
+    light = _light_at(mesh, points, places, rgb, gamma)
+    middles = few.triangles_center
+    owner = KDTree(middles).query(points)[1]
+    counts = np.bincount(owner, minlength=len(middles))
+    sums = np.stack([np.bincount(owner, light[:, one], len(middles)) for one in range(3)], axis=1)
+    nearest = light[KDTree(points).query(middles)[1]]
+    return np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], nearest)
+
+
+def _light_at(
+    mesh: trimesh.Trimesh,
+    points: NDArray[np.float64],
+    places: NDArray[np.int_],
+    rgb: NDArray[np.uint8],
+    gamma: float,
+) -> NDArray[np.float64]:
+    """Light (P, 3) of points on triangles (P,), between those of the corners."""
+    corners = mesh.faces[places]
+    weights = trimesh.triangles.points_to_barycentric(mesh.vertices[corners], points)
+    light = (rgb[corners].astype(np.float64) / 255) ** gamma
+    return np.asarray((weights[..., None] * light).sum(axis=1).clip(0, 1))
 
 
 def _sampled(mesh: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], NDArray[np.int_]]:

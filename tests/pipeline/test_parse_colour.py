@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 from click.testing import CliRunner, Result
@@ -11,13 +12,16 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from pipeline.cli import voxscene
-from pipeline.synthesis.air import air_meshes, air_scene, air_world, write_air_scene
+from pipeline.synthesis.air import AirScene, air_meshes, air_scene, air_world, write_air_scene
+from pipeline.synthesis.air import photograph as photograph_of
 from pipeline.synthesis.filming import film_table
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paths import PathConfig
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
 from recordings.writer import RecordingWriter
+from scene.colour.density import sample
+from scene.colour.posterior import Scene
 from scene.config import ParseConfig
 
 SEED = 7
@@ -82,6 +86,32 @@ def test_things_are_found_without_depth(photograph: Path, meshes: Path, tmp_path
     assert document["largest_m"] < 0.005
     parsed = json.loads((tmp_path / "run" / "summary.json").read_text())["parse"]
     assert {one["name"] for one in parsed["objects"]} == {"cube", "cylinder"}
+
+
+def test_known_colours_name_what_is_there(tmp_path: Path) -> None:
+    """Of two cubes that differ in colour alone the red one stands there, a fifth darker than its model."""
+    world = air_world(48, 48)
+    cube = air_meshes()["cube"]
+    red, green = np.array([0.8, 0.2, 0.2]), np.array([0.2, 0.6, 0.3])
+    (tmp_path / "meshes").mkdir()
+    for name, rgb in (("red", red), ("green", green)):
+        vertex_colors = np.tile(np.append(np.rint(255 * rgb), 255).astype(np.uint8), (len(cube.vertices), 1))
+        painted = trimesh.Trimesh(cube.vertices, cube.faces, vertex_colors=vertex_colors, process=False)
+        painted.export(tmp_path / "meshes" / f"{name}.ply")
+    kind = [one.name for one in world.kinds].index("cube")
+    truth = Scene(np.array([kind]), np.array([[0.03, -0.02, 0.4]]))
+    albedo = 0.8 * red[None]
+    clean, visible = photograph_of(world, truth, albedo)
+    image = sample(np.random.default_rng(SEED), clean, world.noise)
+    write_air_scene(
+        world, AirScene(truth=truth, albedo=albedo, visible=visible, image=image), tmp_path / "air.mcap"
+    )
+    lamp = ("--light", "-0.4,-0.5,0.77,0.4")
+    result = parse(tmp_path / "air.mcap", tmp_path / "meshes", tmp_path / "run", *lamp)
+    assert result.exit_code == 0, result.output
+    (found,) = json.loads((tmp_path / "run" / "summary.json").read_text())["parse"]["objects"]
+    assert found["name"] == "red"
+    assert found["presence"] > 0.99
 
 
 @pytest.mark.slow

@@ -1,8 +1,11 @@
 """The colour density integrates to one, agrees with its sampler, and albedos are integrated out exactly."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import logsumexp
 
 from scene.colour.density import (
     ColourNoise,
@@ -14,6 +17,9 @@ from scene.colour.density import (
     sample,
 )
 from tests.statistical import FALSE_ALARM
+
+UNKNOWN = np.zeros(1, np.bool_)
+"""Of one object, whose colours nobody knows."""
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.05, 0.3])
@@ -44,7 +50,7 @@ def test_clipped_pixels_bound_the_albedo(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shade = rng.uniform(0.6, 1.0, 40)
     colour = 1.1 * shade[:, None] + noise.sigma * rng.standard_normal((40, 1))
-    segments = Segments(np.array([0, 40]), np.where(colour > 1, np.inf, colour), shade)
+    segments = Segments(np.array([0, 40]), np.where(colour > 1, np.inf, colour), shade[:, None], UNKNOWN)
     grid = np.linspace(noise.albedo_mean - 2.4, noise.albedo_mean + 2.4, 20_001)
     logs = log_density(segments.colour, shade[:, None] * grid, noise).sum(axis=0)
     logs += stats.norm.logpdf(grid, noise.albedo_mean, noise.albedo_sd)
@@ -71,7 +77,8 @@ def pixels(rng: np.random.Generator, counts: list[int], noise: ColourNoise) -> S
     shade = rng.uniform(0.2, 1, start[-1])
     albedo = np.clip(rng.normal(0.5, 0.3, (len(counts), 3)), 0.02, 1)
     rendered = shade[:, None] * np.repeat(albedo, counts, axis=0)
-    return Segments(start, sample(rng, rendered, noise), shade)
+    is_known = np.zeros(len(counts), np.bool_)
+    return Segments(start, sample(rng, rendered, noise), shade[:, None], is_known)
 
 
 @pytest.mark.parametrize("outlier", [0.01, 0.05, 0.2])
@@ -87,7 +94,7 @@ def test_albedos_are_integrated_out_exactly(seed: int, outlier: float) -> None:
         for channel in range(3):
             joint = prior.copy()
             for colour, shade in zip(
-                segments.colour[first:last, channel], segments.shade[first:last], strict=True
+                segments.colour[first:last, channel], segments.lit[first:last, 0], strict=True
             ):
                 joint += log_density(colour, shade * grid, noise)
             total += np.log(np.exp(joint - joint.max()).sum() * (grid[1] - grid[0])) + joint.max()
@@ -96,13 +103,32 @@ def test_albedos_are_integrated_out_exactly(seed: int, outlier: float) -> None:
     np.testing.assert_allclose(albedo_evidence(segments, noise), expected, atol=1e-8)
 
 
+def test_gains_of_known_colours_are_integrated_out_exactly(seed: int) -> None:
+    """As by sums over 20,000 logs of gains, from one pixel to two hundred, dark surfaces and bright ones."""
+    noise, rng = ColourNoise(), np.random.default_rng(seed)
+    counts = [1, 2, 5, 15, 16, 40, 200]
+    start = np.concatenate([[0], np.cumsum(counts)])
+    lit = rng.uniform(0.02, 1, (start[-1], 3))
+    gain = np.exp(rng.normal(0, noise.gain_sd, (len(counts), 3)))
+    colour = sample(rng, lit * np.repeat(gain, counts, axis=0), noise)
+    segments = Segments(start, colour, lit, np.ones(len(counts), np.bool_))
+    grid = np.linspace(-8 * noise.gain_sd, 8 * noise.gain_sd, 20_001)
+    expected = []
+    for first, last in pairwise(start):
+        logs = log_density(colour[first:last, :, None], lit[first:last, :, None] * np.exp(grid), noise)
+        joint = logs.sum(axis=0) + stats.norm.logpdf(grid, 0, noise.gain_sd)
+        expected.append((logsumexp(joint, axis=-1) + np.log(grid[1] - grid[0])).sum())
+
+    np.testing.assert_allclose(albedo_evidence(segments, noise), expected, atol=1e-6)
+
+
 def test_the_fitted_albedo_is_that_of_most_pixels(seed: int) -> None:
     """Within four of its own standard deviations, outliers left out; Laplace's evidence within 0.1 nat."""
     noise = ColourNoise()
     rng = np.random.default_rng(seed)
     shade = rng.uniform(0.4, 1, 300)
     colour = sample(rng, shade[:, None] * np.array([0.2, 0.5, 0.9]), noise)
-    segments = Segments(np.array([0, 300]), colour, shade)
+    segments = Segments(np.array([0, 300]), colour, shade[:, None], UNKNOWN)
     albedo, precision = fitted_albedo(segments, noise)
 
     assert (np.abs(albedo - [0.2, 0.5, 0.9]) * np.sqrt(precision) < 5).all()
@@ -115,7 +141,7 @@ def test_objects_without_pixels_have_no_evidence() -> None:
     """Zero, between others too."""
     noise = ColourNoise()
     start = np.array([0, 0, 2, 2])
-    segments = Segments(start, np.full((2, 3), 0.4), np.ones(2))
+    segments = Segments(start, np.full((2, 3), 0.4), np.ones((2, 1)), np.zeros(3, np.bool_))
 
     assert albedo_evidence(segments, noise)[[0, 2]] == pytest.approx([0, 0], abs=1e-6)
     assert laplace_evidence(segments, noise)[0][[0, 2]].tolist() == [0, 0]

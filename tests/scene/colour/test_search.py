@@ -20,9 +20,9 @@ from scene.colour.posterior import (
 )
 from scene.colour.search import Searcher
 from scene.colour.world import Layers
-from tests.scene.colour.worlds import small_world
+from tests.scene.colour.worlds import coloured_world, small_world
 
-WORLD = small_world()
+WORLD, COLOURED = small_world(), coloured_world()
 
 
 def picture(rng: np.random.Generator, scene: Scene) -> np.ndarray:
@@ -117,13 +117,18 @@ def test_equal_images_give_equal_scenes(seed: int) -> None:
     assert first.count.tobytes() == second.count.tobytes()
 
 
-def test_gains_bound_what_was_clipped(seed: int) -> None:
+@pytest.mark.parametrize("is_known", [False, True])
+def test_gains_bound_what_was_clipped(seed: int, is_known: bool) -> None:
     """As Laplace's evidence of the same pixels, two too bright and one too dark, within half a nat."""
+    world = COLOURED if is_known else WORLD
     rng = np.random.default_rng(seed)
     shade = rng.uniform(0.5, 1, 40)
-    colour = shade[:, None] * [0.9, 0.6, 0.3] + WORLD.noise.sigma * rng.standard_normal((40, 3))
+    light = np.array([0.9, 0.6, 0.3])
+    face = rng.integers(len(world.kinds[0].faces), size=40)
+    lit = shade[:, None] * world.face_colours(3)[face]
+    colour = (lit if is_known else lit * light) + world.noise.sigma * rng.standard_normal((40, 3))
     colour[:2, 0], colour[2, 2] = np.inf, -np.inf
-    layers = Layers(np.array([0, 40]), np.arange(40), np.ones(40), shade)
-    gain = log_gains(colour, np.zeros(40), np.full(40, np.inf), layers, WORLD.noise)
-    exact, _ = laplace_evidence(Segments(layers.start, colour, shade), WORLD.noise)
+    layers = Layers(np.array([0, 40]), np.arange(40), np.ones(40), shade, face, np.array([0]))
+    gain = log_gains(world, colour, np.zeros(40), np.full(40, np.inf), layers)
+    exact, _ = laplace_evidence(Segments(layers.start, colour, lit, np.array([is_known])), world.noise)
     assert gain == pytest.approx(exact, abs=0.5)
