@@ -15,7 +15,15 @@ from scene.mcmc.symmetry_arrays import SpinLines
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.gaussian_fits import climbed, fitted
 from scene.presence.pose_priors import PosePriors
-from scene.presence.solids import FREE_OF_CYLINDERS, SolidFits, log_sizes_density, tied, upright
+from scene.presence.solids import (
+    FREE_OF_CYLINDERS,
+    GREATEST_M,
+    LEAST_M,
+    SolidFits,
+    log_sizes_density,
+    tied,
+    upright,
+)
 from scene.search.importance_sampling import FIRST_SIGMA, LEAST_SIGMA, MODES, apart
 from scene.search.search_result import Initialisation
 
@@ -25,8 +33,8 @@ LEAST_DENSITY = 1e-30
 SOLID_M, SOLID_RAD, LEAST_SIZE = 0.002, 0.015, 0.002
 """First standard deviations of a solid's place and sizes, and of its turn; least one of the logs of sizes."""
 
-CLIMBS, CLIMB_DRAWS, SOLID_TURNS, SOLID_DRAWS = 8, 40, 2, 32
-"""Turns and draws of climbing to a solid's best place, and of the fit there."""
+CLIMBS, SOLID_TURNS, SOLID_DRAWS = 10, 2, 32
+"""Turns of climbing to a solid's best place, and of the fit there with its draws."""
 
 UNFREE = 1e-6
 """Of steps that change nothing."""
@@ -105,14 +113,15 @@ def solids_near(
         axes: (n,) the box axis about which each is round: then a cylinder stands there; -1 of others: a box.
     """
     starts = upright(boxes, axes)
+    starts[:, 7:] = np.clip(starts[:, 7:], np.log(LEAST_M), np.log(GREATEST_M))
     centres, factors = np.zeros_like(starts), np.zeros((len(starts), 9, 9))
     for kind in (False, True):
         mine = np.flatnonzero((axes >= 0) == kind)
         if len(mine):
             log_density = partial(_log_alone, frames, priors, kind)
-            best = climbed(rng, log_density, starts[mine], CLIMBS, CLIMB_DRAWS)
+            best = climbed(log_density, starts[mine], CLIMBS)
             free = FREE_OF_CYLINDERS if kind else np.ones(9)
-            sizes = np.exp(best[:, 7:])
+            sizes = np.maximum(np.exp(best[:, 7:]), LEAST_M)
             first = np.tile(np.repeat([SOLID_M, SOLID_RAD], 3), (len(mine), 1))
             first = np.where(free, np.concatenate([first, SOLID_M / sizes], axis=1), UNFREE)
             least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)

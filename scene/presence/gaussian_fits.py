@@ -10,8 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from scene.search.importance_sampling import WIDER, tempered
 
-STEP_M, STEP_RAD, FACE_M, LAST_STEP = 0.006, 0.06, 0.03, 0.1
-"""First standard deviations of steps of a solid and of its faces, and the share that is left at last."""
+FACE_M, TURN_RAD = (0.02, 0.0005), (0.06, 0.002)
+"""First and least steps of a solid's faces and of its turns, ..."""
+LONGER, SHORTER, FURTHEST = 1.3, 0.5, 2.0
+"""... which grow where they lead up and shrink where they do not; most steps to the top of a parabola."""
+FLATTEST, THINNER = 1e-9, 0.2
+"""Least curvature, and least share of a half size that a step leaves."""
 
 
 def fitted(
@@ -49,35 +53,51 @@ def fitted(
 
 
 def climbed(
-    rng: np.random.Generator,
     log_density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     solids: NDArray[np.float64],
     turns: int,
-    draws: int,
 ) -> NDArray[np.float64]:
     """The densest solids (n, 10), poses and logs of half sizes, that are met on the way up.
 
-    Half of the draws move one face, the others the whole; steps become smaller. The best one of a turn is the
-    centre of the next.
+    A pattern search (Hooke and Jeeves 1961): each turn every face and every turn is moved either way; what
+    leads up is then tried together, as far as the parabolas through three points say.
     """
-    count, sigmas = len(solids), np.repeat([STEP_M, STEP_RAD, 0.0], 3)
-    for scale in np.geomspace(1.0, LAST_STEP, turns):
-        steps = scale * sigmas * rng.standard_normal((count, draws, 9))
-        axes, side = rng.integers(3, size=(count, draws)), rng.choice([-1.0, 1.0], (count, draws))
-        grow_m = scale * FACE_M * rng.standard_normal((count, draws))
-        faces = np.arange(draws) < draws // 2
-        outwards = Rotation.from_quat(solids[:, :4], scalar_first=True).as_matrix()
-        along = np.take_along_axis(outwards.swapaxes(1, 2), axes[..., None], axis=1)
-        steps[:, faces] = 0.0
-        steps[..., :3] += np.where(faces[:, None], 0.5 * (side * grow_m)[..., None] * along, 0.0)
-        half_m = np.take_along_axis(np.exp(solids[:, 7:]), axes, axis=1)
-        grown = np.log(np.maximum(half_m + 0.5 * grow_m, 0.2 * half_m) / half_m)
-        np.put_along_axis(steps[..., 6:], axes[..., None], (grown * faces)[..., None], axis=2)
-        steps[:, 0] = 0.0
-        options = moved(solids, steps)
-        best = log_density(options).argmax(axis=1)
-        solids = options[np.arange(count), best]
-    return solids
+    steps = np.tile(np.repeat([FACE_M[0], TURN_RAD[0]], [6, 3]), (len(solids), 1))
+    least = np.repeat([FACE_M[1], TURN_RAD[1]], [6, 3])
+    best, value = solids, log_density(solids[:, None])[:, 0]
+    for _ in range(turns):
+        probes = steps[:, None] * np.concatenate([np.eye(9), -np.eye(9)])
+        options = reshaped(best, probes)
+        values = log_density(options)
+        up, down = values[:, :9], values[:, 9:]
+        leads_up = np.maximum(up, down) > value[:, None]
+        towards = np.where(leads_up, np.sign(up - down), 0.0)
+        curvature = np.minimum(up + down - 2 * value[:, None], 0.0)
+        tops = np.clip((up - down) / 2 / np.maximum(-curvature, FLATTEST), -FURTHEST, FURTHEST)
+        tops = np.where(curvature < 0, tops, FURTHEST * towards)
+        together = np.stack([tops, 0.5 * tops, towards, 0.5 * towards, tops * leads_up], axis=1)
+        combined = reshaped(best, together * steps[:, None])
+        options = np.concatenate([best[:, None], options, combined], axis=1)
+        values = np.concatenate([value[:, None], values, log_density(combined)], axis=1)
+        chosen = np.arange(len(solids)), values.argmax(axis=1)
+        best, value = options[chosen], values[chosen]
+        steps = np.clip(steps * np.where(leads_up, LONGER, SHORTER), least, np.inf)
+    return best
+
+
+def reshaped(solids: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solids (n, S, 10) from solids (n, 10) by moving their faces outwards and turning them.
+
+    Args:
+        solids: poses and logs of half sizes.
+        steps: (n, S, 9) metres of the faces +x, -x, +y, -y, +z, -z, and turns about the solid's own axes.
+    """
+    half_m = np.exp(solids[:, None, 7:])
+    ahead, back = steps[..., 0:6:2], steps[..., 1:6:2]
+    grown = np.maximum(half_m + 0.5 * (ahead + back), THINNER * half_m)
+    rotation = Rotation.from_quat(solids[:, :4], scalar_first=True).as_matrix()
+    offsets = np.einsum("nij,nsj->nsi", rotation, 0.5 * (ahead - back))
+    return moved(solids, np.concatenate([offsets, steps[..., 6:], np.log(grown / half_m)], axis=-1))
 
 
 def moved(states: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
