@@ -25,8 +25,8 @@ SAME_SPACINGS = 5.0
 """Median distances between neighbours that the furthest point of a turned surface may lie from the surface:
 of points drawn at random on one surface twice, none in 10^4 lies further."""
 SAME_COLOURS = 0.02
-"""Mean difference of light from a surface's to that of the turned one: less than one pixel's noise, of which a
-whole thing has hundreds."""
+"""Mean difference of light from a surface's to that of the turned one: less than a pixel's noise, and a
+whole thing has hundreds of pixels."""
 UPRIGHT = 0.999
 """Least cosine to the vertical of a line of symmetry that stands upright: within 2.6 degrees."""
 TOGETHER = 96
