@@ -15,10 +15,13 @@ from recordings.types import CameraIntrinsics
 from scene.colour.camera_view import pooled_image, square_in_view
 from scene.colour.density import ColourNoise
 from scene.colour.light import LampShares
-from scene.colour.posterior import ColourImage, Scene, colour_image, visible, visible_gain
+from scene.colour.posterior import ColourImage, Scene, View, colour_image, seen_together, visible_gain
+from scene.colour.rendering import render
 from scene.colour.scene_samples import SceneSamples, sampled
-from scene.colour.search import FoundScene, Searcher, find_under_any_lamp
-from scene.colour.world import Kind, Layers, Light, TableWorld, render
+from scene.colour.search import Searcher, find_under_any_lamp
+from scene.colour.surroundings import Surroundings
+from scene.colour.weighing import FoundScene
+from scene.colour.world import Kind, Light, TableWorld
 from scene.config import ParseConfig
 from scene.copies import slot_names
 from scene.model.scene_graph import ROOT
@@ -26,8 +29,6 @@ from scene.result import SceneResult
 from scene.summary import MODES, pose_modes, second_moment
 from shapes.geometry.poses import matrices_of, poses_of
 
-STRANGE_NATS = 8.0
-"""Below the density of the table's own colour: four standard deviations in one channel."""
 BOTTOM, TOP = 4, 5
 """Faces -z and +z of `scene.result.FACES`: a thing's own bottom rests on the top of the table."""
 
@@ -41,7 +42,7 @@ def parse_colour(
     frame: int,
     config: ParseConfig,
 ) -> tuple[SceneResult, float]:
-    """The scene that one colour image shows, and the share of the image that is neither table nor thing.
+    """The scene that one colour image shows, and the share of the image that it does not explain.
 
     Args:
         seed: of the samples.
@@ -104,8 +105,8 @@ def _summary(
     parents = np.full((kept, count), ROOT, np.int32)
     parents[:, taken] = count
     shown, nats = np.zeros(count), np.zeros(count)
-    shown[taken] = _visible_share(world, found.best.scene)
-    nats[taken] = visible_gain(world, image, _seen(world, found.best.scene))
+    view = _seen(world, found.best.scene)
+    shown[taken], nats[taken] = _visible_share(view), visible_gain(world, image, view)
     numbers = [(kind, copy + 1) for kind in range(len(names)) for copy in range(world.most)]
     shares = np.array([samples.at_least(*one) for one in numbers])
     return SceneResult(
@@ -135,11 +136,8 @@ def _summary(
 
 
 def _strange_share(world: TableWorld, image: ColourImage, scene: Scene) -> float:
-    """Share of the pixels that show another colour than the table's where no thing is."""
-    usual = image.colour.shape[1] * np.log(1 / (world.noise.sigma * np.sqrt(2 * np.pi)))
-    strange = image.table < usual - STRANGE_NATS
-    strange[render(world, scene.kinds, scene.poses).pixel] = False
-    return float(strange.mean())
+    """Share of the pixels that the scene does not explain."""
+    return float((Surroundings.of(world, image, [scene]).excess > 0).mean())
 
 
 def _slots_of(kinds: NDArray[np.int64], copies: int) -> list[int]:
@@ -155,12 +153,12 @@ def _standing(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return matrices_of(np.stack([*turn, poses[..., 0], poses[..., 1], zero], axis=-1))
 
 
-def _seen(world: TableWorld, scene: Scene) -> Layers:
-    return visible(world, render(world, scene.kinds, scene.poses))
+def _seen(world: TableWorld, scene: Scene) -> View:
+    return seen_together(world, render(world, scene.kinds, scene.poses))
 
 
-def _visible_share(world: TableWorld, scene: Scene) -> NDArray[np.float64]:
-    """Share (T,) of each thing's pixels that nothing nearer hides."""
-    alone = np.diff(render(world, scene.kinds, scene.poses).start)
-    seen = np.diff(_seen(world, scene).start)
-    return seen / np.maximum(alone, 1)
+def _visible_share(view: View) -> NDArray[np.float64]:
+    """Share (T,) of what each thing fills that nothing nearer hides."""
+    owner, count = view.layers.owner, len(view.layers.kinds)
+    alone = np.bincount(owner, view.layers.fill, minlength=count)
+    return np.bincount(owner, view.share, minlength=count) / np.maximum(alone, 1.0)

@@ -20,7 +20,8 @@ from pipeline.simplification import few_triangles
 from pipeline.synthesis.air import AirScene, air_scene, air_world
 from scene.colour.camera_view import LONGEST_PX, pooled_image
 from scene.colour.posterior import colour_image, log_posterior
-from scene.colour.search import FoundScene, Searcher, find_under_any_lamp
+from scene.colour.search import Searcher, find_under_any_lamp
+from scene.colour.weighing import FoundScene
 from scene.colour.world import Light, TableWorld
 
 SEEN_PX = 12

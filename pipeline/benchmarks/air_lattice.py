@@ -24,10 +24,12 @@ from scene.colour.posterior import (
     boxes_overlap,
     colour_image,
     log_prior,
-    visible,
+    seen_together,
+    segments_of,
     visible_gain,
 )
-from scene.colour.world import Light, TableWorld, render
+from scene.colour.rendering import render
+from scene.colour.world import Light, TableWorld
 
 SIDE_PX = 24
 PLACES, YAWS = 6, 4
@@ -71,9 +73,7 @@ class LatticeWorld:
         world = replace(whole, kinds=kinds, most=2, noise=NOISE)
         states = _states(world)
         worlds = tuple(replace(world, light=light) for light in lamps)
-        lattices = tuple(
-            Lattice.rendered(one, *states, groups=np.zeros(len(states[0]), np.int64)) for one in worlds
-        )
+        lattices = tuple(Lattice.rendered(one, *states, np.arange(len(states[0]))[None]) for one in worlds)
         shown = np.zeros((len(states[0]), SIDE_PX**2), np.float32)
         layers = lattices[0].layers
         shown[np.repeat(np.arange(len(shown)), np.diff(layers.start)), layers.pixel] = 1
@@ -92,11 +92,15 @@ class LatticeWorld:
                 break
         scene, lamp = self.scene(*states.tolist()), int(rng.integers(len(self.worlds)))
         world = self.worlds[lamp]
-        seen = visible(world, render(world, scene.kinds, scene.poses))
-        albedo = rng.normal(world.noise.albedo_mean, world.noise.albedo_sd, (len(scene), 3))
-        clean = np.tile(np.array(TABLE_COLOUR), (SIDE_PX**2, 1))
-        clean[seen.pixel] = seen.shade[:, None] * np.repeat(albedo, np.diff(seen.start), axis=0)
-        return scene, lamp, sample(rng, clean, world.noise).reshape(SIDE_PX, SIDE_PX, 3)
+        table = np.array(TABLE_COLOUR)
+        empty = sample(rng, np.tile(table, (SIDE_PX, SIDE_PX, 1)), world.noise)
+        image = colour_image(world, empty, table)
+        view = seen_together(world, render(world, scene.kinds, scene.poses))
+        segments = segments_of(world, image, view)
+        albedo = rng.normal(world.noise.albedo_mean, world.noise.albedo_sd, (len(scene), 3))[segments.owner]
+        rendered, sd = segments.own * albedo + segments.base, np.sqrt(segments.variances(albedo, world.noise))
+        image.colour[view.place[view.leads]] = sample(rng, rendered, world.noise, sd)
+        return scene, lamp, image.colour.reshape(SIDE_PX, SIDE_PX, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,13 +261,13 @@ def _log_posteriors(
     world: TableWorld, states: Lattice, image: ColourImage, lattice: LatticeWorld
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Of the empty table, each state (S,), and each pair (S, S)."""
-    alone = visible_gain(world, image, states.layers)
+    alone = visible_gain(world, image, seen_together(world, states.layers, np.arange(len(states.kinds))))
     gain = np.add.outer(alone, alone)
     one, other = np.nonzero(np.triu(lattice.possible & lattice.touching))
     for first in range(0, len(one), TOGETHER):
         part = slice(first, first + TOGETHER)
         both = np.column_stack([one[part], other[part]])
-        seen = visible(world, states.layers.of(both.ravel()), np.repeat(np.arange(len(both)), 2))
+        seen = seen_together(world, states.layers.of(both.ravel()), np.repeat(np.arange(len(both)), 2))
         together = visible_gain(world, image, seen).reshape(-1, 2).sum(axis=1)
         gain[one[part], other[part]] = gain[other[part], one[part]] = together
     pair = np.argwhere(lattice.possible)[0].tolist()

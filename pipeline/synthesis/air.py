@@ -165,13 +165,16 @@ def photograph(
         return np.broadcast_to(TABLE_COLOUR, (camera.height, camera.width, 3)).copy(), np.zeros(0, np.int64)
     hits = caster.cast_rays(o3d.core.Tensor.from_numpy(rays))
     thing = np.minimum(hits["geometry_ids"].numpy().astype(np.int64), len(scene))  # none is the greatest
-    shade = world.light.shade(hits["primitive_normals"].numpy())
+    face, inner = hits["primitive_ids"].numpy(), hits["primitive_uvs"].numpy()
     colours = np.concatenate([albedo, [TABLE_COLOUR]])[thing]
-    for one, kind in enumerate(scene.kinds):
-        if (known := world.kinds[kind].colours) is not None:
-            mine = thing == one
-            colours[mine] *= known[hits["primitive_ids"].numpy()[mine]]
-    colours *= np.where(thing < len(scene), shade, 1.0)[..., None]
+    for one, (kind, pose) in enumerate(zip(scene.kinds, scene.poses, strict=True)):
+        mine, shape = thing == one, world.kinds[kind]
+        share = np.column_stack([1 - inner[mine].sum(axis=1), inner[mine]])
+        normals = np.einsum("pc,pci->pi", share, shape.corner_normals[face[mine]])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        colours[mine] *= world.light.shade(normals @ _upright(pose)[:3, :3].T)[:, None]
+        if shape.colours is not None:
+            colours[mine] *= shape.colours[face[mine]]
     blocks = (camera.height, subsamples, camera.width, subsamples)
     filled = [(thing == one).reshape(blocks).mean(axis=(1, 3)) > 0.5 for one in range(len(scene))]
     return colours.reshape(*blocks, 3).mean(axis=(1, 3)), np.array([one.sum() for one in filled])

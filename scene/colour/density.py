@@ -1,18 +1,23 @@
 """Density of colour given what is rendered: shaded albedo with noise and outliers, albedo integrated out.
 
-A channel y of a pixel whose surface has shade s and colour m:
+A channel y of a pixel of which a thing fills the share w, with shade s and colour m, and other things and the
+table the rest, of mean colour b and variance v:
 
-    p(y | s, a) = (1 - p_out) Normal(y; s m a, sigma) + p_out 1[0 <= y <= 1]
+    p(y | a) = (1 - p_out) Normal(y; w s m a + (1 - w) b, sd) + p_out 1[0 <= y <= 1]
+    sd^2 = sigma^2 + (1 - w)^2 v + [4 coverage w (1 - w) (s m a - b)]^2 + (w u a)^2
 
-Nothing is clipped; where a camera did, the value is infinite, and counts for all that is as bright, or as
-dark. An object has one a per channel. Where its colours are unknown m is 1 and a its albedo, a ~ Normal(0.5,
-0.3); where they are known m is its surface's and a the gain of the light there, log a ~ Normal(0, 0.3).
-Channels part, so that integrating it out is one quadrature each, over all pixels of the object together.
+The third term is for outlines that are not quite where they are rendered, the last one, of deviation u, for
+edges within a thing: s m is rendered at the pixel's centre. Nothing is clipped; where a camera
+did, the value is infinite, and counts for all that is as bright, or as dark. An object has one a per channel.
+Where its colours are unknown m is 1 and a its albedo, a ~ Normal(0.5, 0.3); where they are known m is its
+surface's and a the gain of the light there, log a ~ Normal(0, 0.3). Channels part, so that integrating it out
+is one quadrature each, over all pixels of the object together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +39,8 @@ BIN = 0.05
 """Width of the cells in which pixels vote for an albedo."""
 CELLS = 40
 """Cells from -BIN * 10 on: albedos above 1.5 are six times fainter in the prior than at its mean."""
+VOTES = 0.5
+"""Share that a thing fills of the pixels that vote."""
 FITS = 5
 """Steps of expectation and maximisation after the vote; the last changes an albedo by under 1e-4."""
 STORED = 256
@@ -48,7 +55,8 @@ class ColourNoise:
 
     Attributes:
         sigma: standard deviation of a channel.
-        outlier: probability that a channel tells nothing (mixed pixels at silhouettes, highlights).
+        outlier: probability that a channel tells nothing (dead pixels, highlights).
+        coverage: standard deviation of the share that a thing fills of a pixel, where that is one half.
         albedo_mean: of the prior.
         albedo_sd: of the prior.
         gain_sd: of the logarithm of a channel's gain, where colours are known: lamps and white balances
@@ -57,40 +65,47 @@ class ColourNoise:
 
     sigma: float = 0.03
     outlier: float = 0.05
+    coverage: float = 0.05
     albedo_mean: float = 0.5
     albedo_sd: float = 0.3
     gain_sd: float = 0.3
 
+    def blurred(self, times: float) -> ColourNoise:
+        """So many times the noise, 1 at most."""
+        return replace(self, sigma=min(times * self.sigma, 1.0))
+
     def __post_init__(self) -> None:
         check_finite(self)
         check_within(self, 1e-4, 1.0, ("sigma", "albedo_sd", "gain_sd"))
+        check_within(self, 0.0, 1.0, ("coverage",))
         check_within(self, 1e-6, 0.999, ("outlier",))
 
 
 def log_density(
-    colour: NDArray[np.floating], rendered: NDArray[np.floating], noise: ColourNoise
+    colour: NDArray[np.floating],
+    rendered: NDArray[np.floating],
+    noise: ColourNoise,
+    sd: NDArray[np.floating] | None = None,
 ) -> NDArray[np.floating]:
     """Log density of each channel given its rendered value; arrays that broadcast.
 
     Lebesgue measure, and for what was clipped, +inf or -inf, the probability of a value over 1 or below 0.
+
+    Args:
+        colour: +inf or -inf where it was clipped.
+        rendered: mean.
+        noise: of the channel.
+        sd: standard deviation of what is no outlier; None takes the noise's own.
     """
-    peak = (1 - noise.outlier) / (noise.sigma * np.sqrt(2 * np.pi))
-    residual = (colour - rendered) * (1 / noise.sigma)
-    uniform = noise.outlier * ((colour >= 0) & (colour <= 1))
-    density = peak * np.exp(-0.5 * residual * residual) + uniform
+    narrow = 1 / (noise.sigma if sd is None else sd)
+    residual = (colour - rendered) * narrow
+    density = (1 - noise.outlier) / np.sqrt(2 * np.pi) * narrow * np.exp(-0.5 * residual * residual)
+    density = density + noise.outlier * ((colour >= 0) & (colour <= 1))
     clipped = np.isinf(colour)
     if clipped.any():
-        beyond = ndtr(np.where(colour > 0, rendered - 1, -rendered) / noise.sigma)
+        beyond = ndtr(np.where(colour > 0, rendered - 1, -rendered) * narrow)
         density = np.where(clipped, (1 - noise.outlier) * beyond + noise.outlier / STORED, density)
     return np.log(np.maximum(density, LEAST))
-
-
-def sample(
-    rng: np.random.Generator, rendered: NDArray[np.floating], noise: ColourNoise
-) -> NDArray[np.float64]:
-    """Draws from `log_density`, of the shape of `rendered`."""
-    drawn = rendered + noise.sigma * rng.standard_normal(rendered.shape)
-    return np.where(rng.random(rendered.shape) < noise.outlier, rng.random(rendered.shape), drawn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,58 +117,155 @@ class Segments:
         colour: (P, C) in 0..1.
         lit: (P, C), or (P, 1) for all channels: the shade, times the surface's colour where it is known.
         is_known: (B,) whether it is.
+        share: (P, 1) that the object fills of the pixel.
+        base: (P, C) what the rest of the pixel adds to its colour: `(1 - share)` of its mean.
+        variance: (P, C) of what it adds; None for none.
+        unresolved: (P, C or 1) standard deviation of `lit`; None takes edges, and outlines, as they are
+            rendered.
     """
 
     start: NDArray[np.int64]
     colour: NDArray[np.floating]
     lit: NDArray[np.floating]
     is_known: NDArray[np.bool_]
+    share: NDArray[np.floating]
+    base: NDArray[np.floating]
+    variance: NDArray[np.floating] | None
+    unresolved: NDArray[np.floating] | None
+
+    @classmethod
+    def whole(
+        cls,
+        start: NDArray[np.int64],
+        colour: NDArray[np.floating],
+        lit: NDArray[np.floating],
+        is_known: NDArray[np.bool_],
+    ) -> Segments:
+        """Objects that fill all of their pixels."""
+        return cls(
+            start, colour, lit, is_known, np.ones((len(colour), 1)), np.zeros(colour.shape), None, None
+        )
 
     @property
     def owner(self) -> NDArray[np.int64]:
         """Object (P,) of each pixel."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
+    @cached_property
+    def own(self) -> NDArray[np.floating]:
+        """What the object adds (P, C or 1) to each pixel, over its factor."""
+        return self.share * self.lit
+
     def of(self, chosen: NDArray[np.bool_]) -> Segments:
         """Those of some objects (B,), in order."""
         counts = np.diff(self.start)
         rows = np.repeat(chosen, counts)
         start = np.concatenate([[0], np.cumsum(counts[chosen])])
-        return Segments(start, self.colour[rows], self.lit[rows], self.is_known[chosen])
+        others = (None if one is None else one[rows] for one in (self.variance, self.unresolved))
+        pixels = (self.share[rows], self.base[rows], *others)
+        return Segments(start, self.colour[rows], self.lit[rows], self.is_known[chosen], *pixels)
 
     def prior(self, noise: ColourNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation (B, 1) of a Gaussian that is, or is near, the prior of the factor a."""
-        mean = np.where(self.is_known, 1.0, noise.albedo_mean)
-        return mean[:, None], np.where(self.is_known, noise.gain_sd, noise.albedo_sd)[:, None]
+        return factor_prior(self.is_known[:, None], noise)
+
+    def variances(self, factor: NDArray[np.floating], noise: ColourNoise) -> NDArray[np.floating] | float:
+        """Of colours (P, C, ...), given the factors (P, C, ...) of their objects."""
+        if self.unresolved is None:
+            return noise.sigma**2
+        beyond = (...,) + (None,) * (factor.ndim - 2)
+        edge = (self.share * self.unresolved)[beyond] * factor
+        jump = 4 * noise.coverage * ((1 - self.share) * self.own)[beyond] * factor
+        jump -= (4 * noise.coverage * self.share * self.base)[beyond]
+        jump *= jump
+        jump += edge * edge
+        jump += noise.sigma**2 + (0.0 if self.variance is None else self.variance[beyond])
+        return jump
 
 
-def fitted_albedo(segments: Segments, noise: ColourNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Most probable albedo, or gain, and its precision, (B, C): a vote, then expectation and maximisation."""
+def factor_prior(
+    is_known: NDArray[np.bool_], noise: ColourNoise
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation (...) of albedos, or of a Gaussian near the prior of gains."""
+    mean = np.where(is_known, 1.0, noise.albedo_mean)
+    return mean, np.where(is_known, noise.gain_sd, noise.albedo_sd)
+
+
+def sample(
+    rng: np.random.Generator,
+    rendered: NDArray[np.floating],
+    noise: ColourNoise,
+    sd: NDArray[np.floating] | None = None,
+) -> NDArray[np.float64]:
+    """Draws from `log_density`, of the shape of `rendered`."""
+    spread = noise.sigma if sd is None else sd
+    drawn = rendered + spread * rng.standard_normal(rendered.shape)
+    return np.where(rng.random(rendered.shape) < noise.outlier, rng.random(rendered.shape), drawn)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The most probable factors of B objects.
+
+    Attributes:
+        factor: (B, C) albedos, or gains.
+        precision: (B, C) of them.
+        residual: (P, C) colours less what is rendered; 0 of what was clipped.
+        variance: (P, C) of colours, or a number.
+        weight: (P, C) precisions of the colours, as far as they are no outliers.
+    """
+
+    factor: NDArray[np.float64]
+    precision: NDArray[np.float64]
+    residual: NDArray[np.floating]
+    variance: NDArray[np.floating] | float
+    weight: NDArray[np.floating]
+
+
+def fit(segments: Segments, noise: ColourNoise, steps: int = FITS) -> Fit:
+    """A vote, then expectation and maximisation."""
     mean, sd = segments.prior(noise)
-    albedo = _voted(segments, mean)
-    lit, owner = segments.lit, segments.owner
-    told = np.isfinite(segments.colour)
-    colour = np.where(told, segments.colour, 0.0)
-    precision = np.zeros_like(albedo) + sd**-2
-    peak = (1 - noise.outlier) / (noise.sigma * np.sqrt(2 * np.pi))
-    for _ in range(FITS):
-        residual = (colour - lit * albedo[owner]) * (1 / noise.sigma)
-        inlier = told * peak * np.exp(-0.5 * residual * residual)
-        weight = inlier / (inlier + noise.outlier) * (lit / noise.sigma**2)
-        precision = sd**-2 + _sums(segments.start, weight * lit)
-        albedo = (mean * sd**-2 + _sums(segments.start, weight * colour)) / precision
-    return np.where(segments.is_known[:, None], np.maximum(albedo, DIMMEST), albedo), precision
+    factor, precision = _voted(segments, mean), np.zeros(mean.shape) + sd**-2
+    rest = segments.colour - segments.base
+    clipped = np.isinf(segments.colour)
+    any_clipped = bool(clipped.any())
+    if any_clipped:
+        rest[clipped] = 0.0
+    expected = _expected(segments, noise, factor, rest)
+    for _ in range(steps):
+        pull = np.where(clipped, 0.0, expected[2]) if any_clipped else expected[2]
+        pull = pull * segments.own
+        precision = sd**-2 + sums(segments.start, pull * segments.own)
+        factor = (mean * sd**-2 + sums(segments.start, pull * rest)) / precision
+        factor = np.where(segments.is_known[:, None], np.maximum(factor, DIMMEST), factor)
+        expected = _expected(segments, noise, factor, rest)
+    residual, variance, weight = expected
+    if any_clipped:
+        residual, weight = (np.where(clipped, 0.0, one) for one in (residual, weight))
+    return Fit(factor, precision, residual, variance, weight)
+
+
+def _expected(
+    segments: Segments, noise: ColourNoise, factor: NDArray[np.float64], rest: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating] | float, NDArray[np.floating]]:
+    """Residuals, variances and weights (P, C), given factors (B, C) and the things' own part (P, C)."""
+    mine = factor[segments.owner]
+    residual, variance = rest - segments.own * mine, segments.variances(mine, noise)
+    peak = (1 - noise.outlier) / np.sqrt(2 * np.pi * variance)
+    inlier = peak * np.exp(residual * residual * (-0.5 / variance))
+    return residual, variance, inlier / ((inlier + noise.outlier) * variance)
 
 
 def laplace_evidence(
-    segments: Segments, noise: ColourNoise
+    segments: Segments, noise: ColourNoise, fitted: Fit | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Log evidence (B,) by a Gaussian at the most probable albedo (B, C), and that albedo; for searching."""
-    albedo, precision = fitted_albedo(segments, noise)
-    density = log_density(segments.colour, segments.lit * albedo[segments.owner], noise)
-    joint = _sums(segments.start, density) + _log_prior(albedo, segments.is_known[:, None], noise)
-    evidence = joint + 0.5 * np.log(2 * np.pi / precision)
-    return np.where(np.diff(segments.start) > 0, evidence.sum(axis=1), 0.0), albedo
+    """Log evidence (B,) by a Gaussian at the most probable factors (B, C), and these; for searching."""
+    fitted = fit(segments, noise) if fitted is None else fitted
+    rendered = segments.own * fitted.factor[segments.owner] + segments.base
+    density = log_density(segments.colour, rendered, noise, np.sqrt(fitted.variance))
+    joint = sums(segments.start, density) + _log_prior(fitted.factor, segments.is_known[:, None], noise)
+    evidence = joint + 0.5 * np.log(2 * np.pi / fitted.precision)
+    return np.where(np.diff(segments.start) > 0, evidence.sum(axis=1), 0.0), fitted.factor
 
 
 def albedo_evidence(segments: Segments, noise: ColourNoise) -> NDArray[np.float64]:
@@ -171,8 +283,8 @@ def albedo_evidence(segments: Segments, noise: ColourNoise) -> NDArray[np.float6
 
 
 def _quadrature(segments: Segments, noise: ColourNoise, count: int) -> NDArray[np.float64]:
-    albedo, precision = fitted_albedo(segments, noise)
-    narrow, known = precision**-0.5, segments.is_known[:, None]
+    fitted = fit(segments, noise)
+    albedo, narrow, known = fitted.factor, fitted.precision**-0.5, segments.is_known[:, None]
     spread = REACH * noise.albedo_sd
     low = np.where(known, 0.0, noise.albedo_mean - spread)
     high = np.where(known, np.exp(REACH * noise.gain_sd), noise.albedo_mean + spread)
@@ -181,9 +293,11 @@ def _quadrature(segments: Segments, noise: ColourNoise, count: int) -> NDArray[n
     u = furthest[..., None] * np.linspace(-1, 1, count)
     nodes = albedo[..., None] + narrow[..., None] * np.sinh(u)  # (B, C, Q)
     log_weight = np.log(narrow[..., None] * np.cosh(u) * (2 / (count - 1) * furthest)[..., None])
-    rendered = segments.lit[..., None] * nodes[segments.owner]
-    density = log_density(segments.colour[..., None], rendered, noise)
-    joint = _sums(segments.start, density) + _log_prior(nodes, known[..., None], noise) + log_weight
+    mine = nodes[segments.owner]
+    rendered, variance = segments.own[..., None] * mine, segments.variances(mine, noise)
+    rendered += segments.base[..., None]
+    density = log_density(segments.colour[..., None], rendered, noise, np.sqrt(variance))
+    joint = sums(segments.start, density) + _log_prior(nodes, known[..., None], noise) + log_weight
     most = joint.max(axis=-1)
     return (most + np.log(np.exp(joint - most[..., None]).sum(axis=-1))).sum(axis=1)
 
@@ -202,17 +316,18 @@ def _voted(segments: Segments, mean: NDArray[np.float64]) -> NDArray[np.float64]
     """The albedo (B, C) for which most pixels vote; the prior's mean (B, 1) without pixels."""
     objects, channels = len(segments.start) - 1, segments.colour.shape[1]
     colour = np.nan_to_num(segments.colour, posinf=1.0, neginf=0.0)
-    ratio = colour / np.maximum(segments.lit, 1e-3)
+    ratio = (colour - segments.base) / np.maximum(segments.own, 1e-3)
     cell = np.clip(np.floor(ratio / BIN).astype(np.int64) + CELLS // 4, 0, CELLS - 1)
     place = (segments.owner[:, None] * channels + np.arange(channels)) * CELLS + cell
-    votes = np.bincount(place.ravel(), minlength=objects * channels * CELLS)
+    vote = np.broadcast_to(segments.share > VOTES, place.shape)
+    votes = np.bincount(place.ravel(), vote.ravel(), minlength=objects * channels * CELLS)
     votes = np.pad(votes.reshape(objects, channels, CELLS), ((0, 0), (0, 0), (1, 1)))
     best = (votes[..., :-2] + 2 * votes[..., 1:-1] + votes[..., 2:]).argmax(axis=-1)
     albedo = (best - CELLS // 4 + 0.5) * BIN
-    return np.where(np.diff(segments.start)[:, None] > 0, albedo, mean)
+    return np.where(sums(segments.start, vote[:, :1].astype(np.float64)) > 0, albedo, mean)
 
 
-def _sums(start: NDArray[np.int64], rows: NDArray[np.floating]) -> NDArray[np.float64]:
+def sums(start: NDArray[np.int64], rows: NDArray[np.floating]) -> NDArray[np.float64]:
     """Sums (B, ...) of rows by object; zero for objects without rows."""
     sums = np.zeros((len(start) - 1, *rows.shape[1:]))
     filled = np.diff(start) > 0

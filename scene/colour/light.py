@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.kernels import log_gains
-from scene.colour.posterior import ColourImage, Scene, visible
-from scene.colour.world import Layers, Light, TableWorld, render_with_normals
+from scene.colour.density import laplace_evidence
+from scene.colour.posterior import ColourImage, Scene, seen_together, segments_of
+from scene.colour.rendering import Layers, render_with_normals
+from scene.colour.world import Light, TableWorld
 
 DIRECTIONS = 32
 """Spread over the upper half of the sphere, 25 degrees from each other: shades differ by a tenth."""
@@ -55,19 +56,18 @@ class LampShares:
         """Of `lights` and the world's own, given a scene, by Laplace's evidence."""
         tried = [world.light, *lights()]
         layers, normals = render_with_normals(world, scene.kinds, scene.poses)
-        numbered = replace(layers, shade=np.arange(len(layers.pixel), dtype=np.float64))
-        seen = visible(world, numbered)
-        normals = normals[seen.shade.astype(np.int64)]
+        tiled, things = len(tried), len(scene)
         every = Layers(
-            np.append(0, np.cumsum(np.tile(np.diff(seen.start), len(tried)))),
-            np.tile(seen.pixel, len(tried)),
-            np.tile(seen.depth_m, len(tried)),
+            np.append(0, np.cumsum(np.tile(np.diff(layers.start), tiled))),
+            np.tile(layers.pixel, tiled),
+            np.tile(layers.depth_m, tiled),
             np.concatenate([light.shade(normals) for light in tried]),
-            np.tile(seen.face, len(tried)),
-            np.tile(seen.kinds, len(tried)),
+            np.tile(layers.face, tiled),
+            np.tile(layers.fill, tiled),
+            np.tile(layers.kinds, tiled),
         )
-        nothing = np.full(len(image.table), np.inf)
-        values = log_gains(world, image.colour, image.table, nothing, every)
+        view = seen_together(world, every, np.repeat(np.arange(tiled), things))
+        values, _ = laplace_evidence(segments_of(world, image, view), world.noise)
         values = values.reshape(len(tried), len(scene)).sum(axis=1)
         shares = np.exp(values - np.logaddexp.reduce(values))
         return cls(tried, np.log((1 - EVENLY) * shares + EVENLY / len(tried)))

@@ -1,7 +1,10 @@
 """Posterior density of a scene given one colour image, against the empty table; exact.
 
 log p(image, scene) - log p(image | empty table) = log p(scene) + sum over things of
-[log evidence of its visible pixels, albedo integrated out - log density of these pixels as table].
+[log evidence of its pixels, albedo integrated out - log density of these pixels as table].
+
+A pixel belongs to the thing that fills most of it. Of the colours of other things in it their prior alone is
+known, so that things part: a pixel at the outline between two of them tells less than one on the table.
 """
 
 from __future__ import annotations
@@ -12,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from scene.colour.density import Segments, albedo_evidence, log_density
-from scene.colour.world import Layers, TableWorld, render
+from scene.colour.density import Segments, albedo_evidence, factor_prior, log_density
+from scene.colour.rendering import Layers, Neighbours, render
+from scene.colour.world import TableWorld
 
 OVERLAP_M = 0.002
 """By more than this no two boxes overlap."""
@@ -54,10 +58,12 @@ class ColourImage:
 
     Attributes:
         colour: (H * W, C) in 0..1; +inf or -inf where it was clipped.
+        table_colour: (C,) of the empty table.
         table: (H * W,) log density of each pixel as table.
     """
 
     colour: NDArray[np.float64]
+    table_colour: NDArray[np.float64]
     table: NDArray[np.float64]
 
 
@@ -76,8 +82,8 @@ def colour_image(
         )
     colour = np.asarray(image, np.float64).reshape(world.camera.width * world.camera.height, -1)
     bounded = np.nan_to_num(colour, posinf=1.0, neginf=0.0)
-    table = np.median(bounded, axis=0) if table_colour is None else np.asarray(table_colour)
-    return ColourImage(colour, log_density(colour, table, world.noise).sum(axis=1))
+    table = np.median(bounded, axis=0) if table_colour is None else np.asarray(table_colour, np.float64)
+    return ColourImage(colour, table, log_density(colour, table, world.noise).sum(axis=1))
 
 
 def log_prior(world: TableWorld, scene: Scene) -> float:
@@ -96,36 +102,81 @@ def log_prior(world: TableWorld, scene: Scene) -> float:
     return float(len(scene) * each - spins + gammaln(len(scene) + 1) - np.log(world.most + 1))
 
 
+@dataclass(frozen=True, eq=False)
+class View:
+    """Things seen together, one before the other.
+
+    Attributes:
+        layers: of the things.
+        place: (P,) of the layers' pixels, counted through all scenes.
+        share: (P,) of the pixel that shows the thing.
+        table: (P,) of the pixel that shows the table.
+        leads: (P,) whether no other thing is seen in more of the pixel.
+    """
+
+    layers: Layers
+    place: NDArray[np.int64]
+    share: NDArray[np.float64]
+    table: NDArray[np.float64]
+    leads: NDArray[np.bool_]
+
+
+def seen_together(world: TableWorld, layers: Layers, scenes: NDArray[np.int64] | None = None) -> View:
+    """Of things that are all there, or in these scenes (B,): nearer ones hide as much as they fill."""
+    place = layers.pixel
+    if scenes is not None:
+        place = place + world.camera.width * world.camera.height * np.repeat(scenes, np.diff(layers.start))
+    order = np.lexsort((layers.depth_m, place))
+    fill, at = layers.fill[order], place[order]
+    rank = _ranks(at)
+    free = np.ones(len(fill))
+    for one in range(1, rank.max(initial=0) + 1):
+        behind = np.flatnonzero(rank == one)
+        free[behind] = free[behind - 1] * (1 - fill[behind - 1])
+    first = np.flatnonzero(rank == 0)
+    count = np.diff(np.append(first, len(fill)))
+    left = np.repeat((free * (1 - fill))[first + count - 1], count)
+    most = np.repeat(np.maximum.reduceat(free * fill, first), count) if len(first) else free
+    back = np.empty(len(order), np.int64)
+    back[order] = np.arange(len(order))
+    return View(layers, place, (free * fill)[back], left[back], (free * fill >= most)[back])
+
+
+def segments_of(world: TableWorld, image: ColourImage, view: View) -> Segments:
+    """The pixels that each thing leads in, with what is known of its colours."""
+    layers, leads = view.layers, view.leads
+    lit = layers.lit(world, image.colour.shape[1])
+    base, variance = view.table[:, None] * image.table_colour, None
+    if not leads.all():
+        mean, sd = factor_prior(world.is_coloured[layers.kinds][layers.owner, None], world.noise)
+        own = np.broadcast_to(view.share[:, None] * lit, base.shape)
+        base = base + _others(view.place, own * mean)
+        variance = np.maximum(_others(view.place, (own * sd) ** 2), 0.0)[leads]
+    start = np.concatenate([[0], np.cumsum(leads)])[layers.start]
+    return Segments(
+        start=start,
+        colour=image.colour[layers.pixel[leads]],
+        lit=lit[leads],
+        is_known=world.is_coloured[layers.kinds],
+        share=view.share[leads, None],
+        base=base[leads],
+        variance=variance,
+        unresolved=Neighbours.of(layers, world.camera).unresolved(lit)[leads],
+    )
+
+
 def log_likelihood(world: TableWorld, image: ColourImage, scene: Scene) -> float:
     """Log density of the image given the scene less that given the empty table."""
     layers = render(world, scene.kinds, scene.poses)
-    return float(visible_gain(world, image, visible(world, layers)).sum())
+    return float(visible_gain(world, image, seen_together(world, layers)).sum())
 
 
-def visible(world: TableWorld, layers: Layers, scenes: NDArray[np.int64] | None = None) -> Layers:
-    """Of things that are all there, or in these scenes (B,), what the nearer ones leave to be seen."""
-    pixels = world.camera.width * world.camera.height
-    place, count = layers.pixel, 1
-    if scenes is not None:
-        place, count = place + pixels * np.repeat(scenes, np.diff(layers.start)), scenes.max(initial=0) + 1
-    nearest = np.full(pixels * count, np.inf)
-    np.minimum.at(nearest, place, layers.depth_m)
-    return layers.kept(layers.depth_m <= nearest[place])
-
-
-def segments_of(world: TableWorld, image: ColourImage, seen: Layers) -> Segments:
-    """The pixels that show each thing, with what is known of its colours."""
-    colours = world.face_colours(image.colour.shape[1])
-    lit = seen.shade[:, None] * colours[seen.face]
-    return Segments(seen.start, image.colour[seen.pixel], lit, world.is_coloured[seen.kinds])
-
-
-def visible_gain(world: TableWorld, image: ColourImage, seen: Layers) -> NDArray[np.float64]:
+def visible_gain(world: TableWorld, image: ColourImage, view: View) -> NDArray[np.float64]:
     """Log evidence (B,) of the pixels of each thing against the table."""
-    segments = segments_of(world, image, seen)
-    table = np.concatenate([[0], np.cumsum(image.table[seen.pixel])])
+    segments = segments_of(world, image, view)
+    table = np.concatenate([[0], np.cumsum(image.table[view.layers.pixel[view.leads]])])
     evidence = albedo_evidence(segments, world.noise)
-    return np.where(np.diff(seen.start) > 0, evidence, 0.0) - np.diff(table[seen.start])
+    return np.where(np.diff(segments.start) > 0, evidence, 0.0) - np.diff(table[segments.start])
 
 
 def log_posterior(world: TableWorld, image: ColourImage, scene: Scene) -> float:
@@ -181,3 +232,17 @@ def _rotated(points: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[
     cosine, sine = np.cos(turn), np.sin(turn)
     x, y = points[..., 0], points[..., 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
+def _others(place: NDArray[np.int64], own: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums (P, C) of what other things add to the same places."""
+    number = np.unique(place, return_inverse=True)[1]
+    total = [np.bincount(number, channel) for channel in own.T]
+    return np.stack(total, axis=1)[number] - own
+
+
+def _ranks(sorted_places: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many equal ones stand before each."""
+    number = np.arange(len(sorted_places))
+    first = np.append(True, sorted_places[1:] != sorted_places[:-1])[: len(number)]
+    return number - np.maximum.accumulate(np.where(first, number, 0))

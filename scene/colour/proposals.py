@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.search import FoundScene
+from scene.colour.weighing import FoundScene
 from scene.colour.world import TableWorld
 
 ANYWHERE = 0.1
@@ -32,14 +32,14 @@ class FoundThings:
         world: of the things.
         kinds: (M,).
         means: (M, 3).
-        sd: (M, 3).
+        covariance: (M, 3, 3); of a round thing's yaw with nothing.
         shares: (M,), which sum to 1 - `ANYWHERE`, or to 0 of none.
     """
 
     world: TableWorld
     kinds: NDArray[np.int64]
     means: NDArray[np.float64]
-    sd: NDArray[np.float64]
+    covariance: NDArray[np.float64]
     shares: NDArray[np.float64]
 
     @classmethod
@@ -54,7 +54,7 @@ class FoundThings:
             world,
             np.concatenate([np.zeros(0, np.int64), *(one.scene.kinds for one in scenes)]),
             np.concatenate([np.zeros((0, 3)), *(one.scene.poses for one in scenes)]),
-            np.concatenate([np.zeros((0, 3)), *(one.sd for one in scenes)]),
+            np.concatenate([np.zeros((0, 3, 3)), *(one.covariance for one in scenes)]),
             (1 - ANYWHERE) * each / max(each.sum(), 1e-300),
         )
 
@@ -71,9 +71,8 @@ class FoundThings:
         near = np.flatnonzero(rng.random(count) >= self.anywhere)
         if len(near):
             chosen = rng.choice(len(self.kinds), size=len(near), p=self.shares / self.shares.sum())
-            spread = rng.choice(SPREADS, (len(near), 1)) * self.sd[chosen]
             kinds[near] = self.kinds[chosen]
-            poses[near] = self.means[chosen] + spread * rng.standard_normal((len(near), 3))
+            poses[near] = self.means[chosen] + self._drawn(rng, chosen)
             turns = np.maximum(self._turns[kinds[near]], 1)
             poses[near, 2] += rng.integers(turns) * (2 * np.pi / turns)
             spins = near[self._turns[kinds[near]] == 0]
@@ -87,16 +86,20 @@ class FoundThings:
         inside = (np.abs(poses[:, :2]) <= self.world.half_m).all(axis=1)
         density = inside * (self.anywhere / (len(self.world.kinds) * side**2 * 2 * np.pi))
         apart = poses[:, None] - self.means  # (B, M, 3)
-        same = kinds[:, None] == self.kinds
-        turns = self._turns[self.kinds]
-        for scale in SPREADS:
-            sd = scale * self.sd
-            places = _normal(apart[..., :2], sd[:, :2]).prod(axis=-1)
-            period = 2 * np.pi / np.maximum(turns, 1)
-            wrapped = apart[..., 2, None] - period[:, None] * np.round(apart[..., 2] / period)[..., None]
-            yaws = _normal(wrapped + period[:, None] * WRAPS, sd[:, 2, None]).sum(axis=-1)
-            yaws = np.where(turns == 0, 1 / (2 * np.pi), yaws / np.maximum(turns, 1))
-            density = density + (same * self.shares * places * yaws).sum(axis=1) / len(SPREADS)
+        turns, spins = self._turns[self.kinds], self._turns[self.kinds] == 0
+        period = 2 * np.pi / np.maximum(turns, 1)
+        apart[..., 2] -= period * np.round(apart[..., 2] / period)
+        away = np.repeat(apart[:, :, None], len(WRAPS), axis=2)
+        away[..., 2] += period[:, None] * WRAPS
+        away[:, spins, :, 2] = 0.0
+        squared = np.einsum("bmwi,mij,bmwj->bmw", away, np.linalg.inv(self.covariance), away)
+        scale = np.sqrt(np.linalg.det(2 * np.pi * self.covariance))
+        scale = np.where(spins, scale * 2 * np.pi, scale * np.maximum(turns, 1))
+        same = (kinds[:, None] == self.kinds) * self.shares / scale / len(SPREADS)
+        for spread in SPREADS:
+            each = np.exp(-0.5 * squared / spread**2)
+            each = np.where(spins, each[..., 0] / spread**2, each.sum(axis=-1) / spread**3)
+            density = density + (same * each).sum(axis=1)
         with np.errstate(divide="ignore"):
             return np.log(density)
 
@@ -106,12 +109,13 @@ class FoundThings:
         if not len(mine):
             return rng.standard_normal(3) * [self.world.half_m / 50, self.world.half_m / 50, np.pi / 50]
         chosen = mine[rng.choice(len(mine), p=self.shares[mine] / self.shares[mine].sum())]
-        return rng.choice(SPREADS) * self.sd[chosen] * rng.standard_normal(3)
+        return self._drawn(rng, np.array([chosen]))[0]
+
+    def _drawn(self, rng: np.random.Generator, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Displacements (B, 3) from things, of spreads chosen evenly."""
+        spread = rng.choice(SPREADS, (len(chosen), 1)) * rng.standard_normal((len(chosen), 3))
+        return np.einsum("bij,bj->bi", np.linalg.cholesky(self.covariance)[chosen], spread)
 
     @property
     def _turns(self) -> NDArray[np.int64]:
         return np.array([kind.turns for kind in self.world.kinds])
-
-
-def _normal(error: NDArray[np.float64], sd: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.exp(-0.5 * (error / sd) ** 2) / (sd * np.sqrt(2 * np.pi))

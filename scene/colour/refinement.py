@@ -1,4 +1,4 @@
-"""Poses of many things refined at once, each in the same surroundings, by halving steps."""
+"""Poses of many things refined at once, each in the same surroundings, by Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -7,22 +7,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.lattice import Surroundings, placed_gains
-from scene.colour.posterior import ColourImage
+from scene.colour.density import fit, sums
+from scene.colour.rendering import Layers, Motion, Neighbours, render_with_motion
+from scene.colour.surroundings import Placed, Surroundings, forbidden
 from scene.colour.world import TableWorld
 
-FIRST_STEP = np.array([0.010, 0.010, 0.26])
-"""Half a lattice cell: metres, metres, radians."""
-COARSE = range(5)
-"""Halvings of it; the last step is 0.6 mm and one degree, ..."""
-FINE = range(3, 7)
-"""... and 0.16 mm where a scene is polished at last: a tenth of a pixel in most cameras."""
-AROUND = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-"""The middle and its neighbours, in steps."""
-FURTHEST = 1.5
-"""Steps to the top of a parabola at most: it was read over one."""
-FLAT = 1e-9
-"""Least curvature, in nats per square metre or radian."""
+FITS = 3
+"""Steps by which albedos are fitted; two more change evidences by 0.05 nats."""
+LONGEST_STEP = np.array([0.015, 0.015, 0.4])
+"""Three quarters of a lattice cell: metres, metres, radians."""
+BLURS = (8.0, 4.0, 2.0)
+"""Times the noise with which residuals are judged in the first steps: outlines that are a pixel off are
+outliers by the noise itself, and would pull at nothing."""
+TURNED = (2.0,)
+"""Of a thing whose place is right."""
+COMPARED_AT = 2.0
+"""Blur from which on gains tell which start is the better one."""
+BEHIND_NATS = 100.0
+"""A start whose gain is less than the best rival's, or than none, by so much more than its step promises,
+is left."""
+LEAST_GAIN = -1e9
+"""In place of what may not stand."""
+SHARP_STEPS = 4
+"""Most steps with the noise itself, ..."""
+WORTH_NATS = 0.5
+"""... as long as one of them gains so much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,69 +42,139 @@ class Refined:
         which: (B,) of those from where it began, ascending.
         poses: (B, 3).
         gains: (B,) log.
-        sd: (B, 3) of a Gaussian with the curvature there, axes apart; of the prior at most.
+        covariance: (B, 3, 3) of a Gaussian with the curvature there, no wider than the prior.
     """
 
     which: NDArray[np.int64]
     poses: NDArray[np.float64]
     gains: NDArray[np.float64]
-    sd: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+    @property
+    def log_evidence(self) -> NDArray[np.float64]:
+        """Of poses under the Gaussian (B,), up to a constant."""
+        return self.gains + 0.5 * np.linalg.slogdet(self.covariance)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """From poses (B,).
+
+    Attributes:
+        gains: (B,) at the poses.
+        steps: (B, 3).
+        covariance: (B, 3, 3).
+        promise: (B,) nats that the steps gain if the curvature goes on.
+    """
+
+    gains: NDArray[np.float64]
+    steps: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    promise: NDArray[np.float64]
 
 
 def refine(
     world: TableWorld,
-    image: ColourImage,
-    rest: Surroundings,
+    around: Surroundings,
     kinds: NDArray[np.int64],
     poses: NDArray[np.float64],
+    images: NDArray[np.int64],
+    rivals: NDArray[np.int64],
     wanted: int,
-    halvings: range = COARSE,
+    blurs: tuple[float, ...] = BLURS,
 ) -> Refined:
-    """Climb from `poses` (S, 3): parabolas through the six neighbours tell where to look next.
+    """Climb from `poses` (B, 3), each in its image (B,) of the surroundings.
 
-    After each step the better half goes on (successive halving), but no fewer than are wanted.
+    From the last blurred steps on those that are well behind the best of their `rivals` (B,) are left, and
+    the worse half, but for as many as are wanted of each set.
     """
-    spins = np.array([world.kinds[kind].turns != 0 for kind in kinds], np.bool_)
-    poses, best = poses.copy(), np.full(len(poses), -np.inf)
-    middle, sd, going = poses.copy(), np.zeros(poses.shape), np.arange(len(poses))
-    for halving in halvings:
-        step = FIRST_STEP * 0.5**halving
-        tried = middle[going, None] + AROUND * step
-        value = placed_gains(world, image, rest, np.repeat(kinds[going], 7), tried.reshape(-1, 3)).reshape(
-            -1, 7
-        )
-        slope, curvature = _parabolas(value[:, 0], value[:, 1:], step)
-        sd[going] = _deviations(curvature, world, spins[going])
-        top = np.clip(slope / np.maximum(-curvature, FLAT), -FURTHEST * step, FURTHEST * step)
-        every = np.concatenate([best[going, None], value], axis=1)
-        where = np.concatenate([poses[going, None], tried], axis=1)
-        chosen = (np.arange(len(going)), every.argmax(axis=1))
-        poses[going], best[going] = where[chosen], every[chosen]
-        worse = chosen[1] == 0  # than before: the last parabola led astray
-        middle[going] = np.where(worse[:, None], poses[going], middle[going] + top)
-        going = np.sort(going[np.argsort(-best[going])[: max(-(-len(going) // 2), wanted)]])
-    value = placed_gains(world, image, rest, kinds[going], middle[going])
-    better = value > best[going]
-    poses[going[better]], best[going[better]] = middle[going[better]], value[better]
-    return Refined(going, poses[going], best[going], sd[going])
+    going, middle, poses = np.arange(len(kinds)), poses.copy(), poses.copy()
+    best, covariance = np.full(len(kinds), LEAST_GAIN), np.tile(np.eye(3), (len(kinds), 1, 1))
+    for blur in (*blurs, *[1.0] * SHARP_STEPS):
+        here = _stepped(world, around, kinds[going], middle[going], images[going], blur)
+        step, value, done = here.steps, here.gains, False
+        if blur == 1.0:
+            gained = np.maximum(here.gains, LEAST_GAIN) - best[going]
+            up = going[gained > 0]
+            poses[up], best[up], covariance[up] = (
+                middle[up],
+                here.gains[gained > 0],
+                here.covariance[gained > 0],
+            )
+            step = np.where((gained > 0)[:, None], step, (poses[going] - middle[going]) / 2)
+            value, done = best[going], bool((np.minimum(gained, here.promise) < WORTH_NATS).all())
+        if blur <= COMPARED_AT:
+            keep = _leading(value, here.promise, rivals[going], wanted)
+            going, step = going[keep], step[keep]
+        if done or not len(going):
+            break
+        middle[going] += step
+    return Refined(going, poses[going], best[going], covariance[going])
 
 
-def _parabolas(
-    middle: NDArray[np.float64], value: NDArray[np.float64], step: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Slopes and curvatures (B, 3), no upward ones; zero along axes on which a neighbour is impossible."""
-    possible = np.isfinite(value[:, :3]) & np.isfinite(value[:, 3:]) & np.isfinite(middle)[:, None]
-    up, down = np.where(possible, value[:, :3], 0.0), np.where(possible, value[:, 3:], 0.0)
-    centre = np.where(possible, middle[:, None], 0.0)
-    return (up - down) / (2 * step), np.minimum(up + down - 2 * centre, 0.0) / step**2
+def _leading(
+    gains: NDArray[np.float64], promise: NDArray[np.float64], rivals: NDArray[np.int64], wanted: int
+) -> NDArray[np.int64]:
+    """Of each set of rivals (B,) the better half, or as many as are wanted, that are not well behind."""
+    kept = []
+    for one in np.unique(rivals):
+        mine = np.flatnonzero(rivals == one)
+        mine = mine[np.argsort(-gains[mine])]
+        least = max(gains[mine[0]], 0.0) - BEHIND_NATS
+        mine = mine[: max(-(-len(mine) // 2), wanted)]
+        kept.append(mine[gains[mine] + 2 * promise[mine] > least])
+    return np.sort(np.concatenate(kept))
 
 
-def _deviations(
-    curvature: NDArray[np.float64], world: TableWorld, spins: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Standard deviations (B, 3), no wider than the prior's own; 1 / sqrt(2 pi) for what is no parameter."""
-    widest = np.array([2 * world.half_m, 2 * world.half_m, 2 * np.pi]) / np.sqrt(2 * np.pi)
-    with np.errstate(divide="ignore"):
-        sd = np.minimum(np.maximum(-curvature, 0.0) ** -0.5, widest)
-    sd[~spins, 2] = 1 / np.sqrt(2 * np.pi)
-    return sd
+def _stepped(
+    world: TableWorld,
+    around: Surroundings,
+    kinds: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    images: NDArray[np.int64],
+    blur: float,
+) -> _Steps:
+    """One Gauss-Newton step of each, with albedos that follow."""
+    layers, motion = render_with_motion(world, kinds, poses)
+    noise = world.noise.blurred(blur)
+    placed = Placed.of(world, around, layers, images, rough=blur > 1.0)
+    segments = placed.segments
+    fitted = fit(segments, noise, steps=FITS)
+    factor = fitted.factor[segments.owner]
+    contrast = placed.free * segments.lit * factor - placed.behind
+    lit_change = _lit_change(world, layers, motion, around.image.colour.shape[1])
+    change = motion.fill[:, :, None] * contrast[:, None] + (segments.share * factor)[:, None] * lit_change
+    change[:, 2] *= ~world.spins[kinds][segments.owner, None]
+    weighed = change * fitted.weight[:, None]
+    slope = sums(segments.start, np.einsum("pkc,pc->pk", weighed, fitted.residual))
+    shared = sums(segments.start, weighed * segments.own[:, None])
+    curvature = sums(segments.start, weighed @ change.swapaxes(1, 2))
+    curvature -= np.einsum("bkc,blc,bc->bkl", shared, shared, 1 / fitted.precision)
+    barred = np.zeros(len(kinds), np.bool_)
+    for number, scene in enumerate(around.scenes):
+        mine = images == number
+        barred[mine] = forbidden(world, scene, kinds[mine], poses[mine])
+    covariance = np.linalg.inv(curvature + _least_curvature(world, world.spins[kinds]))
+    step = np.einsum("bij,bj->bi", covariance, slope)
+    return _Steps(
+        gains=np.where(barred, -np.inf, placed.gains(noise, fitted)),
+        steps=np.clip(step, -LONGEST_STEP, LONGEST_STEP),
+        covariance=covariance,
+        promise=0.5 * (slope * step).sum(axis=1),
+    )
+
+
+def _lit_change(world: TableWorld, layers: Layers, motion: Motion, channels: int) -> NDArray[np.float64]:
+    """(P, 3, C) change of lit colours with x, y and yaw: what is seen moves, and its triangle turns."""
+    across, down = Neighbours.of(layers, world.camera).slopes(layers.lit(world, channels))
+    turning = motion.shade[:, :, None] * world.face_colours(channels)[layers.face][:, None]
+    velocity = motion.velocity
+    return turning - velocity[:, :, :1] * across[:, None] - velocity[:, :, 1:] * down[:, None]
+
+
+def _least_curvature(world: TableWorld, spins: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Of Gaussians (B, 3, 3) with the prior's height; 2 pi for a yaw that is no parameter."""
+    widest = np.array([2 * world.half_m, 2 * world.half_m, 2 * np.pi])
+    curvature = np.tile(2 * np.pi / widest**2, (len(spins), 1))
+    curvature[spins, 2] = 2 * np.pi
+    return curvature[:, None] * np.eye(3)

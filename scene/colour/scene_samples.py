@@ -18,7 +18,7 @@ from scene.colour.chains import State, Target, kinds_of, log_spins, sample_scene
 from scene.colour.light import LampShares
 from scene.colour.posterior import ColourImage, Scene, log_posterior
 from scene.colour.proposals import FoundThings
-from scene.colour.search import FoundScene, Weighed
+from scene.colour.weighing import FoundScene, Weighed
 from scene.colour.world import TableWorld
 
 FAR = 1e3

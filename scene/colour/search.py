@@ -1,75 +1,49 @@
 """How many things stand there, which and where: a search for the most probable scenes of one colour image.
 
-Things are added one by one from the lattice, refined before they are compared; then joint moves: one thing is
-replaced, dropped, split into two, or two are merged into one. Scenes of each number and kinds are compared by
-Laplace's evidence at their best poses, which gives p(N | image). A search: what it misses it does not count.
+Things are added one by one from the lattice, refined before they are compared. Where pixels are left that the
+scene does not explain, joint moves follow: one thing is turned, replaced, dropped, split into two, or two are
+merged into one. Scenes of each number and kinds are compared by Laplace's evidence at their best poses, which
+gives p(N | image). A search: what it misses it does not count.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.lattice import YAWS, Lattice, candidates, placed_gains, surroundings
+from scene.colour.lattice import YAWS, Lattice, candidates
 from scene.colour.light import LampShares
-from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior
-from scene.colour.refinement import COARSE, FINE, Refined, refine
+from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior, log_prior
+from scene.colour.refinement import TURNED, Refined, refine
+from scene.colour.rendering import render
+from scene.colour.surroundings import Surroundings
+from scene.colour.weighing import FoundScene, Posed, Weighed, laplace_gains, weighed_scene
 from scene.colour.world import Light, TableWorld
 
-OF_EACH_KIND = 3
-"""Candidates of each kind that are refined: a mug's handle may be taken to be on any side."""
 COMPARED = 3
-"""Refined candidates whose scenes are weighed exactly."""
+"""Refined candidates whose scenes are weighed together with their surroundings."""
 FINER_YAWS = 4
 """Times the lattice's yaws are tried of a thing in place: 7.5 degrees, or a pixel at a handle's tip."""
-TURNS_REFINED = 6
-"""Best of them, which are refined."""
-SWEEPS = 4
-"""Most times that all moves are tried, ..."""
-WORTH_NATS = 2.0
-"""... again after a gain of so much alone: below it a pose was refined by another way."""
+MENDS = 12
+"""Most moves that are taken: what a scene of three things of the wrong kinds needs."""
+HANGS_ON_LITTLE = 3.0
+"""Times the deviation of a place that one of a yaw is at a thing's rim where few pixels tell it."""
+SETTLED = 4
+"""Most times that all poses are refined, ..."""
+WORTH_NATS = 1.0
+"""... or moves tried, again after a gain of so much alone."""
+EXPLAINED_NATS = 30.0
+"""Excess of a scene below which moves are not tried: what a thing more costs by its prior."""
 MERGED_TRIED = 2
 """Best replacements of two things by one beside which another one is tried."""
 MERGED_M = 0.12
 """Two things nearer than this may be one: the length of the largest of a table's usual things."""
-
-
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """A scene with its evidence.
-
-    Attributes:
-        scene: the things.
-        sd: (N, 3) standard deviations of their poses, by curvature, each alone.
-        log_density: `log_posterior`.
-        log_evidence: of its number and kinds, by Laplace: density times the volume under the Gaussian.
-    """
-
-    scene: Scene
-    sd: NDArray[np.float64]
-    log_density: float
-    log_evidence: float
-
-
-@dataclass(frozen=True, eq=False)
-class FoundScene:
-    """What one image says.
-
-    Attributes:
-        best: the scene of the greatest evidence.
-        kinds: probabilities of the kinds of things there, ascending, over the scenes that the search weighed.
-        count: (most + 1,) of each number of things, likewise.
-        weighed: the best scene of each number and kinds.
-    """
-
-    best: Weighed
-    kinds: Mapping[tuple[int, ...], float]
-    count: NDArray[np.float64]
-    weighed: tuple[Weighed, ...]
+DOUBTFUL_NATS = 20.0
+"""Scenes within so much of the best are weighed exactly at last."""
 
 
 @dataclass(eq=False)
@@ -81,99 +55,194 @@ class _Table:
     image: ColourImage
     found: dict[tuple[int, ...], Weighed] = field(default_factory=dict)
     grown: dict[bytes, list[Weighed]] = field(default_factory=dict)
+    excess: dict[bytes, NDArray[np.float64]] = field(default_factory=dict)
 
-    def weigh(self, scene: Scene, sd: NDArray[np.float64]) -> Weighed:
-        """Exactly; kept if it is the best of its number and kinds."""
-        density = log_posterior(self.world, self.image, scene)
-        turns = np.array([self.world.kinds[kind].turns for kind in scene.kinds], np.int64)
-        volume = np.log(np.sqrt(2 * np.pi) * sd).sum() + np.log(np.maximum(turns, 1)).sum()
-        weighed = Weighed(scene, sd, density, density + float(volume))
-        key = tuple(sorted(scene.kinds.tolist()))
-        if key not in self.found or weighed.log_evidence > self.found[key].log_evidence:
-            self.found[key] = weighed
+    def weigh(self, posed: Sequence[Posed]) -> list[Weighed]:
+        """By Laplace; each is kept if it is the best of its number and kinds."""
+        gains = laplace_gains(self.world, self.image, [scene for scene, _ in posed])
+        weighed = []
+        for (scene, covariance), gain in zip(posed, gains, strict=True):
+            one = weighed_scene(self.world, scene, covariance, log_prior(self.world, scene) + float(gain))
+            weighed.append(one)
+            key = tuple(sorted(scene.kinds.tolist()))
+            if key not in self.found or one.log_evidence > self.found[key].log_evidence:
+                self.found[key] = one
         return weighed
 
     def added(self, base: Weighed) -> list[Weighed]:
         """The best scenes with one thing more, none where none fits; searched once for each scene."""
-        key = base.scene.kinds.tobytes() + base.scene.poses.tobytes()
+        key = _key(base.scene)
         if key not in self.grown:
-            self.grown[key] = self._added(base) if len(base.scene) < self.world.most else []
+            self.grown[key] = self._added(base)
         return self.grown[key]
 
     def _added(self, base: Weighed) -> list[Weighed]:
-        rest = surroundings(self.world, self.image, base.scene)
-        states = candidates(self.world, self.image, rest, self.lattice, OF_EACH_KIND)
-        if not len(states):
+        around = Surroundings.of(self.world, self.image, [base.scene])
+        self.excess[_key(base.scene)] = around.excess[0]
+        room = self.world.most - len(base.scene)
+        found = candidates(self.lattice, around)
+        if not room or not len(found.states):
             return []
-        kinds = self.lattice.kinds[states]
-        refined = refine(self.world, self.image, rest, kinds, self.lattice.poses[states], COMPARED)
-        value = refined.gains + np.log(refined.sd).sum(axis=1)
+        kinds, poses = self.lattice.kinds[found.states], self.lattice.poses[found.states]
+        images = np.zeros(len(kinds), np.int64)
+        refined = refine(self.world, around, kinds, poses, images, found.sites, COMPARED)
+        return self.weigh(self._joined(base, refined, kinds[refined.which], found.sites[refined.which], room))
+
+    def _joined(
+        self,
+        base: Weighed,
+        refined: Refined,
+        kinds: NDArray[np.int64],
+        sites: NDArray[np.int64],
+        room: int,
+    ) -> list[Posed]:
+        """The best thing of each site, as many as have room, and others in its place."""
+        value = refined.log_evidence
+        ranked = []
+        for site in np.unique(sites):
+            mine = np.flatnonzero(sites == site)
+            mine = mine[np.argsort(-value[mine])][:COMPARED]
+            ranked.append(mine[value[mine] > value[mine[0]] - DOUBTFUL_NATS])
+        ranked = sorted(ranked, key=lambda mine: -value[mine[0]])[:room]
+        first = [mine[0] for mine in ranked]
+        sets = [first] + [
+            [other if place == site else one for place, one in enumerate(first)]
+            for site, mine in enumerate(ranked)
+            for other in mine[1:]
+        ]
+        if len(first) > 1:
+            sets += [first[:1]]
         return [
-            self.weigh(
-                base.scene.joined(int(kinds[refined.which[one]]), refined.poses[one]),
-                np.concatenate([base.sd, refined.sd[one : one + 1]]),
+            (
+                Scene(
+                    np.concatenate([base.scene.kinds, kinds[some]]),
+                    np.concatenate([base.scene.poses, refined.poses[some]]),
+                ),
+                np.concatenate([base.covariance, refined.covariance[some]]),
             )
-            for one in np.argsort(-value)[:COMPARED]
+            for some in sets
+            if some
         ]
 
-    def settled(self, weighed: Weighed, halvings: range = COARSE) -> Weighed:
-        """Each thing refined among the others, in turn.
-
-        Fine steps tell the top and not the width: pixels make the density rough at them.
-        """
-        for one in range(len(weighed.scene)):
-            rest = surroundings(self.world, self.image, weighed.scene.without(one))
-            mine = slice(one, one + 1)
-            kinds, poses = weighed.scene.kinds[mine], weighed.scene.poses[mine]
-            own = refine(self.world, self.image, rest, kinds, poses, 1, halvings)
-            if halvings is FINE:
-                own = replace(own, sd=weighed.sd[mine])
-            weighed = max(weighed, self.weigh(*_replaced(weighed, one, own)), key=_evidence)
+    def settled(self, weighed: Weighed) -> Weighed:
+        """All things refined at once, each among the others as they are, as long as that is worth it."""
+        for _ in range(SETTLED if len(weighed.scene) else 0):
+            before, weighed = weighed, self._settled(weighed)
+            if weighed.log_evidence < before.log_evidence + WORTH_NATS:
+                break
         return weighed
 
-    def turned(self, weighed: Weighed, one: int) -> Weighed:
+    def _settled(self, weighed: Weighed) -> Weighed:
+        things = len(weighed.scene)
+        around = Surroundings.of(
+            self.world, self.image, [weighed.scene.without(one) for one in range(things)]
+        )
+        kinds, poses = weighed.scene.kinds, weighed.scene.poses
+        own = refine(self.world, around, kinds, poses, np.arange(things), np.arange(things), 1, ())
+        (one,) = self.weigh([(Scene(kinds, own.poses), own.covariance)])
+        return max(weighed, one, key=_evidence)
+
+    def turned(self, weighed: Weighed, one: int) -> list[Weighed]:
         """One thing turned in place: the best of many yaws, refined."""
         kind = self.world.kinds[weighed.scene.kinds[one]]
         if not kind.turns:
-            return weighed
-        rest = surroundings(self.world, self.image, weighed.scene.without(one))
+            return []
+        around = Surroundings.of(self.world, self.image, [weighed.scene.without(one)])
         count = FINER_YAWS * YAWS // kind.turns
         poses = np.repeat(weighed.scene.poses[one : one + 1], count, axis=0)
         poses[:, 2] += np.arange(count) * (2 * np.pi / kind.turns / count)
         kinds = np.repeat(weighed.scene.kinds[one : one + 1], count)
-        gains = placed_gains(self.world, self.image, rest, kinds, poses)
-        best = np.argsort(-gains)[:TURNS_REFINED]
-        own = refine(self.world, self.image, rest, kinds[best], poses[best], COMPARED)
-        return self.weigh(*_replaced(weighed, one, own, int(own.gains.argmax())))
+        same = np.zeros(count, np.int64)
+        own = refine(self.world, around, kinds, poses, same, same, COMPARED, TURNED)
+        if not len(own.which):
+            return []
+        best = int(own.gains.argmax())
+        scene_poses, covariance = weighed.scene.poses.copy(), weighed.covariance.copy()
+        scene_poses[one], covariance[one] = own.poses[best], own.covariance[best]
+        return self.weigh([(Scene(weighed.scene.kinds, scene_poses), covariance)])
+
+    def spun(self, weighed: Weighed) -> Weighed:
+        """Things whose yaw is told by little are turned right round: it may have other values."""
+        for one, kind in enumerate(weighed.scene.kinds):
+            variance = np.diag(weighed.covariance[one])
+            reach = float(np.linalg.norm(self.world.kinds[kind].half_m))
+            if reach * np.sqrt(variance[2]) > HANGS_ON_LITTLE * np.sqrt(variance[:2].max()):
+                weighed = max([weighed, *self.turned(weighed, one)], key=_evidence)
+        return weighed
+
+    def lessened(self, weighed: Weighed) -> list[Weighed]:
+        """Without each of its things."""
+        every = range(len(weighed.scene))
+        return self.weigh(
+            [(weighed.scene.without(one), np.delete(weighed.covariance, one, axis=0)) for one in every]
+        )
 
     def moves(self, weighed: Weighed) -> Iterator[Weighed]:
-        """Joint moves: turn, drop, replace (kind and place), split, merge, replace two that are near, add."""
-        for one in range(len(weighed.scene)):
-            yield self.turned(weighed, one)
-            base = self.weigh(weighed.scene.without(one), np.delete(weighed.sd, one, axis=0))
-            yield base
-            replaced = self.added(base)
+        """Joint moves: turn, replace (kind and place), drop, split, merge, replace two that are near.
+
+        Of things at which the scene leaves something unexplained.
+        """
+        suspects = self.suspects(weighed)
+        bases = self.lessened(weighed)
+        for one in suspects:
+            yield from self.turned(weighed, one)
+            replaced = self.added(bases[one])
             yield from replaced
+            yield bases[one]
             yield from self.added(max(replaced, key=_evidence)) if replaced else ()
         for pair in combinations(range(len(weighed.scene)), 2):
             apart = np.subtract(*weighed.scene.poses[list(pair), :2])
-            if np.linalg.norm(apart) < MERGED_M:
-                base = self.weigh(weighed.scene.without(*pair), np.delete(weighed.sd, pair, axis=0))
+            if np.linalg.norm(apart) < MERGED_M and not suspects.isdisjoint(pair):
+                rest = weighed.scene.without(*pair), np.delete(weighed.covariance, pair, axis=0)
+                (base,) = self.weigh([rest])
                 merged = sorted(self.added(base), key=_evidence, reverse=True)
                 yield from merged
                 for one in merged[:MERGED_TRIED]:
                     yield from self.added(one)
-        yield from self.added(weighed)
+
+    def suspects(self, weighed: Weighed) -> set[int]:
+        """Things in whose pixels something is unexplained."""
+        excess = self.left(weighed)
+        layers = render(self.world, weighed.scene.kinds, weighed.scene.poses)
+        return set(layers.owner[excess[layers.pixel] > 0].tolist())
+
+    def left(self, weighed: Weighed) -> NDArray[np.float64]:
+        """Nats (H * W,) that a scene leaves unexplained."""
+        self.added(weighed)
+        return self.excess[_key(weighed.scene)]
+
+    def mended(self, weighed: Weighed) -> Weighed:
+        """The first scene by a move that gains; the same where there is none, or little to explain."""
+        if self.left(weighed).sum() < EXPLAINED_NATS:
+            return weighed
+        for moved in self.moves(weighed):
+            if moved.log_evidence > weighed.log_evidence + WORTH_NATS:
+                return self.settled(moved)
+        return weighed
+
+    def summed(self, best: Weighed) -> FoundScene:
+        """Probabilities over the scenes found; those in doubt are weighed exactly."""
+        every = {}
+        for key, one in self.found.items():
+            if one.log_evidence > best.log_evidence - DOUBTFUL_NATS:
+                density = log_posterior(self.world, self.image, one.scene)
+                one = weighed_scene(self.world, one.scene, one.covariance, density)
+            every[key] = one
+        log_mass = np.array([one.log_evidence for one in every.values()])
+        mass = np.exp(log_mass - log_mass.max())
+        kinds = dict(zip(every, (mass / mass.sum()).tolist(), strict=True))
+        numbers = [len(one) for one in kinds]
+        count = np.bincount(numbers, weights=np.array(list(kinds.values())), minlength=self.world.most + 1)
+        best = max(every.values(), key=_evidence)
+        return FoundScene(best, kinds, np.asarray(count, np.float64), tuple(every.values()))
 
 
 def _evidence(weighed: Weighed) -> float:
     return weighed.log_evidence
 
 
-def _replaced(weighed: Weighed, one: int, own: Refined, which: int = 0) -> tuple[Scene, NDArray[np.float64]]:
-    poses, sd = weighed.scene.poses.copy(), weighed.sd.copy()
-    poses[one], sd[one] = own.poses[which], own.sd[which]
-    return Scene(weighed.scene.kinds, poses), sd
+def _key(scene: Scene) -> bytes:
+    return scene.kinds.tobytes() + scene.poses.tobytes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,16 +271,17 @@ class Searcher:
             table_colour: (C,) of the empty table; None takes the image's median.
         """
         table = _Table(self.world, self.lattice, colour_image(self.world, image, table_colour))
-        best = table.weigh(Scene.empty(), np.zeros((0, 3)))
+        (best,) = table.weigh([(Scene.empty(), np.zeros((0, 3, 3)))])
         while (more := max([best, *table.added(best)], key=_evidence)) is not best:
             best = table.settled(more)
-        for _ in range(SWEEPS):
-            before = best
-            if (moved := max([best, *table.moves(best)], key=_evidence)) is not best:
-                best = table.settled(moved)
-            if best.log_evidence < before.log_evidence + WORTH_NATS:
+        if (turned := table.spun(best)) is not best:
+            best = table.settled(turned)
+        for _ in range(MENDS):
+            before, best = best, table.mended(best)
+            if best is before:
                 break
-        return _summed(table, table.settled(best, FINE))
+        table.lessened(best)
+        return table.summed(best)
 
 
 def find_under_any_lamp(
@@ -233,12 +303,3 @@ def find_under_any_lamp(
         searcher = searcher.under(lamps.most_probable)
         found = searcher.find(image, table_colour)
     return searcher, found, lamps
-
-
-def _summed(table: _Table, best: Weighed) -> FoundScene:
-    log_mass = np.array([weighed.log_evidence for weighed in table.found.values()])
-    mass = np.exp(log_mass - log_mass.max())
-    kinds = dict(zip(table.found, (mass / mass.sum()).tolist(), strict=True))
-    numbers = [len(one) for one in kinds]
-    count = np.bincount(numbers, weights=np.array(list(kinds.values())), minlength=table.world.most + 1)
-    return FoundScene(best, kinds, np.asarray(count, np.float64), tuple(table.found.values()))

@@ -1,4 +1,4 @@
-"""What one colour camera looks at: kinds of things, the square of a table, a lamp, and renderings of them.
+"""What one colour camera looks at: kinds of things, the square of a table, a lamp.
 
 World frame: the table's top is z = 0, z up. A thing stands upright on it; its pose is (x, y, yaw).
 """
@@ -17,7 +17,8 @@ from recordings.settings import check_finite, check_within
 from recordings.types import CameraIntrinsics
 from scene.colour.density import ColourNoise
 from scene.objects.symmetry import spin_line
-from shapes.rendering.rasterising import Mesh, rasterise
+from shapes.rendering.rasterising import Mesh, MeshSet
+from shapes.rendering.smooth_normals import normal_fields, smooth_normals
 
 SURFACE_POINTS = 4000
 """Points by which a surface is compared with itself turned."""
@@ -29,8 +30,6 @@ SAME_COLOURS = 0.02
 whole thing has hundreds of pixels."""
 UPRIGHT = 0.999
 """Least cosine to the vertical of a line of symmetry that stands upright: within 2.6 degrees."""
-TOGETHER = 96
-"""Poses rendered at once: corners of 6,000 triangles stay in a core's cache."""
 TOUCHES_M = 0.002
 """Over its lowest point what is seen as touching the table: decimated meshes are bent by as much."""
 FALLS_M = 0.005
@@ -59,8 +58,16 @@ class Light:
 
     def shade(self, normals: NDArray[np.floating]) -> NDArray[np.float64]:
         """Shades (...) of unit normals (..., 3)."""
-        direction = np.array(self.direction) / np.linalg.norm(self.direction)
-        return self.ambient + (1 - self.ambient) * np.maximum(normals @ direction, 0.0)
+        return self.ambient + (1 - self.ambient) * np.maximum(normals @ self._unit, 0.0)
+
+    def turned_shade(self, normals: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Rates (...) at which shades change as normals (..., 3) turn about z, per radian."""
+        turning = normals[..., 0] * self._unit[1] - normals[..., 1] * self._unit[0]
+        return (1 - self.ambient) * turning * (normals @ self._unit > 0)
+
+    @cached_property
+    def _unit(self) -> NDArray[np.float64]:
+        return np.array(self.direction) / np.linalg.norm(self.direction)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,10 +133,9 @@ class Kind:
         return Mesh(self.vertices_m, self.faces)
 
     @cached_property
-    def normals(self) -> NDArray[np.float64]:
-        """Unit normals (F, 3)."""
-        normals = self.mesh.normals
-        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    def corner_normals(self) -> NDArray[np.float64]:
+        """Unit normals (F, 3, 3) at the triangles' corners, rounded over edges that are no creases."""
+        return smooth_normals(self.mesh)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,6 +172,16 @@ class TableWorld:
         return np.array([kind.colours is not None for kind in self.kinds])
 
     @cached_property
+    def meshes(self) -> MeshSet:
+        """Of all kinds."""
+        return MeshSet.of([kind.mesh for kind in self.kinds])
+
+    @cached_property
+    def spins(self) -> NDArray[np.bool_]:
+        """(K,) whether the yaw says nothing, of each kind."""
+        return np.array([kind.turns == 0 for kind in self.kinds])
+
+    @cached_property
     def _face_rgb(self) -> NDArray[np.float64]:
         """(F, 3) of all kinds' triangles in turn, 1 where nothing is known; (F, 1) if nothing is of any."""
         if not self.is_coloured.any():
@@ -173,90 +189,20 @@ class TableWorld:
         colours = [np.ones((len(one.faces), 3)) if one.colours is None else one.colours for one in self.kinds]
         return np.concatenate(colours)
 
+    @cached_property
+    def face_normals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Normals `level + slope @ x`, (F, 3) and (F, 3, 3), at points x of all kinds' triangles in turn."""
+        every = [normal_fields(kind.mesh, kind.corner_normals) for kind in self.kinds]
+        return np.concatenate([level for level, _ in every]), np.concatenate([slope for _, slope in every])
+
+    @cached_property
+    def first_faces(self) -> NDArray[np.int64]:
+        """Number (K,) of each kind's first triangle, counted through all kinds."""
+        return np.cumsum([0, *(len(kind.faces) for kind in self.kinds)])[:-1]
+
     def face_colours(self, channels: int) -> NDArray[np.float64]:
         """Light (F, C) that triangles of all kinds return, one kind after the other; a grey image's mean."""
         return self._face_rgb.mean(axis=1, keepdims=True) if channels == 1 else self._face_rgb
-
-
-@dataclass(frozen=True, eq=False)
-class Layers:
-    """B things, each rendered alone; those of thing b are rows `start[b]` to `start[b + 1]`.
-
-    Attributes:
-        start: (B + 1,).
-        pixel: (P,) row * width + column.
-        depth_m: (P,).
-        shade: (P,).
-        face: (P,) triangle, counted through all kinds.
-        kinds: (B,).
-    """
-
-    start: NDArray[np.int64]
-    pixel: NDArray[np.int64]
-    depth_m: NDArray[np.floating]
-    shade: NDArray[np.floating]
-    face: NDArray[np.int64]
-    kinds: NDArray[np.int64]
-
-    def kept(self, rows: NDArray[np.bool_]) -> Layers:
-        """Of every thing only some pixels (P,)."""
-        start = np.concatenate([[0], np.cumsum(rows)])[self.start]
-        return self._taken(start, rows, self.kinds)
-
-    def of(self, things: NDArray[np.int64]) -> Layers:
-        """Of some things, in the order given."""
-        counts = np.diff(self.start)[things]
-        start = np.concatenate([[0], np.cumsum(counts)])
-        rows = np.arange(start[-1]) + np.repeat(self.start[things] - start[:-1], counts)
-        return self._taken(start, rows, self.kinds[things])
-
-    def _taken(self, start: NDArray[np.int64], rows: NDArray, kinds: NDArray[np.int64]) -> Layers:
-        return Layers(start, self.pixel[rows], self.depth_m[rows], self.shade[rows], self.face[rows], kinds)
-
-
-def render(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> Layers:
-    """Things (B,) of these kinds at poses (B, 3), each alone."""
-    return render_with_normals(world, kinds, poses)[0]
-
-
-def render_with_normals(
-    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]
-) -> tuple[Layers, NDArray[np.float64]]:
-    """`render`, and the unit normals (P, 3) of what each pixel shows, from which any lamp's shades follow."""
-    parts = [
-        _rendered(world, kinds[first : first + TOGETHER], poses[first : first + TOGETHER])
-        for first in range(0, len(kinds), TOGETHER)
-    ]
-    if len(parts) == 1:
-        return parts[0]
-    layers = [part for part, _ in parts]
-    counts = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.start) for part in layers)])
-    together = Layers(
-        np.concatenate([[0], np.cumsum(counts)]),
-        np.concatenate([np.zeros(0, np.int64), *(part.pixel for part in layers)]),
-        np.concatenate([np.zeros(0), *(part.depth_m for part in layers)]),
-        np.concatenate([np.zeros(0), *(part.shade for part in layers)]),
-        np.concatenate([np.zeros(0, np.int64), *(part.face for part in layers)]),
-        kinds,
-    )
-    return together, np.concatenate([np.zeros((0, 3)), *(normals for _, normals in parts)])
-
-
-def _rendered(
-    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]
-) -> tuple[Layers, NDArray[np.float64]]:
-    world_from_thing = np.tile(np.eye(4), (len(poses), 1, 1))
-    cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    world_from_thing[:, :2, :2] = np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)
-    world_from_thing[:, :2, 3] = poses[:, :2]
-    meshes = [kind.mesh for kind in world.kinds]
-    seen = rasterise(meshes, kinds, world.camera_from_world @ world_from_thing, world.camera)
-    owner = np.repeat(np.arange(len(poses)), np.diff(seen.start))
-    first = np.cumsum([0, *(len(kind.faces) for kind in world.kinds)])
-    face = first[kinds[owner]] + seen.face
-    normals = np.concatenate([kind.normals for kind in world.kinds])[face]
-    turned = np.einsum("pij,pj->pi", world_from_thing[owner, :3, :3], normals)
-    return Layers(seen.start, seen.pixel, seen.depth_m, world.light.shade(turned), face, kinds), turned
 
 
 def _axis(mesh: trimesh.Trimesh) -> NDArray[np.float64]:

@@ -16,12 +16,15 @@ WORLD = small_world()
 
 
 def found_things() -> FoundThings:
-    """Round two boxes and a disc."""
+    """Round two boxes and a disc; place and yaw of a box hang together."""
+    sd = np.array([[0.01, 0.02, 0.2], [0.02, 0.02, 0.4], [0.01, 0.01, (2 * np.pi) ** -0.5]])
+    covariance = sd[:, :, None] * np.eye(3) * sd[:, None]
+    covariance[0, 0, 2] = covariance[0, 2, 0] = 0.5 * sd[0, 0] * sd[0, 2]
     return FoundThings(
         WORLD,
         np.array([0, 0, 1]),
         np.array([[0.05, 0.02, 0.3], [-0.06, 0.0, 1.0], [0.0, -0.08, 0.0]]),
-        np.array([[0.01, 0.02, 0.2], [0.02, 0.02, 0.4], [0.01, 0.01, 0.4]]),
+        covariance,
         np.array([0.4, 0.3, 0.2]),
     )
 

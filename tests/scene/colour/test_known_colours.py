@@ -6,7 +6,8 @@ import pytest
 from pipeline.synthesis.air import photograph
 from scene.colour.density import sample
 from scene.colour.posterior import Scene
-from scene.colour.search import FoundScene, Searcher
+from scene.colour.search import Searcher
+from scene.colour.weighing import FoundScene
 from tests.scene.colour.worlds import coloured_world
 
 WORLD = coloured_world()
