@@ -26,7 +26,7 @@ from scene.objects.slots import FoundObjects
 from scene.observation.depth_view import unproject
 from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
-from scene.observation.segmentation import frame_data, scene_data
+from scene.observation.segmentation import frame_data, scene_data, support_depth
 from scene.presence.inference import presence_in_scene
 from scene.result import SceneResult
 from scene.search.colour_layers import ColourLayers
@@ -82,7 +82,16 @@ def parse_scene(
     )
     data, first_from_searched = views[number], first_camera_from_camera[number]
     windows = [view.window for view in views]
-    densities = [PixelDensity.of(one.depth_m, noise, config.model_error_m, one.stride) for one in windows]
+    densities = [
+        PixelDensity.of(
+            window.depth_m,
+            support_depth(view.supports, window, intrinsics),
+            noise,
+            config.model_error_m,
+            window.stride,
+        )
+        for view, window in zip(views, windows, strict=True)
+    ]
     found = FoundObjects.of(start.found)
     chosen, their_start = found.taken(objects), start.of_slots(found)
     lines = np.stack([one.spin_line for one in chosen])

@@ -20,7 +20,7 @@ from jax.custom_batching import custom_vmap
 from numpy.typing import NDArray
 
 from scene.likelihood import shape_draws
-from scene.likelihood.object_density import object_density
+from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.render_cache import CandidateScenes, RenderedScene
@@ -29,7 +29,6 @@ from scene.model.posterior import MOST_MOVED, Estimate
 from scene.model.scene_graph import SceneGraph
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
-from scene.observation.segmentation import support_depth
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import pose_of
 from shapes.rendering.depth_rendering import render_tiles
@@ -57,8 +56,8 @@ class DepthLikelihood:
         cameras: leaves (F,), of the windows.
         camera_from_world: (F, 7).
         density: of the frames, leaves (F, ...).
-        supports_m: (F, H, W) depth of the supports, +inf beside them.
-        rest_m: (X, TILE_PIXELS) the same, the tiles of all frames; 0 beyond the image, where nothing counts.
+        rest_m: (X, TILE_PIXELS) depth of the supports in the tiles of all frames, +inf beside them; 0 beyond
+            the image, where nothing counts.
         log_rest: (X, TILE_PIXELS) log density where no object is.
         fresh_share: how many of the choices a new estimate makes anew.
         objects: N.
@@ -71,7 +70,6 @@ class DepthLikelihood:
     cameras: Camera
     camera_from_world: jax.Array
     density: PixelDensity
-    supports_m: jax.Array
     rest_m: jax.Array
     log_rest: jax.Array
     fresh_share: jax.Array
@@ -102,16 +100,15 @@ class DepthLikelihood:
             draws: R.
         """
         windows = [view.window for view in views]
-        density = jax.tree.map(lambda *leaves: np.stack([np.float32(leaf) for leaf in leaves]), *densities)
-        supports_m = np.stack([support_depth(one.supports, one.window, one.intrinsics) for one in views])
-        height, width = supports_m.shape[1:]
+        density = jax.tree.map(lambda *leaves: np.stack(leaves), *densities)
+        height, width = windows[0].depth_m.shape
         return cls(
             renderer=renderer,
             cameras=jax.tree.map(lambda *leaves: np.stack(leaves), *[one.camera for one in windows]),
             camera_from_world=jax.vmap(pose_of)(jnp.asarray(camera_from_world)),
             density=density,
-            supports_m=jax.device_put(supports_m),
-            **dict(zip(("rest_m", "log_rest"), tiles_of_rest(density, supports_m), strict=True)),
+            rest_m=to_tiles(density.image.rest_m, 0.0),
+            log_rest=to_tiles(density.log_rest, 0.0),
             fresh_share=jnp.ones(()),
             objects=objects,
             height=height,
@@ -238,13 +235,7 @@ class DepthLikelihood:
 
         They reach to the pixels beside an object, which its outline may be shifted to.
         """
-
-        def one(given: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            layer_m, frame = given
-            density = jax.tree.map(lambda leaf: leaf[frame], self.density)
-            return object_density(density, layer_m, self.supports_m[frame])
-
-        log_density, depth_m = jax.lax.map(one, (layers_m, frames))
+        log_density, depth_m = object_densities(self.density, layers_m, frames)
         return depth_m, log_density
 
     def _log_density(
@@ -275,23 +266,6 @@ class DepthLikelihood:
 
         in_cameras = jax.vmap(jax.vmap(in_camera, in_axes=(0, None)), in_axes=(None, 0))
         return in_cameras(self.camera_from_world, poses).astype(jnp.float32)
-
-
-def tiles_of_rest(density: PixelDensity, supports_m: NDArray[np.float32]) -> tuple[jax.Array, jax.Array]:
-    """Depth of the supports, 0 beyond the images, and log density where no object is (X, TILE_PIXELS).
-
-    Args:
-        density: of the frames, leaves (F, ...).
-        supports_m: (F, H, W).
-    """
-    with jax.enable_x64(False):
-        return _tiles_of_rest(density, supports_m)
-
-
-@jax.jit
-def _tiles_of_rest(density: PixelDensity, supports_m: jax.Array) -> tuple[jax.Array, jax.Array]:
-    log_rest = jax.vmap(lambda one, rest_m: one.of_rest(rest_m))(density, supports_m)
-    return to_tiles(supports_m, 0.0), to_tiles(log_rest, 0.0)
 
 
 @partial(jax.jit, static_argnames="count")

@@ -1,80 +1,116 @@
-"""What one object shows in an image, computed where the object is and not elsewhere.
+"""What objects show in images, each computed where it is and not elsewhere.
 
 `PixelDensity.of_object` looks at every pixel of the image, of which most objects cover a small part. A crop
-that holds the object and the pixels on which its factors depend gives the same numbers.
+that holds the object and the pixels on which its factors depend gives the same numbers. Crops of one size are
+computed together: alone, starting each operation would take longer than its pixels.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 from scene.likelihood.pixel_density import PixelDensity
+from shapes.rendering.ray_casting import sort_chosen_first
 
-CROPS = (36, 48), (72, 96)
-"""Pixels of crops; the first holds nearly all objects with what is beside them. What fits none is not cut."""
+CROPS = (28, 28), (40, 40), (56, 64), (84, 112)
+"""Pixels of crops, each twice as many as of the one before; what fits none is not cut."""
 MARGIN_PX = 5
 """The factors of pixels up to two beside an object look at pixels up to three further on."""
+PIXELS_TOGETHER = 2**14
+"""Of crops that are computed together, so that they stay in a core's cache: speed."""
+
+Layers = tuple[jax.Array, jax.Array]
 
 
-def object_density(
-    density: PixelDensity, layer_m: jax.Array, rest_m: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """What `PixelDensity.of_object` gives where its depth is finite; elsewhere a log density of 0.
-
-    Batched by `jax.lax.map`, not by `vmap`, under which all ways are computed for all.
+def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Array) -> Layers:
+    """What `PixelDensity.of_object` gives where depths are finite; elsewhere a log density of 0.
 
     Args:
-        density: of the image.
-        layer_m: (H, W) depth of the object alone, +inf beside it.
-        rest_m: (H, W) of the supports.
+        density: of F images, leaves (F, ...).
+        layers_m: (n, H, W) depth of objects, each alone, +inf beside it.
+        frames: (n,) int32 in which image each is seen.
     """
-    covers = jnp.isfinite(layer_m)
-    bounds = []
-    for axis, length in enumerate(layer_m.shape):
-        lines = jnp.any(covers, axis=1 - axis)
-        first, after = jnp.argmax(lines), length - jnp.argmax(lines[::-1])
-        bounds.append((jnp.maximum(first - MARGIN_PX, 0), jnp.minimum(after + MARGIN_PX, length)))
+    count, height, width = layers_m.shape
+    covered = jnp.isfinite(layers_m)
+    (top, down), (left, across) = (_bounds(jnp.any(covered, axis=axis)) for axis in (2, 1))
+    sizes = [crop for crop in CROPS if crop[0] < height and crop[1] < width]
+    way = jnp.zeros(count, jnp.int32)
+    for rows, columns in sizes:
+        way += (down > rows) | (across > columns)
+    way = jnp.where(down > 0, way, len(sizes) + 1)
+    shape = count + 1, height, width
+    shown = jnp.zeros(shape, layers_m.dtype), jnp.full(shape, jnp.inf, layers_m.dtype)
+    for number, (rows, columns) in enumerate([*sizes, (height, width)]):
+        order, mine = sort_chosen_first(way == number)
+        starts = jnp.minimum(top, height - rows), jnp.minimum(left, width - columns)
+        places = order, starts[0][order], starts[1][order]
+        shown = _of_size(density, layers_m, frames, places, mine, (rows, columns), shown)
+    return shown[0][:-1], shown[1][:-1]
 
-    def nothing() -> tuple[jax.Array, jax.Array]:
-        return jnp.zeros_like(layer_m), jnp.full_like(layer_m, jnp.inf)
 
-    def shown(density: PixelDensity, layer_m: jax.Array, rest_m: jax.Array) -> tuple[jax.Array, jax.Array]:
-        log_density, depth_m = density.of_object(layer_m, rest_m)
+def _bounds(covered: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """First line (n,) of crops that hold all that is covered (n, lines), and how many lines they need."""
+    lines = covered.shape[1]
+    first = jnp.maximum(jnp.argmax(covered, axis=1) - MARGIN_PX, 0)
+    after = jnp.minimum(lines - jnp.argmax(covered[:, ::-1], axis=1) + MARGIN_PX, lines)
+    return first, jnp.where(jnp.any(covered, axis=1), after - first, 0)
+
+
+def _of_size(
+    density: PixelDensity,
+    layers_m: jax.Array,
+    frames: jax.Array,
+    places: tuple[jax.Array, jax.Array, jax.Array],
+    count: jax.Array,
+    crop: tuple[int, int],
+    shown: Layers,
+) -> Layers:
+    """`shown` with what the first `count` of the layers at `places` show, in crops of one size.
+
+    Args:
+        density: of all images.
+        layers_m: (n, H, W).
+        frames: (n,).
+        places: number of a layer, first row and first column of its crop, (n,) each.
+        count: of layers whose crops have this size.
+        crop: rows and columns.
+        shown: log density and depth (n + 1, H, W); the last are written where there is no layer.
+    """
+    together = min(max(PIXELS_TOGETHER // (crop[0] * crop[1]), 1), len(frames))
+
+    def one(which: jax.Array, row: jax.Array, column: jax.Array) -> Layers:
+        def cut(images: jax.Array, number: jax.Array) -> jax.Array:
+            if images.ndim < 3:  # no images, but numbers
+                return images[number]
+            start = (number, *[jnp.int32(0)] * (images.ndim - 3), row, column)
+            return jax.lax.dynamic_slice(images, start, (1, *images.shape[1:-2], *crop))[0]
+
+        frame = frames[which]
+        image = jax.tree.map(lambda leaf: cut(leaf, frame), density.image)
+        sensor = replace(density, image=None, log_rest=None)
+        mine = replace(jax.tree.map(lambda leaf: leaf[frame], sensor), image=image)
+        log_density, depth_m = mine.of_object(cut(layers_m, which))
         log_density = jnp.where(jnp.isfinite(depth_m), log_density, 0.0)
-        return log_density.astype(layer_m.dtype), depth_m
+        return log_density.astype(layers_m.dtype), depth_m.astype(layers_m.dtype)
 
-    def cropped(size: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
-        starts = [
-            jnp.minimum(first, length - edge).astype(jnp.int32)
-            for (first, _), edge, length in zip(bounds, size, layer_m.shape, strict=True)
-        ]
+    def some(turn: jax.Array, shown: Layers) -> Layers:
+        number = turn * together + jnp.arange(together, dtype=jnp.int32)
+        taken = jnp.minimum(number, len(frames) - 1)
+        which, rows, columns = (part[taken].astype(jnp.int32) for part in places)
+        parts = jax.vmap(one)(which, rows, columns)
+        target = jnp.where(number < count, which, len(frames))
+        for place in range(together):
+            start = target[place], rows[place], columns[place]
+            shown = jax.tree.map(
+                lambda whole, part, start=start, place=place: jax.lax.dynamic_update_slice(
+                    whole, part[place][None], start
+                ),
+                shown,
+                parts,
+            )
+        return shown
 
-        def cut(image: jax.Array) -> jax.Array:
-            start = (*[jnp.int32(0)] * (image.ndim - 2), *starts)
-            return jax.lax.dynamic_slice(image, start, (*image.shape[:-2], *size))
-
-        unknown = density.unknown
-        part = replace(
-            density,
-            observed_m=cut(density.observed_m),
-            unknown=replace(
-                unknown,
-                means_m=cut(unknown.means_m),
-                sigmas_m=cut(unknown.sigmas_m),
-                weights=cut(unknown.weights),
-            ),
-        )
-        log_density, depth_m = shown(part, cut(layer_m), cut(rest_m))
-        put, (no_density, no_depth) = jax.lax.dynamic_update_slice, nothing()
-        return put(no_density, log_density, starts), put(no_depth, depth_m, starts)
-
-    height, width = layer_m.shape
-    down, across = (after - first for first, after in bounds)
-    smaller = [size for size in CROPS if size[0] < height and size[1] < width]
-    way = 1 + sum(((down > size[0]) | (across > size[1])).astype(jnp.int32) for size in smaller)
-    crops = [partial(cropped, size) for size in (*smaller, (height, width))]
-    return jax.lax.switch(jnp.where(jnp.any(covers), way, 0), (nothing, *crops))
+    return jax.lax.fori_loop(0, -(-count // together), some, shown)

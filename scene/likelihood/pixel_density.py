@@ -19,7 +19,7 @@ pixel before, so that the product is a density of the image (docs/model.md).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import jax
@@ -28,12 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
+from scene.execution import FAST_COMPILE
 from scene.likelihood.causal_planes import fitted, shifts
 from scene.likelihood.unknown_surfaces import (
     EDGES,
     NO_EDGE,
     UnknownSurfaces,
     UnknownWeights,
+    kept_parts,
     normal_density,
     normal_distribution,
     surprised,
@@ -78,29 +80,76 @@ class _Surface:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class _Shown:
+    """What pixels would show of a surface, whatever else they may show.
+
+    Attributes:
+        there: (H, W) where it is.
+        scene: (H, W) the scene's part a.
+        missing: (H, W) probability that the surface is not where it should be.
+        in_front: (H, W) Phi((d - z) / sigma).
+        before: (4, H, W) of what both neighbours, the left, the upper one foretell, and of what begins here,
+            the probability that it is nearer.
+    """
+
+    there: jax.Array
+    scene: jax.Array
+    missing: jax.Array
+    in_front: jax.Array
+    before: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ImageTerms:
+    """What the density of every scene takes from an image and its supports; leaves (..., H, W).
+
+    Attributes:
+        observed_m: `NO_RETURN` where nothing was measured.
+        rest_m: depth of the supports, +inf where none is.
+        unknown: what else the pixels may show.
+        parts: (4, H, W) density at the observed depth of what both neighbours, the left, the upper one
+            foretell of unknown things, and of one that begins here.
+        shares: (3, H, W) weights of the first three.
+        behind: probability that a pixel shows the supports.
+        rest: what pixels show of the supports.
+    """
+
+    observed_m: jax.Array
+    rest_m: jax.Array
+    unknown: UnknownSurfaces
+    parts: jax.Array
+    shares: jax.Array
+    behind: jax.Array
+    rest: _Shown
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class PixelDensity:
     """The density of one image, ready for scenes.
 
     Attributes:
         noise: of the sensor.
         shape_sigma_m: error of objects' surfaces.
-        observed_m: (H, W), `NO_RETURN` where nothing was measured.
         edge_reach: by how much of the way from one of these pixels to the next cameras shift outlines.
         learned: how well pixels foretell each other.
-        unknown: what else the pixels may show.
+        image: what is the same for all scenes.
+        log_rest: (H, W) log density where no object is.
     """
 
     noise: DepthNoise
     shape_sigma_m: jax.Array
-    observed_m: jax.Array
     edge_reach: jax.Array
     learned: UnknownWeights
-    unknown: UnknownSurfaces
+    image: ImageTerms
+    log_rest: jax.Array
 
     @classmethod
     def of(
         cls,
         depth_m: NDArray[np.float32],
+        rest_m: NDArray[np.float32],
         noise: DepthNoise,
         shape_sigma_m: float,
         stride: int,
@@ -109,23 +158,41 @@ class PixelDensity:
 
         Args:
             depth_m: of these pixels.
+            rest_m: (H, W) of the supports, +inf where none is.
             noise: of the sensor.
             shape_sigma_m: error of objects' surfaces.
             stride: pixels of the image from one of these to the next.
         """
-        numbers = shape_sigma_m, min(1.0, EDGE_PX / stride)
-        sigma_m, reach = (jax.device_put(np.float32(number)) for number in numbers)
-        observed_m, learned = jax.device_put(depth_m), UnknownWeights.learned(depth_m, noise)
+        learned = UnknownWeights.learned(depth_m, noise)
+        numbers = noise, shape_sigma_m, min(1.0, EDGE_PX / stride), learned
+        with jax.enable_x64(False):
+            return _of_image(depth_m, rest_m, *jax.tree.map(np.float32, numbers))
+
+    @classmethod
+    def of_image(
+        cls,
+        observed_m: jax.Array,
+        rest_m: jax.Array,
+        noise: DepthNoise,
+        shape_sigma_m: jax.Array,
+        edge_reach: jax.Array,
+        learned: UnknownWeights,
+    ) -> PixelDensity:
+        """The density of an image (H, W) before supports (H, W) with all that is learned of its sensor."""
         unknown = UnknownSurfaces.of(observed_m, noise, learned)
-        return cls(noise, sigma_m, observed_m, reach, learned, unknown)
+        parts = [*unknown.density_parts(observed_m), unknown.new_density(observed_m)]
+        blank = jnp.zeros_like(observed_m)
+        nothing = _Shown(blank, blank, blank, blank, blank)
+        terms = ImageTerms(observed_m, rest_m, unknown, jnp.stack(parts), unknown.shares(), blank, nothing)
+        density = cls(noise, shape_sigma_m, edge_reach, learned, terms, blank)
+        rest = _Surface(rest_m, SUPPORT_ERROR * jnp.where(jnp.isfinite(rest_m), rest_m, 0.0))
+        behind = density._shows(rest)
+        terms = replace(terms, behind=behind, rest=density._shown(rest, behind))
+        density = replace(density, image=terms)
+        log_rest = jnp.log(density._density(terms.rest, density._unknown(behind, blank)))
+        return replace(density, log_rest=log_rest)
 
-    def of_rest(self, rest_m: jax.Array) -> jax.Array:
-        """Log density (H, W) where no object is, before supports at depth (H, W), +inf where none is."""
-        rest = self._support(rest_m)
-        shows = self._shows(rest)
-        return self._log_density(rest, shows, shows, jnp.zeros_like(shows))
-
-    def of_object(self, layer_m: jax.Array, rest_m: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def of_object(self, layer_m: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Log density (H, W) of the pixels that an object has a part in, and its depth there, else +inf.
 
         A camera shifts outlines: at one a pixel may show the other side of it, and most so beside others that
@@ -134,24 +201,24 @@ class PixelDensity:
 
         Args:
             layer_m: (H, W) depth of the object alone, +inf beside it.
-            rest_m: (H, W) of the supports.
         """
+        rest_m = self.image.rest_m
         covers = layer_m < rest_m
         layer_m = jnp.where(covers, layer_m, jnp.inf)
         nearest_m = _nearest_beside(layer_m)
         wide_m = jnp.where(covers, layer_m, jnp.where(nearest_m < rest_m, nearest_m, jnp.inf))
         touches = jnp.isfinite(wide_m)
-        one, rest = _Surface(wide_m, jnp.where(touches, self.shape_sigma_m, 0.0)), self._support(rest_m)
-        mine, behind = _computed((self._shows(one), self._shows(rest)))
-        scene = _computed(jnp.maximum(mine, behind))
+        one = _Surface(wide_m, jnp.where(touches, self.shape_sigma_m, 0.0))
+        mine = _computed(self._shows(one))
+        scene = _computed(jnp.maximum(mine, self.image.behind))
+        unknown = _computed(self._unknown(scene, mine))
         within = 1 - self._shifted(covers & ~_all_beside(covers), 1 - mine)
-        shares = jnp.where(covers, within, self._shifted(touches & ~covers, mine))
-        shares, own = _computed((shares, self._log_density(one, mine, scene, mine)))
-        other = _computed(self._log_density(rest, behind, scene, mine))
-        mixed = jnp.logaddexp(jnp.log(shares) + own, jnp.log1p(-shares) + other)
+        share = jnp.where(covers, within, self._shifted(touches & ~covers, mine))
+        own, other = self._density(self._shown(one, mine), unknown), self._density(self.image.rest, unknown)
         left, above = _left_and_above(touches)
         just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
-        return mixed, jnp.where(covers, layer_m, jnp.where(touches | left | above, just_before, jnp.inf))
+        shown_m = jnp.where(covers, layer_m, jnp.where(touches | left | above, just_before, jnp.inf))
+        return jnp.log(share * own + (1 - share) * other), shown_m
 
     def shown_by(self, layer_m: jax.Array) -> jax.Array:
         """Probability (H, W) that a pixel shows an object's layer (H, W), by its own depth; 0 beside it.
@@ -160,7 +227,7 @@ class PixelDensity:
         """
         covers = jnp.isfinite(layer_m)
         surface = _Surface(layer_m, jnp.where(covers, self.shape_sigma_m, 0.0))
-        shows = jnp.where(self.observed_m == NO_RETURN, UNKNOWN, self._shows(surface))
+        shows = jnp.where(self.image.observed_m == NO_RETURN, UNKNOWN, self._shows(surface))
         return jnp.where(covers, shows * jnp.where(_all_beside(covers), 1.0, 0.5), 0.0)
 
     def _shifted(self, outline: jax.Array, other: jax.Array) -> jax.Array:
@@ -173,15 +240,12 @@ class PixelDensity:
             outline: (H, W) bool, these pixels.
             other: (H, W) probability that they show the other side, by their own measurement.
         """
-        told = (outline & (self.observed_m != NO_RETURN)).astype(other.dtype)
+        told = (outline & (self.image.observed_m != NO_RETURN)).astype(other.dtype)
         count, seen = (sum(_left_and_above(part)) for part in (told, told * other))
         unseen = 0.5 * (1 - self.edge_reach) / (1 - 0.5 * self.edge_reach)
         before = unseen + (1 - unseen) * seen / jnp.maximum(count, 1.0)
         shifted = jnp.where(count > 0, CHANGES + (1 - 2 * CHANGES) * before, 0.5)
         return jnp.where(outline, self.edge_reach * shifted, 0.0)
-
-    def _support(self, rest_m: jax.Array) -> _Surface:
-        return _Surface(rest_m, SUPPORT_ERROR * jnp.where(jnp.isfinite(rest_m), rest_m, 0.0))
 
     def _sigma_m(self, surface: _Surface) -> jax.Array:
         """Standard deviation (H, W) of a measurement of the surface."""
@@ -189,40 +253,50 @@ class PixelDensity:
 
     def _shows(self, surface: _Surface) -> jax.Array:
         """Probability (H, W) that a pixel shows a surface and nothing unknown, by its own measurement."""
-        there = surface.there & (self.observed_m != NO_RETURN)
-        mine = normal_density(self.observed_m, surface.finite_m, self._sigma_m(surface))
+        there = surface.there & (self.image.observed_m != NO_RETURN)
+        mine = normal_density(self.image.observed_m, surface.finite_m, self._sigma_m(surface))
         return jnp.where(there, mine / (mine + 1 / self.learned.reach_m), 0.0)
 
-    def _log_density(
-        self, surface: _Surface, same: jax.Array, scene: jax.Array, objects: jax.Array
-    ) -> jax.Array:
-        """Log density (H, W) of pixels that show a surface, or nothing where there is none.
+    def _shown(self, surface: _Surface, same: jax.Array) -> _Shown:
+        """What pixels show of a surface, which each shows with probability (H, W)."""
+        depth_m, sigma_m = surface.finite_m, self._sigma_m(surface)
+        unknown = self.image.unknown
+        before = [*unknown.parts_before(depth_m, sigma_m), unknown.new_before(depth_m, sigma_m)]
+        return _Shown(
+            there=surface.there,
+            scene=self._scene(surface, same),
+            missing=self._missing(surface, same),
+            in_front=normal_distribution((depth_m - self.image.observed_m) / sigma_m),
+            before=jnp.stack(before),
+        )
+
+    def _unknown(self, scene: jax.Array, objects: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Probability kappa of something unknown, weights (4, H, W) of what it may be, and its density u.
 
         Args:
-            surface: what they show.
-            same: (H, W) probability that a pixel shows this surface.
-            scene: (H, W) that it shows anything of the scene.
+            scene: (H, W) probability that a pixel shows anything of the scene.
             objects: (H, W) that it shows an object.
         """
-        z, none_hit = self.observed_m, self.noise.none_hit_probability
-        none_miss = self.noise.none_miss_probability
-        kappa = self._kappa(scene)
-        unknown = self.unknown.not_continuing(*_left_and_above(objects))
-        u, sigma_m = unknown.density(z), self._sigma_m(surface)
-        missing = self._missing(surface, same)
-        a = (1 - missing) * self._scene(surface, same) + missing * u
-        nearer = kappa * unknown.share_before(surface.finite_m, sigma_m)
-        in_front = kappa * u * normal_distribution((surface.finite_m - z) / sigma_m)
-        hit = (1 - none_hit) * ((1 - nearer) * a + in_front)
+        kept = kept_parts(*_left_and_above(objects))
+        weights = jnp.concatenate([kept, 1 - jnp.sum(kept * self.image.shares, axis=0, keepdims=True)])
+        return self._kappa(scene), weights, jnp.sum(weights * self.image.parts, axis=0)
+
+    def _density(self, shown: _Shown, unknown: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+        """Density (H, W) of pixels that show a surface, or nothing where there is none."""
+        none_hit, none_miss = self.noise.none_hit_probability, self.noise.none_miss_probability
+        kappa, weights, u = unknown
+        nearer = kappa * jnp.sum(weights * shown.before, axis=0)
+        a = (1 - shown.missing) * shown.scene + shown.missing * u
+        hit = (1 - none_hit) * ((1 - nearer) * a + kappa * u * shown.in_front)
         miss = (1 - kappa) * (1 - none_miss) * self._uniform() + kappa * (1 - none_hit) * u
-        none = jnp.where(surface.there, none_hit, (1 - kappa) * none_miss + kappa * none_hit)
-        density = jnp.where(z == NO_RETURN, none, jnp.where(surface.there, hit, miss))
-        return jnp.log(jnp.maximum(density, LEAST_DENSITY))
+        none = jnp.where(shown.there, none_hit, (1 - kappa) * none_miss + kappa * none_hit)
+        measured = jnp.where(shown.there, hit, miss)
+        return jnp.maximum(jnp.where(self.image.observed_m == NO_RETURN, none, measured), LEAST_DENSITY)
 
     def _scene(self, surface: _Surface, same: jax.Array) -> jax.Array:
         """The scene's part a (H, W), where pixels show this surface with probabilities (H, W)."""
         depth_m, sigma_m = surface.finite_m, self._sigma_m(surface)
-        residual_m = _computed(jnp.where(surface.there, self.observed_m - depth_m, 0.0))
+        residual_m = _computed(jnp.where(surface.there, self.image.observed_m - depth_m, 0.0))
         left_m, above_m = _left_and_above(residual_m)
         left, above = _left_and_above(same)
         residuals_m, shown = shifts(residual_m), shifts(same)
@@ -241,8 +315,8 @@ class PixelDensity:
         for weight, foretold_m, scale, share in parts:
             told += weight * share
             mean_m, spread_m = depth_m + foretold_m, self.learned.scales[scale] * sensor_m
-            mixed += weight * share * normal_density(self.observed_m, mean_m, spread_m)
-        mixed += (1 - told) * normal_density(self.observed_m, depth_m, sigma_m)
+            mixed += weight * share * normal_density(self.image.observed_m, mean_m, spread_m)
+        mixed += (1 - told) * normal_density(self.image.observed_m, depth_m, sigma_m)
         return OUTLIERS * self._uniform() + (1 - OUTLIERS) * mixed
 
     def _missing(self, surface: _Surface, same: jax.Array) -> jax.Array:
@@ -250,7 +324,7 @@ class PixelDensity:
 
         Shapes, calibration and outlines are wrong in pieces.
         """
-        behind = surface.there & (self.observed_m > surface.finite_m)
+        behind = surface.there & (self.image.observed_m > surface.finite_m)
         left, above = _left_and_above(jnp.where(behind, 1 - same, 0.0))
         return MISSING + (MISSING_ON - MISSING) * (left + above) / 2
 
@@ -261,7 +335,7 @@ class PixelDensity:
         shows what the one above does, and the same with rows and columns changed. A thing begins where all
         three show the scene with probability `CHANGES` along the row times the same along the column.
         """
-        measured = self.observed_m != NO_RETURN
+        measured = self.image.observed_m != NO_RETURN
         (left, above), (known_left, known_above) = _left_and_above(shows), _left_and_above(measured)
         corner, known_corner = (_left_and_above(_left_and_above(part)[1])[0] for part in (shows, measured))
         count = known_left.astype(shows.dtype) + known_above
@@ -273,7 +347,10 @@ class PixelDensity:
 
     def _uniform(self) -> jax.Array:
         range_m = self.noise.max_range_m
-        return ((self.observed_m >= 0) & (self.observed_m <= range_m)) / range_m
+        return ((self.image.observed_m >= 0) & (self.image.observed_m <= range_m)) / range_m
+
+
+_of_image = jax.jit(PixelDensity.of_image, compiler_options=FAST_COMPILE)
 
 
 def _left_and_above(image: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -14,7 +14,7 @@ they are those of its sensor, at the distance from one compared pixel to the nex
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +46,8 @@ SURPRISE = 3.0
 """Standard deviations of the sensor that a prediction errs by in one of a hundred or so calm pixels."""
 LIKE_ALL = 20.0
 """Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
-USES_LEFT, USES_ABOVE = (1, 1, 1, 0, 1), (1, 1, 0, 1, 1)
-"""Which predictions look at the pixel to the left and at that above."""
+PREDICTIONS = (0, 1, 4), (2,), (3,)
+"""Those that look at the pixels to the left and above, at the left one alone, at that above alone."""
 
 
 @jax.tree_util.register_dataclass
@@ -124,33 +124,41 @@ class UnknownSurfaces:
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
         return cls(means_m, sigmas_m, shares / jnp.sum(shares, axis=0, keepdims=True), learned.reach_m)
 
-    def not_continuing(self, left: jax.Array, above: jax.Array) -> UnknownSurfaces:
-        """The mixtures where the neighbours show objects with probabilities (H, W).
+    def density_parts(self, observed_m: jax.Array) -> jax.Array:
+        """Densities (3, H, W) at observed depths of what neighbours foretell, as `kept_parts` has them."""
+        return self._by_neighbours(normal_density(observed_m[None], self.means_m, self.sigmas_m))
 
-        An unknown surface does not continue an object's: what such a neighbour foretells goes to w_0.
-        """
-        keeps = [
-            (1 - left if by_left else 1.0) * (1 - above if by_above else 1.0)
-            for by_left, by_above in zip(USES_LEFT, USES_ABOVE, strict=True)
-        ]
-        kept = jnp.stack([weight * share for weight, share in zip(self.weights, keeps, strict=False)])
-        return replace(self, weights=jnp.concatenate([kept, 1 - jnp.sum(kept, axis=0, keepdims=True)]))
+    def shares(self) -> jax.Array:
+        """Weights (3, H, W) of what neighbours foretell, likewise."""
+        return self._by_neighbours(jnp.ones_like(self.means_m))
 
-    def density(self, observed_m: jax.Array) -> jax.Array:
-        """U (H, W) at the observed depths; without meaning where nothing was measured."""
-        by_part = normal_density(observed_m[None], self.means_m, self.sigmas_m)
-        inside = (observed_m >= 0) & (observed_m <= self.reach_m)
-        return jnp.sum(self.weights[:-1] * by_part, axis=0) + self.weights[-1] * inside / self.reach_m
+    def new_density(self, observed_m: jax.Array) -> jax.Array:
+        """Density (H, W) at the observed depths of a surface that begins here."""
+        return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
-    def share_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
-        """Probability (H, W) that the surface is nearer than another one, known to `sigma_m`."""
-        by_part = normal_distribution(
-            (depth_m[None] - self.means_m) / jnp.hypot(self.sigmas_m, sigma_m[None])
-        )
-        # the mean of Phi((d - z) / s) over 0 <= z <= R
+    def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
+        """Probabilities (3, H, W) that what neighbours foretell is nearer than a surface so well known."""
+        distance = (depth_m[None] - self.means_m) / jnp.hypot(self.sigmas_m, sigma_m[None])
+        return self._by_neighbours(normal_distribution(distance))
+
+    def new_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
+        """The same (H, W) of a surface that begins here: the mean of Phi((d - z) / s) over 0 <= z <= R."""
         low, high = (_ramp((depth_m - end) / sigma_m) for end in (0.0, self.reach_m))
-        new = sigma_m / self.reach_m * (low - high)
-        return jnp.sum(self.weights[:-1] * by_part, axis=0) + self.weights[-1] * new
+        return sigma_m / self.reach_m * (low - high)
+
+    def _by_neighbours(self, parts: jax.Array) -> jax.Array:
+        """Weighted sums (3, H, W) of predictions (K, H, W) from both neighbours, the left, the upper."""
+        weighted = self.weights[:-1] * parts
+        return jnp.stack([sum(weighted[part] for part in group) for group in PREDICTIONS])
+
+
+def kept_parts(left: jax.Array, above: jax.Array) -> jax.Array:
+    """How much (3, H, W) counts of what both neighbours, the left and the upper one foretell.
+
+    An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
+    probability (H, W), is left out, and a surface that begins here gets its weight.
+    """
+    return jnp.stack([(1 - left) * (1 - above), 1 - left, 1 - above])
 
 
 def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: DepthNoise) -> jax.Array:

@@ -11,12 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.execution import FAST_COMPILE, map_parallel
-from scene.likelihood.object_density import object_density
+from scene.execution import map_parallel
+from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.frame_data import SceneData
-from scene.observation.segmentation import support_depth
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_layers
 from scene.presence.toggling import Candidates, SlotLayers
@@ -35,7 +34,6 @@ class PresenceFrames:
         views: F frames.
         densities: of their windows.
         camera_from_world: (F, 4, 4).
-        supports_m: (H, W) each, depth of the supports.
         renderer: of the N objects' shapes, or of S draws of each, draw after draw.
         objects: N.
         draws: S.
@@ -46,7 +44,6 @@ class PresenceFrames:
     views: Sequence[SceneData]
     densities: Sequence[PixelDensity]
     camera_from_world: NDArray[np.float64]
-    supports_m: Sequence[NDArray[np.float32]]
     renderer: ObjectRenderer
     objects: int
     draws: int
@@ -64,12 +61,11 @@ class PresenceFrames:
         colours: tuple[int, ColourLayers] | None,
         colour_weight: float,
     ) -> PresenceFrames:
-        """The frames with their supports rendered."""
+        """The frames and what is drawn in them."""
         return cls(
             views=views,
             densities=densities,
             camera_from_world=camera_from_world,
-            supports_m=[support_depth(one.supports, one.window, one.intrinsics) for one in views],
             renderer=renderer,
             objects=objects,
             draws=len(renderer.library) // objects,
@@ -80,7 +76,7 @@ class PresenceFrames:
     @property
     def pixels(self) -> int:
         """Of all frames."""
-        return sum(one.size for one in self.supports_m)
+        return sum(one.window.depth_m.size for one in self.views)
 
     def shown(
         self, rng: np.random.Generator, slots: NDArray[np.integer], poses: NDArray[np.float64]
@@ -149,25 +145,17 @@ class PresenceFrames:
         count = min(BATCH, len(layers_m) - first)
         filled = np.full((BATCH, *layers_m.shape[1:]), np.float32(np.inf))
         filled[:count] = layers_m[first : first + count]
-        shown = _shown(self.densities[frame], filled, self.supports_m[frame], np.int32(count))
+        shown = _shown(self.densities[frame], filled)
         return np.asarray(shown[0])[:count], np.asarray(shown[1])[:count]
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
-def _shown(
-    density: PixelDensity, layers_m: jax.Array, rest_m: jax.Array, count: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Depth and log gain (BATCH, H, W) of the first `count` layers (BATCH, H, W)."""
-    log_rest = density.of_rest(rest_m)
-
-    def show(one: jax.Array, shown: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        log_density, depth_m = object_density(density, layers_m[one], rest_m)
-        depth_m = jnp.where(depth_m < rest_m, depth_m, jnp.inf)
-        gain = jnp.where(jnp.isfinite(depth_m), log_density - log_rest, 0.0)
-        return shown[0].at[one].set(depth_m), shown[1].at[one].set(gain)
-
-    nothing = jnp.full(layers_m.shape, jnp.inf), jnp.zeros(layers_m.shape)
-    return jax.lax.fori_loop(0, count, show, nothing)
+@jax.jit
+def _shown(density: PixelDensity, layers_m: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Depth and log gain (BATCH, H, W) of layers (BATCH, H, W)."""
+    alike = jax.tree.map(lambda leaf: leaf[None], density)
+    log_density, depth_m = object_densities(alike, layers_m, jnp.zeros(BATCH, jnp.int32))
+    depth_m = jnp.where(depth_m < density.image.rest_m[None], depth_m, jnp.inf)
+    return depth_m, jnp.where(jnp.isfinite(depth_m), log_density - density.log_rest[None], 0.0)
 
 
 def slot_layers(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> SlotLayers:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.execution import map_parallel
-from scene.likelihood.object_density import object_density
+from scene.likelihood.object_density import object_densities
 from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import support_depth
@@ -33,7 +33,6 @@ class ComparedPixels:
     Attributes:
         density: of all the pixels.
         log_odds: of an object in one pose against its absence, before the image is seen.
-        rest_m: (H, W) of the supports.
         uncontested: (pixels,) bool, where no object is seen: a pose that covers them has to pay.
         places: (X,) those of the foreground among the pixels.
         weight: (X,) 1, and 0 of those that fill up.
@@ -41,7 +40,6 @@ class ComparedPixels:
 
     density: PixelDensity
     log_odds: jax.Array
-    rest_m: jax.Array
     uncontested: jax.Array
     places: jax.Array
     weight: jax.Array
@@ -67,10 +65,10 @@ class ComparedPixels:
         size = PIXELS * max(-(-len(places) // PIXELS), 1)
         weight = (np.arange(size) < len(places)).astype(np.float32)
         window = data.window
-        density = PixelDensity.of(window.depth_m, noise, surface_sigma_m, window.stride)
+        rest_m = support_depth(data.supports, window, data.intrinsics)
+        density = PixelDensity.of(window.depth_m, rest_m, noise, surface_sigma_m, window.stride)
         numbers = (
             np.float32(log_odds),
-            support_depth(data.supports, window, data.intrinsics),
             ~near,
             np.resize(places, size).astype(np.int32),
             weight,
@@ -134,8 +132,8 @@ class ComparedPixels:
 
     def compile(self) -> None:
         """What `with_layers` runs where colours are not compared."""
-        nothing = np.full((BATCH, *self.rest_m.shape), np.float32(np.inf))
-        _shown.lower(self, nothing, None, np.int32(0)).compile()
+        nothing = np.full((BATCH, *self.density.log_rest.shape), np.float32(np.inf))
+        _shown.lower(self, nothing, None).compile()
 
     def _shown(
         self, depth_m: NDArray[np.float32], log_colour: NDArray[np.float32] | None, first: int
@@ -149,35 +147,28 @@ class ComparedPixels:
             return filled
 
         colour = None if log_colour is None else batch(log_colour, 0.0)
-        shown = jax.device_get(_shown(self, batch(depth_m, np.inf), colour, np.int32(count)))
+        shown = jax.device_get(_shown(self, batch(depth_m, np.inf), colour))
         return tuple(leaf[:count] for leaf in shown)
 
 
 @jax.jit
 def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
     """Depth and log density (X,) of the background."""
-    log_rest = pixels.density.of_rest(pixels.rest_m).ravel()
-    return pixels.rest_m.ravel()[pixels.places], log_rest[pixels.places] * pixels.weight
+    rest_m, log_rest = pixels.density.image.rest_m.ravel(), pixels.density.log_rest.ravel()
+    return rest_m[pixels.places], log_rest[pixels.places] * pixels.weight
 
 
 @jax.jit
 def _shown(
-    pixels: ComparedPixels, depth_m: jax.Array, log_colour: jax.Array | None, count: jax.Array
+    pixels: ComparedPixels, depth_m: jax.Array, log_colour: jax.Array | None
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """What the first `count` of BATCH poses of that depth (BATCH, H, W) show; of the others nothing."""
-    rest_m = pixels.rest_m.ravel()
-    log_rest = pixels.density.of_rest(pixels.rest_m).ravel()
-    compared = len(pixels.places)
-
-    def show(pose: jax.Array, shown: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        parts = object_density(pixels.density, depth_m[pose], pixels.rest_m)
-        density, layer_m = (part.ravel() for part in parts)
-        if log_colour is not None:
-            density += log_colour[pose].ravel()
-        seen = pixels.uncontested & (layer_m < rest_m)
-        alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - log_rest, 0.0))
-        values = layer_m[pixels.places], density[pixels.places] * pixels.weight, alone
-        return tuple(leaf.at[pose].set(value) for leaf, value in zip(shown, values, strict=True))
-
-    nothing = jnp.full((BATCH, compared), jnp.inf), jnp.zeros((BATCH, compared)), jnp.zeros(BATCH)
-    return jax.lax.fori_loop(0, count, show, nothing)
+    """What BATCH poses of that depth (BATCH, H, W) show."""
+    rest_m, log_rest = (part.ravel()[None] for part in (pixels.density.image.rest_m, pixels.density.log_rest))
+    alike = jax.tree.map(lambda leaf: leaf[None], pixels.density)
+    parts = object_densities(alike, depth_m, jnp.zeros(BATCH, jnp.int32))
+    density, layer_m = (part.reshape(BATCH, -1) for part in parts)
+    if log_colour is not None:
+        density += log_colour.reshape(BATCH, -1)
+    seen = pixels.uncontested[None] & (layer_m < rest_m)
+    alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - log_rest, 0.0), axis=1)
+    return layer_m[:, pixels.places], density[:, pixels.places] * pixels.weight[None], alone

@@ -11,7 +11,7 @@ import trimesh
 from scipy.spatial import KDTree
 
 from recordings.types import DepthNoise
-from scene.likelihood.depth_images import DepthLikelihood, tiles_of_rest
+from scene.likelihood.depth_images import DepthLikelihood
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.point_clouds import POINT_WEIGHT, CloudLikelihood, CloudNoise, window_half_width
@@ -22,6 +22,7 @@ from scene.objects.scene_object import SceneObject, scene_object
 from scene.observation.depth_view import unproject
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.tiles import to_tiles
 from tests.statistical import assert_mean
 
 HEIGHT, WIDTH, BACKGROUND_M = 32, 48, 0.8
@@ -52,18 +53,19 @@ def images(
 ) -> DepthLikelihood:
     """Two cameras side by side, a wall behind."""
     supports_m = np.full((2, HEIGHT, WIDTH), BACKGROUND_M, np.float32)
-    by_frame = [PixelDensity.of(image.astype(np.float32), NOISE, 0.002, 2) for image in observed_m]
-    density = jax.tree.map(lambda *leaves: np.stack([np.float32(leaf) for leaf in leaves]), *by_frame)
-    rest_m, log_rest = tiles_of_rest(density, supports_m)
+    by_frame = [
+        PixelDensity.of(image.astype(np.float32), rest_m, NOISE, 0.002, 2)
+        for image, rest_m in zip(observed_m, supports_m, strict=True)
+    ]
+    density = jax.tree.map(lambda *leaves: np.stack(leaves), *by_frame)
     camera = Camera(*(jnp.full(2, value, jnp.float32) for value in (60.0, 60.0, 23.5, 15.5)))
     return DepthLikelihood(
         renderer=ObjectRenderer.of(shapes),
         cameras=camera,
         camera_from_world=jnp.asarray([[1.0, 0, 0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0.05, 0, 0]]),
         density=density,
-        supports_m=jnp.asarray(supports_m),
-        rest_m=rest_m,
-        log_rest=log_rest,
+        rest_m=to_tiles(density.image.rest_m, 0.0),
+        log_rest=to_tiles(density.log_rest, 0.0),
         fresh_share=jnp.ones(()),
         objects=objects,
         height=HEIGHT,
@@ -132,11 +134,11 @@ def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph
     """The log likelihood by whole images: every pixel has the factor of the nearest layer."""
     total = 0.0
     for frame in range(2):
-        density = PixelDensity.of(observed_m[frame].astype(np.float32), NOISE, 0.002, 2)
-        rest_m = jnp.full((HEIGHT, WIDTH), BACKGROUND_M, jnp.float32)
-        log_pixels, front_m = np.array(density.of_rest(rest_m)), np.asarray(rest_m)
+        rest_m = np.full((HEIGHT, WIDTH), BACKGROUND_M, np.float32)
+        density = PixelDensity.of(observed_m[frame].astype(np.float32), rest_m, NOISE, 0.002, 2)
+        log_pixels, front_m = np.array(density.log_rest), rest_m
         for layer_m in layers(likelihood, scene, frame):
-            log_mine, depth_m = (np.asarray(part) for part in density.of_object(jnp.asarray(layer_m), rest_m))
+            log_mine, depth_m = (np.asarray(part) for part in density.of_object(jnp.asarray(layer_m)))
             log_pixels = np.where(depth_m < front_m, log_mine, log_pixels)
             front_m = np.minimum(depth_m, front_m)
         total += float(log_pixels.astype(np.float64).sum())
@@ -211,7 +213,6 @@ def test_the_likelihood_of_frames_is_their_product(
             cameras=jax.tree.map(lambda leaf: leaf[one], both.cameras),
             camera_from_world=both.camera_from_world[one],
             density=jax.tree.map(lambda leaf: leaf[one], both.density),
-            supports_m=both.supports_m[one],
             rest_m=both.rest_m[mine],
             log_rest=both.log_rest[mine],
         )

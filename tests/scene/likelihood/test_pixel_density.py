@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import norm
 
 from recordings.types import NO_RETURN, DepthNoise
-from scene.likelihood.object_density import object_density
+from scene.likelihood.object_density import object_densities
 from scene.likelihood.pixel_density import MISSING, MISSING_ON, OUTLIERS, PixelDensity
-from scene.likelihood.unknown_surfaces import EDGES, UnknownSurfaces, UnknownWeights
+from scene.likelihood.unknown_surfaces import EDGES, UnknownWeights
 
 STEP_M, SENSOR_M, SURFACE_M = 0.07, 0.08, 0.05
 DEPTHS_M = STEP_M * (np.arange(30) - 6.5)
@@ -38,18 +38,17 @@ SCENES = {
 }
 
 
-def density_of(observed_m: jax.Array) -> PixelDensity:
+def density_of(observed_m: jax.Array, rest_m: jax.Array) -> PixelDensity:
     """The density of images of 2 x 2 pixels with errors alike."""
-    unknown = UnknownSurfaces.of(observed_m, NOISE, LEARNED)
-    return PixelDensity(NOISE, jnp.float32(SURFACE_M), observed_m, jnp.float32(0.6), LEARNED, unknown)
+    return PixelDensity.of_image(observed_m, rest_m, NOISE, jnp.float32(SURFACE_M), jnp.float32(0.6), LEARNED)
 
 
 @jax.jit
 def log_factors(observed_m: jax.Array, layer_m: jax.Array, rest_m: jax.Array) -> jax.Array:
     """Log density (2, 2) of the pixels of an image under a scene of one object."""
-    density = density_of(observed_m)
-    shown, depth_m = density.of_object(layer_m, rest_m)
-    return jnp.where(jnp.isfinite(depth_m), shown, density.of_rest(rest_m))
+    density = density_of(observed_m, rest_m)
+    shown, depth_m = density.of_object(layer_m)
+    return jnp.where(jnp.isfinite(depth_m), shown, density.log_rest)
 
 
 def images() -> np.ndarray:
@@ -103,9 +102,9 @@ def test_a_plane_of_which_much_was_seen_is_known_as_well_as_a_shape(seed: int) -
     layer_m = np.where((rows >= 6) & (columns >= 6), plane_m, np.inf).astype(np.float32)
     noise = DepthNoise(sigma_base_m=0.002, sigma_growth_per_m=0.0)
     observed_m = np.where(np.isfinite(layer_m), plane_m + rng.normal(0, 0.002, plane_m.shape), 1.2)
-    density = PixelDensity.of(observed_m.astype(np.float32), noise, 0.003, 1)
-    rest_m = jnp.full(plane_m.shape, 1.2, jnp.float32)
-    gains = np.asarray(density.of_object(jnp.asarray(layer_m), rest_m)[0] - density.of_rest(rest_m))
+    rest_m = np.full(plane_m.shape, 1.2, np.float32)
+    density = PixelDensity.of(observed_m.astype(np.float32), rest_m, noise, 0.003, 1)
+    gains = np.asarray(density.of_object(jnp.asarray(layer_m))[0] - density.log_rest)
     inside = (rows >= 14) & (columns >= 14) & (rows < 46) & (columns < 40)
     assert abs(gains[inside].mean()) < 0.1
 
@@ -117,17 +116,16 @@ def test_a_crop_gives_what_the_whole_image_does(seed: int) -> None:
     observed_m = rng.normal(1.0, 0.003, size).astype(np.float32)
     observed_m[20:40, 30:50] -= 0.1
     observed_m[rng.random(size) < 0.05] = NO_RETURN
-    density = PixelDensity.of(observed_m, DepthNoise(), 0.003, 4)
+    density = PixelDensity.of(observed_m, np.ones(size, np.float32), DepthNoise(), 0.003, 4)
     layers_m = np.full((24, *size), np.inf, np.float32)
     for layer_m in layers_m[1:]:
         row, column, down, across = *rng.integers((-20, -20), size), *rng.integers(2, 90, 2)
         layer_m[max(row, 0) : max(row + down, 0), max(column, 0) : max(column + across, 0)] = rng.uniform(
             0.8, 1.1
         )
-    rest_m = jnp.ones(size, jnp.float32)
-    cropped = jax.jit(partial(jax.lax.map, lambda layer_m: object_density(density, layer_m, rest_m)))
-    whole = jax.jit(partial(jax.lax.map, lambda layer_m: density.of_object(layer_m, rest_m)))
-    (log_cropped, depth_cropped), (log_whole, depth_m) = cropped(layers_m), whole(layers_m)
+    one = jax.tree.map(lambda leaf: leaf[None], density)
+    log_cropped, depth_cropped = jax.jit(object_densities)(one, layers_m, np.zeros(24, np.int32))
+    log_whole, depth_m = jax.jit(partial(jax.lax.map, density.of_object))(layers_m)
     np.testing.assert_array_equal(depth_cropped, depth_m)
     expected = np.where(np.isfinite(depth_m), log_whole, 0.0)
     np.testing.assert_allclose(np.asarray(log_cropped), expected, atol=2e-3)

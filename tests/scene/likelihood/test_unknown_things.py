@@ -83,10 +83,10 @@ def evidence_at(data: SceneData, shape: str, pose: NDArray[np.float64]) -> float
     """The same at a pose world_from_shape."""
     whole_m, window = view_of([(shape, pose)]), data.window
     alone_m = np.where(whole_m < seen() - 1e-4, whole_m, np.inf).astype(np.float32)
-    density = PixelDensity.of(window.depth_m, NOISE, SHAPE_SIGMA_M, window.stride)
-    rest_m = jnp.asarray(support_depth(data.supports, window, INTRINSICS))
-    shown, depth_m = density.of_object(jnp.asarray(window.of(alone_m)), rest_m)
-    gain = np.where(np.isfinite(depth_m), shown - density.of_rest(rest_m), 0.0)
+    rest_m = support_depth(data.supports, window, INTRINSICS)
+    density = PixelDensity.of(window.depth_m, rest_m, NOISE, SHAPE_SIGMA_M, window.stride)
+    shown, depth_m = density.of_object(jnp.asarray(window.of(alone_m)))
+    gain = np.where(np.isfinite(depth_m), shown - density.log_rest, 0.0)
     return float(gain.sum())
 
 

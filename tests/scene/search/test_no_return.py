@@ -32,9 +32,9 @@ def test_a_pose_pays_for_pixels_without_return_where_nothing_is_behind(rest_m: f
     layer = np.full((12, 16), np.inf, np.float32)
     layer[3:8, 4:12] = 0.6
     with jax.enable_x64(False):  # as the program starts it
-        density = PixelDensity.of(observed, NOISE, 0.003, 1)
-        shown, _ = density.of_object(jnp.asarray(layer), jnp.asarray(rest))
-        inside = np.asarray(shown - density.of_rest(jnp.asarray(rest)))[4:7, 5:11]
+        density = PixelDensity.of(observed, rest, NOISE, 0.003, 1)
+        shown, _ = density.of_object(jnp.asarray(layer))
+        inside = np.asarray(shown - density.log_rest)[4:7, 5:11]
     np.testing.assert_allclose(inside, cost, atol=1e-5)
 
 
