@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import BinaryIO, Protocol, TypeVar
 
 from pipeline.logs import log
 from pipeline.timing import wall_clock
@@ -14,6 +14,9 @@ INTERVAL_S = 20.0
 """Work of this time may be lost; with the time to write it, less than 30 s."""
 LONGEST_SHARE = 0.05
 """Of the time may go into writing: a large map is written less often."""
+
+PAGES = ".pages"
+"""Ending of the file for what has no room in memory."""
 
 C = TypeVar("C", bound="Saved")
 
@@ -37,6 +40,18 @@ class CheckpointKeeper:
         self._path = path
         self._last_s = wall_clock()
         self._wait_s = INTERVAL_S
+
+    @contextmanager
+    def pages(self) -> Iterator[BinaryIO | None]:
+        """A file beside it for what a stage has no room for in memory; None where it cannot be written."""
+        path = self._path.with_name(f"{self._path.name}{PAGES}")
+        with ExitStack() as stack:
+            file = None
+            with suppress(OSError):
+                file = stack.enter_context(
+                    path.open("r+b" if path.exists() and self._path.exists() else "w+b")
+                )
+            yield file
 
     def found(self, load: Callable[[Path], C]) -> C | None:
         """The checkpoint that was kept before, if there is one and it is whole."""

@@ -188,8 +188,12 @@ class RunFolder:
         """Let a stage have the checkpoint of a fingerprint, or none; those made from other things go."""
         folder, stem = self.path / "stages", name.replace("/", ".")
         self.checkpoint_path = folder / f"{stem}.{fingerprint}.checkpoint" if fingerprint else None
-        for other in folder.glob(f"{stem}.*.checkpoint"):
-            if self._force or other != self.checkpoint_path:
+        for other in folder.glob(f"{stem}.*.checkpoint*"):
+            if (
+                self._force
+                or self.checkpoint_path is None
+                or not other.name.startswith(self.checkpoint_path.name)
+            ):
                 other.unlink()
 
     def _compute(self, name: str, compute: Callable[[], V]) -> tuple[float, float]:

@@ -12,9 +12,13 @@ from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS, SensorProfile
 from recordings.types import CameraIntrinsics
 from shapes.archive import load_fields, save_fields
 from shapes.geometry.pose_sets import cluster
+from shapes.geometry.poses import matrices_of
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Of the file."""
+
+COMPARED_FRAMES = 2000
+"""50 MB while paths are told apart."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,7 +27,7 @@ class SlamResult:
 
     Attributes:
         times_ns: (T,) int64 stamps.
-        trajectories: (K, T, 4, 4) float64 reference_from_camera of every particle.
+        draws: (K, T, 7) float32 trajectories of every particle, reference_from_camera, wxyz_xyz.
         log_weights: (K,) normalised.
         mean: (T, 4, 4) float64 marginal posterior mean of every frame, given all frames; where several maps
             are left, that of the likeliest.
@@ -43,7 +47,7 @@ class SlamResult:
     """
 
     times_ns: NDArray[np.int64]
-    trajectories: NDArray[np.float64]
+    draws: NDArray[np.float32]
     log_weights: NDArray[np.float64]
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
@@ -58,10 +62,10 @@ class SlamResult:
     camera: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        particles, frames = self.trajectories.shape[:2]
+        particles, frames = self.draws.shape[:2]
         expected = {
             "times_ns": (frames,),
-            "trajectories": (particles, frames, 4, 4),
+            "draws": (particles, frames, 7),
             "log_weights": (particles,),
             "mean": (frames, 4, 4),
             "covariance": (frames, 6, 6),
@@ -92,10 +96,19 @@ class SlamResult:
         )
 
     @property
+    def trajectories(self) -> NDArray[np.float64]:
+        """(K, T, 4, 4) the draws as matrices: 8 kB a frame of 64."""
+        return matrices_of(self.draws)
+
+    @property
     def path_probabilities(self) -> NDArray[np.float64]:
-        """Of the paths (G,) that are told apart, the likeliest first: one where all particles agree."""
+        """Of the paths (G,) that are told apart, the likeliest first: one where all particles agree.
+
+        Of a long recording every so many frames decide.
+        """
         weights = np.exp(self.log_weights)
-        shares = np.bincount(cluster(self.trajectories, weights), weights).astype(np.float64)
+        compared = matrices_of(self.draws[:, :: -(-len(self) // COMPARED_FRAMES)])
+        shares = np.bincount(cluster(compared, weights), weights).astype(np.float64)
         return np.sort(shares)[::-1]
 
     def save(self, path: Path) -> None:

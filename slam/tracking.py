@@ -16,7 +16,9 @@ from slam.config import SlamConfig
 from slam.filter.init import info_before_map, init
 from slam.filter.state import FilterState, FrameInfo
 from slam.filter.step import step
+from slam.history import History
 from slam.keyframes.depth_view import FINE_CANVAS, CanvasView, view_of_frame
+from slam.keyframes.pages import Paged, PageFile
 from slam.map_hypotheses.mode_jump import are_sparse_views, choose_map
 from slam.odometry import KissOdometry
 from slam.pose_graph.distortion_scale import SCALES
@@ -24,7 +26,7 @@ from slam.pose_graph.overlaps import KeyframeDetail, keyframe_detail
 from slam.pose_graph.refinement import refine_keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 from slam.result import SlamResult
-from slam.smoothing import History
+from slam.smoothing import smoothed
 
 OnFrame = Callable[[FrameInfo], None]
 OnCheckpoint = Callable[[Checkpoint], None]
@@ -41,6 +43,7 @@ def track(
     on_frame: OnFrame | None = None,
     *,
     sensor: SensorProfile | None = None,
+    pages: PageFile | None = None,
     checkpoint: Checkpoint | None = None,
     on_checkpoint: OnCheckpoint | None = None,
 ) -> SlamResult:
@@ -56,29 +59,34 @@ def track(
         config: settings.
         on_frame: called after every frame.
         sensor: by which the frames have been corrected; what it leaves open is all that is unknown then.
-        checkpoint: how far a tracker of the same frames, key and settings came that was ended early.
+        pages: where keyframes and frames go that are not asked for, so that memory hardly grows; None keeps
+            them in memory.
+        checkpoint: how far a tracker of the same frames, key, settings and pages came that was ended early.
         on_checkpoint: called after every frame with how far this one came.
 
     Raises:
         ValueError: there is no frame, or none that a map can begin with.
     """
+    pages = pages or PageFile()
     state: FilterState | None = checkpoint.state if checkpoint else None
-    history = checkpoint.history if checkpoint else History()
-    known = len(history.frames)
+    history = checkpoint.history if checkpoint else History(pages=pages)
+    details: list[Paged[KeyframeDetail]] = list(checkpoint.details) if checkpoint else []
+    known = len(history)
+    if on_frame is not None:
+        for info in history.infos():
+            on_frame(info)
     waiting: list[int] = []
-    details: list[KeyframeDetail] = []
     full_detail_noise = config.noise or DepthNoise()
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, (frame, view) in enumerate(_views_ahead(frames, intrinsics)):
         motion = odometry.register(frame) if odometry else None
         if index < known:
-            _recall(history.frames[index], frame, intrinsics, details, full_detail_noise, on_frame)
             continue
         if state is None and not _can_be_mapped(view):
             waiting.append(frame.time_ns)
             continue
         if state is None:
-            state, info = init(view, frame.time_ns, config)
+            state, info = init(view, frame.time_ns, config, pages)
             for number, time_ns in enumerate(waiting):
                 unseen = info_before_map(jax.random.fold_in(key, number), state, config)
                 history.append(time_ns, unseen)
@@ -88,12 +96,13 @@ def track(
             frame_key = jax.random.fold_in(key, index)
             state, info = step(frame_key, state, view, frame.time_ns, config, motion)
         history.append(frame.time_ns, info)
-        if info.keyframe is not None:
-            details.append(keyframe_detail(view_of_frame(frame, intrinsics, FINE_CANVAS), full_detail_noise))
+        if info.is_keyframe:
+            detailed = view_of_frame(frame, intrinsics, FINE_CANVAS)
+            details.append(pages.hold(keyframe_detail(detailed, full_detail_noise)))
         if on_frame is not None:
             on_frame(info)
         if on_checkpoint is not None:
-            on_checkpoint(Checkpoint(state=state, history=history))
+            on_checkpoint(Checkpoint(state=state, history=history, details=details))
     if state is None and not waiting:
         raise ValueError("the recording has no depth frame")
     if state is None:
@@ -101,36 +110,21 @@ def track(
             f"no depth frame has a return in more than {LEAST_RETURNS:.0%} of its pixels;"
             " is it the right depth topic, scale and range?"
         )
-    refinement_key = jax.random.fold_in(key, len(history.frames))
-    look_key = jax.random.fold_in(key, len(history.frames) + 1)
+    refinement_key = jax.random.fold_in(key, len(history))
+    look_key = jax.random.fold_in(key, len(history) + 1)
     prior: TrajectoryPrior | None = None
-    if are_sparse_views(state, history.frames):
+    if are_sparse_views(state, len(history), history.in_doubt):
         prior = TrajectoryPrior.of(state, config)
-        details = [detail.with_plane_segments(full_detail_noise) for detail in details]
+        details = [pages.hold(detail.value.with_plane_segments(full_detail_noise)) for detail in details]
     state = choose_map(look_key, state, config, details, full_detail_noise, prior)
     sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
     if sensor is not None:
         sd, scales = sensor.sd_per_m, (1.0,)
     state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, sd, prior, scales)
-    result = history.result(state, placed, intrinsics)
+    result = smoothed(history, state, placed, intrinsics)
     if sensor is None:
         return result
     return replace(result, disparity_per_m=sensor.disparity_per_m + result.disparity_per_m)
-
-
-def _recall(
-    info: FrameInfo,
-    frame: Frame,
-    intrinsics: CameraIntrinsics,
-    details: list[KeyframeDetail],
-    noise: DepthNoise,
-    on_frame: OnFrame | None,
-) -> None:
-    """Do again for a frame of a checkpoint what depends on its image alone."""
-    if info.keyframe is not None:
-        details.append(keyframe_detail(view_of_frame(frame, intrinsics, FINE_CANVAS), noise))
-    if on_frame is not None:
-        on_frame(info)
 
 
 def _can_be_mapped(view: CanvasView) -> bool:

@@ -52,7 +52,7 @@ def track_odometry(frames: Sequence[Frame], intrinsics: CameraIntrinsics) -> NDA
 def track_model(frames: Sequence[Frame], intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
     """Poses (T, 4, 4) by tracking each frame against the TSDF model of those before."""
     slam = o3d.t.pipelines.slam
-    height, width = frames[0].depth_m.shape
+    height, width = next(iter(frames)).depth_m.shape
     pose = o3d.core.Tensor.from_numpy(np.eye(4))
     device = o3d.core.Device("CPU:0")
     model = slam.Model(VOXEL_M, 16, 10000, pose, device)

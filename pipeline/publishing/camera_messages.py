@@ -27,6 +27,7 @@ from pipeline.publishing.foxglove_geometry import (
 )
 from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
+from shapes.geometry.poses import matrices_of
 from slam.result import SlamResult
 
 VIEW = "voxscene_view"
@@ -102,7 +103,7 @@ def path_points(result: SlamResult) -> Any:
 def particles_of(result: SlamResult, frame: int) -> PosesInFrame:
     """Where each particle has the camera in a frame."""
     message = PosesInFrame(frame_id=REFERENCE)
-    poses = result.trajectories[:, frame]
+    poses = matrices_of(result.draws[:, frame])
     for pose, xyzw in zip(poses, quaternions(poses), strict=True):
         particle = message.poses.add()
         set_vector(particle.position, pose[:3, 3])

@@ -46,14 +46,17 @@ def remarks_on(content: Any, where: str = "") -> Iterator[str]:
 
 def drawable_path(result: SlamResult) -> SlamResult:
     """The same with frames lost whose pose is no rigid transform, and everything that is drawn finite."""
-    usable = _is_rigid(result.mean) & _is_rigid(result.trajectories).all(axis=0)
+    drawn = are_poses(result.draws)
+    usable = _is_rigid(result.mean) & drawn.all(axis=0)
     usable &= _is_small(result.covariance).all(axis=(1, 2))
     weights = np.where(
         np.isfinite(result.log_weights) & (result.log_weights < 1), result.log_weights, -np.inf
     )
     if np.isneginf(weights).all():
         weights = np.full_like(weights, -np.log(len(weights)))
-    return replace(_with_finite_poses(result), lost=result.lost | ~usable, log_weights=weights)
+    draws = np.where(drawn[..., None], result.draws, np.asarray([1, 0, 0, 0, 0, 0, 0], np.float32))
+    path = replace(_with_finite_poses(result), draws=draws)
+    return replace(path, lost=result.lost | ~usable, log_weights=weights)
 
 
 def drawable_scene(result: SceneResult) -> SceneResult:
@@ -78,7 +81,7 @@ def _probabilities(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
 
 
-def are_poses(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+def are_poses(poses: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Whether (..., 7) are finite, with a quaternion of some length."""
     small = np.asarray(_is_small(poses).all(axis=-1))
     return small & (np.linalg.norm(np.where(small[..., None], poses, 0.0)[..., :4], axis=-1) > 0)
@@ -105,6 +108,6 @@ def _is_rigid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     return small & orthogonal & (np.linalg.det(rotations) > 0)
 
 
-def _is_small(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_small(values: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Whether numbers are finite, and those of places that a camera can be at."""
     return np.abs(np.nan_to_num(values, nan=np.inf)) < _FARTHEST_M

@@ -16,6 +16,7 @@ from pipeline.errors import PipelineError
 from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.slam import slam_stage
+from shapes.geometry.poses import matrices_of
 from shapes.learning.config import LearnConfig
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def tracked_frames(result: SlamResult) -> PosedFrames:
         raise PipelineError("slam lost every frame, there are no poses to learn from")
     return PosedFrames(
         times_ns=result.times_ns[found],
-        trajectories=result.trajectories[:, found],
+        trajectories=matrices_of(result.draws[:, found]),
         log_weights=result.log_weights,
     )
 

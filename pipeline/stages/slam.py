@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,12 +55,14 @@ def _load(path: Path) -> SlamResult:
 
 def _track(session: Session, config: SlamConfig) -> SlamResult:
     from slam.checkpoint import Checkpoint
+    from slam.keyframes.pages import PageFile
     from slam.tracking import track
 
     assert session.run.checkpoint_path is not None  # while the stage is computed
     keeper = CheckpointKeeper(session.run.checkpoint_path)
     recording, key = session.recording, session.key("slam")
-    with session.common.progress("slam", "frames") as progress:
+    with keeper.pages() as file, session.common.progress("slam", "frames") as progress:
+        pages = PageFile(file)
         progress.phase("reading")
         total, done, searched = session.look().frames, 0, 0
         contested: list[int] = []
@@ -87,7 +90,8 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
                 config,
                 on_frame,
                 sensor=recording.sensor,
-                checkpoint=keeper.found(Checkpoint.load),
+                pages=pages,
+                checkpoint=keeper.found(partial(Checkpoint.load, pages=pages)),
                 on_checkpoint=keeper.keep,
             )
         except ValueError as error:

@@ -31,9 +31,7 @@ def log_trajectory(recording: rr.RecordingStream, result: SlamResult) -> None:
     centres = result.mean[:, :3, 3]
     path = rr.LineStrips3D([centres], colors=PATH, radii=PATH_WIDTH)
     recording.log("world/path/mean", path, static=True)
-    particles = rr.LineStrips3D(
-        list(result.trajectories[:, :, :3, 3]), colors=(*PATH, 40), radii=PARTICLE_WIDTH
-    )
+    particles = rr.LineStrips3D(list(result.draws[:, :, 4:]), colors=(*PATH, 40), radii=PARTICLE_WIDTH)
     recording.log("world/path/particles", particles, static=True)
     if result.lost.any():
         lost = rr.Points3D(centres[result.lost], colors=LOST, radii=rr.Radius.ui_points(5.0))

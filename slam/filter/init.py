@@ -11,12 +11,12 @@ import numpy as np
 from shapes.geometry.pose_sets import IDENTITY, spread_around
 from slam.config import SlamConfig
 from slam.filter import smc
-from slam.filter.map_update import LEAST_CAPACITY
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion
 from slam.filter.rival_motion import CERTAIN, RivalMotion
 from slam.filter.state import CameraParticles, FilterState, FrameInfo, Ties, initial_particles
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
+from slam.keyframes.pages import PageFile
 from slam.keyframes.surfels import surfel_image
 from slam.likelihood.distortion import NODES
 from slam.likelihood.noise_calibration import NoiseCalibration
@@ -25,8 +25,17 @@ LOOSE_RADIUS = 0.15
 """Relative standard deviation of an orbit's radius that nobody gave."""
 
 
-def init(view: CanvasView, time_ns: int, config: SlamConfig) -> tuple[FilterState, FrameInfo]:
-    """The state after the first frame, which is the reference and the first keyframe."""
+def init(
+    view: CanvasView, time_ns: int, config: SlamConfig, pages: PageFile | None = None
+) -> tuple[FilterState, FrameInfo]:
+    """The state after the first frame, which is the reference and the first keyframe.
+
+    Args:
+        view: of the frame.
+        time_ns: its stamp.
+        config: settings.
+        pages: where keyframes go that are not asked for; None keeps them in memory.
+    """
     radius = config.orbit_radius_m or central_depth(view)
     motion: MotionPrior = FreeMotion.default()
     if config.motion == "orbit":
@@ -34,11 +43,12 @@ def init(view: CanvasView, time_ns: int, config: SlamConfig) -> tuple[FilterStat
         motion = OrbitMotion.default() if known else OrbitMotion.of_unknown_radius(LOOSE_RADIUS * radius)
     calibration = NoiseCalibration.initial(config.noise, config.effective_pixel_share)
     pivot = np.asarray([0.0, 0.0, radius], np.float32)
-    particles = initial_particles(config.particles, LEAST_CAPACITY, pivot)
+    particles = initial_particles(config.particles, pivot)
     surface = surfel_image(view, calibration.noise)
     state = FilterState(
         population=smc.uniform_population(particles),
-        keyframe_map=KeyframeMap().with_keyframe(surface),
+        keyframe_poses=np.tile(np.asarray(IDENTITY, np.float32), (config.particles, 1, 1)),
+        keyframe_map=KeyframeMap(pages=pages or PageFile()).with_keyframe(surface),
         keyframe_times_ns=(time_ns,),
         calibration=calibration,
         motion=motion,
@@ -69,7 +79,7 @@ def info_before_map(key: jax.Array, state: FilterState, config: SlamConfig) -> F
         lost=True,
         explained=0.0,
         covered=0.0,
-        keyframe=None,
+        is_keyframe=False,
     )
 
 
@@ -104,7 +114,7 @@ def _first_frame_info(count: int, compared: int) -> FrameInfo:
         explained=1.0,
         covered=1.0,
         keyframes=1,
-        keyframe=0,
+        is_keyframe=True,
         components=0,
         doubt=CERTAIN,
     )

@@ -10,15 +10,11 @@ import jaxlie
 import numpy as np
 
 from slam.filter.rival_motion import Doubt
-from slam.filter.state import CameraParticles, FilterState, with_capacity
+from slam.filter.state import CameraParticles, FilterState
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.fusion import fuse
-from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image, with_noise
 from slam.registration.registered import Registration
-
-LEAST_CAPACITY = 32
-"""Keyframes for which arrays have room at first."""
 
 KEYFRAME_SHIFT = 0.1
 """A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
@@ -28,24 +24,6 @@ KEYFRAME_ANGLE_RAD = 0.2
 
 KEYFRAME_COVERAGE = 0.75
 """Chosen by hand; as `KEYFRAME_ANGLE_RAD`."""
-
-
-def capacity_for(keyframes: int) -> int:
-    """Keyframes for which arrays have room: it doubles, since each growth compiles kernels anew."""
-    capacity = LEAST_CAPACITY
-    while capacity < keyframes:
-        capacity *= 2
-    return capacity
-
-
-def with_room(state: FilterState) -> FilterState:
-    """The state with room for one keyframe more in every particle."""
-    particles: CameraParticles = state.population.particles
-    capacity = capacity_for(len(state.keyframe_map) + 1)
-    if particles.keyframe_poses.shape[1] >= capacity:
-        return state
-    population = replace(state.population, particles=with_capacity(particles, capacity))
-    return replace(state, population=population)
 
 
 def with_frame(state: FilterState, view: CanvasView, found: list[Registration], doubt: Doubt) -> FilterState:
@@ -63,15 +41,14 @@ def with_frame(state: FilterState, view: CanvasView, found: list[Registration], 
     if not far and best.covered >= KEYFRAME_COVERAGE:
         if len(found) > 1:
             return state
-        refined = fuse(keyframe_map.surfaces[anchor], view, relative, noise)
+        refined = fuse(keyframe_map.surface(anchor), view, relative, noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
     particles: CameraParticles = state.population.particles
-    keyframe_poses = particles.keyframe_poses.at[:, len(keyframe_map)].set(particles.pose)
-    population = replace(state.population, particles=replace(particles, keyframe_poses=keyframe_poses))
+    here = np.asarray(particles.pose)[:, None]
     surface = surfel_image(view, noise)
     return replace(
         state,
-        population=population,
+        keyframe_poses=np.concatenate([state.keyframe_poses, here], axis=1),
         keyframe_map=keyframe_map.with_keyframe(surface),
         rival=state.rival.with_keyframe(surface, best.optimum.pose, doubt),
         keyframe_times_ns=(*state.keyframe_times_ns, state.times_ns[1]),
@@ -98,8 +75,9 @@ def with_calibration(state: FilterState, located: Registration) -> FilterState:
         np.asarray(optimum.layer_precisions, np.float64).sum(0),
         np.asarray(optimum.score_variance, np.float64),
     )
-    surfaces = state.keyframe_map.surfaces
+    keyframe_map = state.keyframe_map
     if not calibration.fixed_sigma:
-        surfaces = tuple(with_noise(surface, calibration.noise, learnt.noise) for surface in surfaces)
-    keyframe_map = KeyframeMap(surfaces=surfaces, samples=state.keyframe_map.samples)
+        for index in range(len(keyframe_map)):
+            surface = with_noise(keyframe_map.surface(index), calibration.noise, learnt.noise)
+            keyframe_map = keyframe_map.with_refined(index, surface)
     return replace(state, calibration=learnt, keyframe_map=keyframe_map)

@@ -141,8 +141,6 @@ def last_motion(population: smc.Population) -> tuple[NDArray[np.float64], NDArra
 
 
 def _group_map(state: FilterState, weights: NDArray[np.float64], group: int) -> GroupMap:
-    particles: CameraParticles = state.population.particles
-    used = len(state.keyframe_map)
     share = jnp.asarray(weights / weights.sum(), jnp.float32)
-    heaviest = matrices_of(particles.keyframe_poses[int(np.argmax(weights)), :used])
-    return GroupMap(particles.keyframe_poses, share, heaviest, group)
+    heaviest = matrices_of(state.keyframe_poses[int(np.argmax(weights))])
+    return GroupMap(state.keyframe_poses, share, heaviest, group)

@@ -150,7 +150,7 @@ def log_proposal_density(
 
 def propose(
     key: jax.Array,
-    keyframe_poses: jax.Array,
+    own_keyframes: jax.Array,
     group: jax.Array,
     history: MotionHistory,
     components: Component,
@@ -162,7 +162,7 @@ def propose(
 
     Args:
         key: consumed.
-        keyframe_poses: (N, 7) the particle's map.
+        own_keyframes: (J, M, 7) where the particle has the components' keyframes.
         group: the particle's group.
         history: its past.
         components: J components, leaves stacked (J, ...).
@@ -177,7 +177,6 @@ def propose(
     for_particle = components.group == group
     log_scores = jnp.where(for_particle, components.log_score, -jnp.inf)
     log_shares = jnp.where(for_particle, log_scores - jax.nn.logsumexp(log_scores), -jnp.inf)
-    own_keyframes = keyframe_poses[components.keyframes]
     centres = jax.vmap(centre_for)(components, own_keyframes)
     index = jax.random.categorical(component_key, log_shares)
     from_component = pose_gaussian.sample(gaussian_key, centres[index], components.scale[index])

@@ -34,6 +34,7 @@ BENT = 0.25
 rigid, and a map of two motions is bent. Chosen by hand."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Doubt:
     """What a second motion leaves open about one frame.

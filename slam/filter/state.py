@@ -22,7 +22,9 @@ class FilterState:
     """What is carried from frame to frame.
 
     Attributes:
-        population: weighted `CameraParticles`.
+        population: K weighted `CameraParticles`.
+        keyframe_poses: (K, N, 7) where each has the keyframes, reference_from_keyframe. On the host, for a
+            kernel would be compiled for every number of them.
         keyframe_map: shared surfaces.
         keyframe_times_ns: (N,) their stamps.
         calibration: of the sensor.
@@ -35,6 +37,7 @@ class FilterState:
     """
 
     population: smc.Population
+    keyframe_poses: NDArray[np.float32]
     keyframe_map: KeyframeMap
     keyframe_times_ns: tuple[int, ...]
     calibration: NoiseCalibration
@@ -71,6 +74,7 @@ class Ties:
         return cls(np.zeros(count, np.int32), at_keyframes, np.zeros((count, 6, 6), np.float32))
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FrameInfo:
     """What one frame gave. Poses are relative to the particle's keyframe `anchor`.
@@ -95,7 +99,7 @@ class FrameInfo:
         explained: share of returns on the map's surface.
         covered: share of returns that meet the map.
         keyframes: number of keyframes after this frame.
-        keyframe: index of the one that this frame became, if it did.
+        is_keyframe: whether it became the last of them.
         components: number of components of the proposal.
         doubt: what a second motion leaves open about it.
     """
@@ -117,7 +121,7 @@ class FrameInfo:
     explained: float
     covered: float
     keyframes: int
-    keyframe: int | None
+    is_keyframe: bool
     components: int
     doubt: Doubt
 
@@ -128,33 +132,18 @@ class CameraParticles:
     """K trajectories, as far as the future depends on them. Poses are wxyz_xyz, reference_from_*.
 
     Attributes:
-        keyframe_poses: (K, N, 7), identity where the map has no keyframe yet.
         pose: (K, 7) of the last frame.
         previous_pose: (K, 7) of the frame before.
         pivot: (K, 3) what an orbit looks at, in the reference frame, metres.
     """
 
-    keyframe_poses: jax.Array
     pose: jax.Array
     previous_pose: jax.Array
     pivot: jax.Array
 
 
-def initial_particles(count: int, capacity: int, pivot: NDArray[np.float32]) -> CameraParticles:
+def initial_particles(count: int, pivot: NDArray[np.float32]) -> CameraParticles:
     """Every camera at the reference, which is the first keyframe."""
-    identity = jnp.asarray(IDENTITY, jnp.float32)
-    poses = jnp.tile(identity, (count, 1))
-    return CameraParticles(
-        keyframe_poses=jnp.tile(identity, (count, capacity, 1)),
-        pose=poses,
-        previous_pose=poses,
-        pivot=jnp.tile(jnp.asarray(pivot, jnp.float32), (count, 1)),
-    )
-
-
-def with_capacity(particles: CameraParticles, capacity: int) -> CameraParticles:
-    """The same particles with room for `capacity` keyframes."""
-    count, used, _ = particles.keyframe_poses.shape
-    room = jnp.tile(jnp.asarray(IDENTITY, jnp.float32), (count, capacity - used, 1))
-    poses = jnp.concatenate([particles.keyframe_poses, room], axis=1)
-    return CameraParticles(poses, particles.pose, particles.previous_pose, particles.pivot)
+    poses = jnp.tile(jnp.asarray(IDENTITY, jnp.float32), (count, 1))
+    pivots = jnp.tile(jnp.asarray(pivot, jnp.float32), (count, 1))
+    return CameraParticles(pose=poses, previous_pose=poses, pivot=pivots)

@@ -21,7 +21,7 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import spread_around, turns_wide
 from slam.config import SlamConfig
 from slam.filter import smc
-from slam.filter.map_update import with_calibration, with_frame, with_room
+from slam.filter.map_update import with_calibration, with_frame
 from slam.filter.motion import MotionHistory, MotionPrior
 from slam.filter.pose_hypotheses import MAX_HYPOTHESES, find_pose_hypotheses, last_motion, predict
 from slam.filter.proposal import Component, Proposed, component_at, propose_all
@@ -55,7 +55,6 @@ def step(
         config: settings.
         odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used and not degenerate.
     """
-    state = with_room(state)
     prediction = predict(state, time_ns)
     found, unexpected = find_pose_hypotheses(state, view, prediction, config, odometry)
     if state.calibration.frames == 0 and found[0].group >= 0:
@@ -65,6 +64,7 @@ def step(
     population, info, proposed = _advance(
         key,
         state.population,
+        jnp.asarray(state.keyframe_poses[:, np.asarray(components.keyframes)]),
         prediction.poses,
         jnp.asarray(prediction.groups, jnp.int32),
         components,
@@ -75,7 +75,15 @@ def step(
     )
     lost = found[0].group < 0
     known = len(state.keyframe_map)
-    moved = replace(state, population=population, times_ns=(state.times_ns[1], time_ns), was_lost=lost)
+    moved = replace(
+        state,
+        population=population,
+        keyframe_poses=state.keyframe_poses[np.asarray(info.ancestors)]
+        if info.resampled
+        else state.keyframe_poses,
+        times_ns=(state.times_ns[1], time_ns),
+        was_lost=lost,
+    )
     doubt = CERTAIN
     if not lost and config.second_motion:
         best = found[0]
@@ -116,6 +124,7 @@ def _components(found: list[Registration], state: FilterState, predictions: jax.
 def _advance(
     key: jax.Array,
     population: smc.Population,
+    compared: jax.Array,
     predictions: jax.Array,
     groups: jax.Array,
     components: Component,
@@ -124,22 +133,23 @@ def _advance(
     exponent: float,
     ess_threshold: float,
 ) -> tuple[smc.Population, smc.StepInfo, Proposed]:
-    """The generic step with this frame's proposal; returns the new population and the draws."""
+    """The generic step with this frame's proposal; returns the new population and the draws.
+
+    `compared` are poses (K, J, M, 7) of the components' keyframes.
+    """
     count = len(population.log_weights)
 
     def propose(
-        key: jax.Array, extended: tuple[CameraParticles, jax.Array, jax.Array]
+        key: jax.Array, extended: tuple[CameraParticles, jax.Array, jax.Array, jax.Array]
     ) -> tuple[tuple[CameraParticles, Proposed], jax.Array]:
-        particles, ahead, group = extended
+        particles, own, ahead, group = extended
         history = MotionHistory(particles.pose, ahead, particles.pivot)
         keys = jax.random.split(key, count)
-        proposed, log_increments = propose_all(
-            keys, particles.keyframe_poses, group, history, components, motion, noise, exponent
-        )
+        proposed, log_increments = propose_all(keys, own, group, history, components, motion, noise, exponent)
         moved = replace(particles, pose=proposed.pose, previous_pose=particles.pose)
         return (moved, proposed), log_increments
 
-    extended = smc.Population((population.particles, predictions, groups), population.log_weights)
+    extended = smc.Population((population.particles, compared, predictions, groups), population.log_weights)
     extended, info = smc.step(key, extended, propose, ess_threshold)
     particles, proposed = extended.particles
     return smc.Population(particles, extended.log_weights), info, proposed
@@ -171,9 +181,8 @@ def frame_info(
         unexpected: whether none was found where the camera was expected.
         doubt: what a second motion leaves open.
     """
-    particles: CameraParticles = state.population.particles
     anchor = int(found[0].indices[0])
-    anchors = particles.keyframe_poses[:, anchor]
+    anchors = jnp.asarray(state.keyframe_poses[:, anchor])
     means, scales = proposed.conditional_mean, np.asarray(components.scale)
     covariances = scales @ scales.transpose(0, 2, 1)
     if lost:
@@ -202,7 +211,7 @@ def frame_info(
         explained=found[0].explained,
         covered=found[0].covered,
         keyframes=len(state.keyframe_map),
-        keyframe=known_keyframes if is_keyframe else None,
+        is_keyframe=is_keyframe,
         components=0 if lost else len(found),
         doubt=doubt,
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -22,7 +20,6 @@ GAIN_RANGE = (0.2, 5.0)
 """Limits of the ratio between a depth change along the keyframe's ray and along the frame's ray."""
 
 
-@jax.jit
 def fuse(
     surface: SurfelImage, frame: CanvasView, keyframe_from_camera: jax.Array, noise: DepthNoise
 ) -> SurfelImage:
@@ -31,6 +28,14 @@ def fuse(
     The frame's depth is compared with the element's plane on the frame's own ray; the difference moves
     the element along its plane's normal, weighed by inverse variances.
     """
+    return surface.with_stored(_fused(surface, frame, keyframe_from_camera, noise))
+
+
+@jax.jit
+def _fused(
+    surface: SurfelImage, frame: CanvasView, keyframe_from_camera: jax.Array, noise: DepthNoise
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Depths, planes and variances after the frame."""
     pose = jaxlie.SE3(keyframe_from_camera)
     camera_from_keyframe = pose.inverse()
     depth, variance = surface.depth_m.ravel(), surface.variance_m2.ravel()
@@ -57,9 +62,5 @@ def fuse(
     floor = LEAST_VARIANCE_SHARE * depth_noise.standard_deviation(noise, depth) ** 2
     scale = jnp.where(seen, depth / jnp.where(seen, refined, 1.0), 1.0)
     shape = surface.depth_m.shape
-    return replace(
-        surface,
-        depth_m=refined.reshape(shape),
-        planes=surface.planes * scale.reshape(shape)[None],
-        variance_m2=jnp.maximum((1.0 - share) * variance, jnp.minimum(floor, variance)).reshape(shape),
-    )
+    variance = jnp.maximum((1.0 - share) * variance, jnp.minimum(floor, variance))
+    return refined.reshape(shape), surface.planes * scale.reshape(shape)[None], variance.reshape(shape)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import jax
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN
 from slam.keyframes.depth_view import CanvasView
+from slam.keyframes.pages import Paged, PageFile
 from slam.keyframes.surfels import SurfelImage
 
 Tree = TypeVar("Tree")
@@ -40,28 +42,41 @@ class KeyframeMap:
     Attributes:
         surfaces: one per keyframe.
         samples: (300, 3) points of each keyframe in its own frame, NaN where it has none; overlap only.
+        pages: where surfaces go that have not been asked for for long.
     """
 
-    surfaces: tuple[SurfelImage, ...] = ()
+    surfaces: tuple[Paged[SurfelImage], ...] = ()
     samples: tuple[NDArray[np.float32], ...] = ()
+    pages: PageFile = field(default_factory=PageFile, compare=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.surfaces)
 
+    def surface(self, index: int) -> SurfelImage:
+        """Of one keyframe."""
+        return self.surfaces[index].value
+
     def with_keyframe(self, surface: SurfelImage) -> KeyframeMap:
         """The map with one keyframe more."""
-        return KeyframeMap(
-            surfaces=(*self.surfaces, surface), samples=(*self.samples, _sample_points(surface))
-        )
+        samples = (*self.samples, _sample_points(surface))
+        return replace(self, surfaces=(*self.surfaces, self.pages.hold(surface)), samples=samples)
 
     def with_refined(self, index: int, surface: SurfelImage) -> KeyframeMap:
         """The map with the surface of one keyframe replaced by a better one."""
-        surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
-        return KeyframeMap(surfaces=surfaces, samples=self.samples)
+        held = self.pages.hold(surface)
+        return replace(self, surfaces=(*self.surfaces[:index], held, *self.surfaces[index + 1 :]))
+
+    def only(self, chosen: Sequence[int]) -> KeyframeMap:
+        """The map of some of its keyframes."""
+        return replace(
+            self,
+            surfaces=tuple(self.surfaces[index] for index in chosen),
+            samples=tuple(self.samples[index] for index in chosen),
+        )
 
     def stacked(self, indices: NDArray[np.int_]) -> SurfelImage:
         """The surfaces of (M,) keyframes, leaves stacked (M, ...)."""
-        return stacked(*(self.surfaces[i] for i in indices))
+        return stacked(*(self.surface(int(index)) for index in indices))
 
 
 @jax.jit
@@ -123,7 +138,7 @@ def place_distances(samples: NDArray[np.float32], depth_m: NDArray[np.float32]) 
 
 
 def selected_keyframes(
-    keyframe_map: KeyframeMap,
+    samples: Sequence[NDArray[np.float32]],
     reference_from_keyframes: NDArray[np.float64],
     reference_from_camera: NDArray[np.float64],
     intrinsics: NDArray[np.float64],
@@ -133,12 +148,18 @@ def selected_keyframes(
 
     After the closest view, each keyframe is the one that covers most of what is still uncovered; among
     equals the oldest, which anchors.
+
+    Args:
+        samples: of the keyframes, as in `KeyframeMap`.
+        reference_from_keyframes: (N, 4, 4).
+        reference_from_camera: (4, 4).
+        intrinsics: (6,) as in `visible_cells`.
+        count: at most so many.
     """
     distance = np.linalg.norm(reference_from_keyframes[:, :3, 3] - reference_from_camera[:3, 3], axis=1)
     near = np.sort(np.argsort(distance, kind="stable")[:NEAREST_CANDIDATES])
     camera_from_keyframes = np.linalg.inv(reference_from_camera) @ reference_from_keyframes[near]
-    samples = np.stack([keyframe_map.samples[i] for i in near])
-    share, hit = visible_cells(samples, camera_from_keyframes, intrinsics)
+    share, hit = visible_cells(np.stack([samples[i] for i in near]), camera_from_keyframes, intrinsics)
     usable = share >= LEAST_OVERLAP
     chosen = [int(np.argmax(share))]
     covered = hit[chosen[0]].copy()

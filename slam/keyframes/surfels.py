@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +33,10 @@ class SurfelImage:
         measured: (H, W) bool, the pixels that the image has.
         rays: (3, H, W) through the pixel centres, z = 1.
         camera: intrinsics at working resolution.
+        ROOM: 40 MB in memory; a frame is compared with a few, a lost one with 40.
     """
+
+    ROOM: ClassVar[int] = 96
 
     depth_m: jax.Array
     planes: jax.Array
@@ -44,6 +49,15 @@ class SurfelImage:
         """(3, H, W) in the keyframe's frame; the origin where unknown."""
         return self.rays * self.depth_m[None]
 
+    def stored(self) -> Sequence[jax.Array]:
+        """What no other keyframe has as well."""
+        return self.depth_m, self.planes, self.variance_m2
+
+    def with_stored(self, arrays: Sequence[Any]) -> SurfelImage:
+        """With those arrays, or without any."""
+        depth_m, planes, variance_m2 = (one if one is None else jnp.asarray(one) for one in arrays)
+        return replace(self, depth_m=depth_m, planes=planes, variance_m2=variance_m2)
+
 
 def surfel_image(view: CanvasView, noise: DepthNoise) -> SurfelImage:
     """The surface that a single view shows."""
@@ -53,10 +67,17 @@ def surfel_image(view: CanvasView, noise: DepthNoise) -> SurfelImage:
     return SurfelImage(view.depth_m, planes, variance, view.measured, view.rays, view.camera)
 
 
-@jax.jit
 def with_noise(surface: SurfelImage, believed: DepthNoise, learnt: DepthNoise) -> SurfelImage:
     """The surface with variances as if it had been measured by the sensor that is now known."""
-    ratio = depth_noise.standard_deviation(learnt, surface.depth_m) / depth_noise.standard_deviation(
-        believed, surface.depth_m
+    scaled = _scaled_variance(surface.variance_m2, surface.depth_m, believed, learnt)
+    return replace(surface, variance_m2=scaled)
+
+
+@jax.jit
+def _scaled_variance(
+    variance_m2: jax.Array, depth_m: jax.Array, believed: DepthNoise, learnt: DepthNoise
+) -> jax.Array:
+    ratio = depth_noise.standard_deviation(learnt, depth_m) / depth_noise.standard_deviation(
+        believed, depth_m
     )
-    return replace(surface, variance_m2=surface.variance_m2 * ratio**2)
+    return variance_m2 * ratio**2

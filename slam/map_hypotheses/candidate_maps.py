@@ -22,6 +22,7 @@ from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.filter.motion import OrbitMotion
 from slam.keyframes.depth_view import central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
+from slam.keyframes.pages import Paged
 from slam.map_hypotheses.best_first_search import place_best_first
 from slam.map_hypotheses.circular_paths import circular_steps, repeat_step
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
@@ -52,7 +53,7 @@ def candidate_maps(
     registrar: KeyframeRegistrar,
     present: Sequence[NDArray[np.float64]],
     motion: TrajectoryPrior,
-    details: Sequence[KeyframeDetail],
+    details: Sequence[Paged[KeyframeDetail]],
     noise: DepthNoise,
 ) -> Modes:
     """Maps of all keyframes and their probabilities.
@@ -103,7 +104,7 @@ FARTHEST = 0.3
 def optimise_jointly(
     poses: NDArray[np.float64],
     keyframe_map: KeyframeMap,
-    details: Sequence[KeyframeDetail],
+    details: Sequence[Paged[KeyframeDetail]],
     noise: DepthNoise,
     motion: TrajectoryPrior,
 ) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.poses import matrices_of, single_precision_poses
+from shapes.geometry.poses import matrices_of, poses_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.registration.pose_grids import ORBIT_DISTANCES
@@ -71,7 +71,7 @@ class KeyframeRegistrar:
 
     def view(self, index: int) -> CanvasView:
         """A keyframe's image."""
-        surface = self.keyframe_map.surfaces[index]
+        surface = self.keyframe_map.surface(index)
         return CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
 
     def all_but(self, index: int) -> list[int]:
@@ -81,12 +81,8 @@ class KeyframeRegistrar:
     def _searcher(
         self, poses: NDArray[np.float64], index: int, others: Sequence[int]
     ) -> tuple[Searcher, GroupMap]:
-        rest = KeyframeMap(
-            surfaces=tuple(self.keyframe_map.surfaces[i] for i in others),
-            samples=tuple(self.keyframe_map.samples[i] for i in others),
-        )
-        chosen = poses[list(others)]
-        placed = jnp.stack([single_precision_poses(pose) for pose in chosen])[None]
+        rest, chosen = self.keyframe_map.only(others), poses[list(others)]
+        placed = poses_of(chosen)[None].astype(np.float32)
         group = GroupMap(placed, jnp.ones(1, jnp.float32), chosen, 0)
         return Searcher(rest, self.view(index), self.noise, self.compared), group
 

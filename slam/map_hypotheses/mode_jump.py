@@ -27,8 +27,8 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import cluster, mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.config import SlamConfig
-from slam.filter import smc
-from slam.filter.state import CameraParticles, FilterState, FrameInfo
+from slam.filter.state import FilterState
+from slam.keyframes.pages import Paged
 from slam.map_hypotheses.candidate_maps import candidate_maps
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
 from slam.map_hypotheses.modes import assign_modes, transport
@@ -49,21 +49,21 @@ SPARSE_KEYFRAMES = 12
 """Keyframes few enough to be placed without regard to what the filter found."""
 
 
-def are_sparse_views(state: FilterState, frames: Sequence[FrameInfo]) -> bool:
+def are_sparse_views(state: FilterState, frames: int, in_doubt: bool) -> bool:
     """Whether the keyframes are few, the views of a recording far apart, and their places in doubt.
 
     They are where a step was wide, or a frame was not found where the camera was expected, or in two places.
     """
     used = len(state.keyframe_map)
-    in_doubt = state.steps_were_wide or any(info.unexpected or info.components > 1 for info in frames)
-    return in_doubt and 2 < used <= SPARSE_KEYFRAMES and used > SPARSE_SHARE * len(frames)
+    doubtful = state.steps_were_wide or in_doubt
+    return doubtful and 2 < used <= SPARSE_KEYFRAMES and used > SPARSE_SHARE * frames
 
 
 def choose_map(
     key: jax.Array,
     state: FilterState,
     config: SlamConfig,
-    details: Sequence[KeyframeDetail],
+    details: Sequence[Paged[KeyframeDetail]],
     noise: DepthNoise,
     motion: TrajectoryPrior | None,
 ) -> FilterState:
@@ -80,8 +80,7 @@ def choose_map(
     used = len(state.keyframe_map)
     if not 2 < used <= MOST_KEYFRAMES or (motion is None and not state.steps_were_wide):
         return state
-    particles: CameraParticles = state.population.particles
-    poses = particles.keyframe_poses[:, :used]
+    poses = jnp.asarray(state.keyframe_poses)
     log_weights = np.asarray(state.population.log_weights, np.float64)
     weights = np.exp(log_weights)
     groups = cluster(matrices_of(poses), weights)
@@ -98,10 +97,9 @@ def choose_map(
             for group, mean in enumerate(means)
         ]
         after = single_precision_poses(np.stack(maps))[groups]
-    keyframe_poses = particles.keyframe_poses.at[:, :used].set(transport(poses, means[groups], after))
-    moved = replace(particles, keyframe_poses=keyframe_poses)
-    population = smc.Population(moved, jnp.asarray(log_weights, jnp.float32))
-    return replace(state, population=population)
+    population = replace(state.population, log_weights=jnp.asarray(log_weights, jnp.float32))
+    keyframe_poses = np.asarray(transport(poses, means[groups], after))
+    return replace(state, population=population, keyframe_poses=keyframe_poses)
 
 
 def _chosen(

@@ -1,39 +1,53 @@
-"""Poses of keyframes and their displacements, in arrays of few sizes: each new one would be compiled."""
+"""Poses of keyframes and their displacements, a fixed number at once: each new one would be compiled."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-from slam.filter.map_update import capacity_for
+from shapes.geometry.pose_sets import mean_keyframes
+
+AT_ONCE = 64
+"""Rows for which kernels are compiled."""
+
+
+def in_parts(kernel: Callable[..., Any], *arrays: NDArray[np.floating]) -> Any:
+    """A kernel over rows (n, ...) of arrays, on `AT_ONCE` of them at once; on the host, single precision."""
+    count, parts = len(arrays[0]), []
+    for first in range(0, count, AT_ONCE):
+        rows = np.minimum(np.arange(first, first + AT_ONCE), count - 1)
+        found = kernel(*(array[rows].astype(np.float32) for array in arrays))
+        parts.append(jax.tree.map(lambda leaf, known=count - first: np.asarray(leaf)[:known], found))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 def displaced(poses: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
     """Poses (N, 7) displaced by (N, 6)."""
-    padded = _padded(poses, 0), _padded(displacements, 0)
-    return np.asarray(_displaced(*padded))[: len(poses)]
+    return in_parts(_displaced, poses, displacements)
 
 
 def coordinates(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDArray[np.float32]:
     """Coordinates (N, 6) of poses (N, 7) in the charts at others (N, 7)."""
-    return np.asarray(_coordinates(_padded(origins, 0), _padded(poses, 0)))[: len(poses)]
+    return in_parts(_coordinates, origins, poses)
 
 
 def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
     """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
-    return np.asarray(_drawn(_padded(centres, 0), _padded(displacements, 1)))[:, : len(centres)]
+    return in_parts(_drawn, centres, displacements.swapaxes(0, 1)).swapaxes(0, 1)
 
 
-def _padded(values: NDArray[np.floating], axis: int) -> NDArray[np.float32]:
-    room = capacity_for(values.shape[axis]) - values.shape[axis]
-    first = np.take(values, np.zeros(room, int), axis)
-    return np.concatenate([values, first], axis).astype(np.float32)
+def mean_poses(poses: NDArray[np.float32], weights: jax.Array) -> NDArray[np.float32]:
+    """Means (N, 7) of poses (K, N, 7) over weighted particles (K,)."""
+    return in_parts(lambda rows: mean_keyframes(rows.swapaxes(0, 1), weights), poses.swapaxes(0, 1))
 
 
 _displaced = jax.jit(jax.vmap(pose_gaussian.displace))
 
 _coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
 
-_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace), (None, 0)))
+_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace, (None, 0))))

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry.poses import matrices_of
-from slam.likelihood.distortion import Distortion
+from slam.likelihood.distortion import NODES, Distortion
 from slam.likelihood.overlap_density import FieldTerms, overlap_terms
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.displacements import coordinates, displaced
@@ -59,18 +58,27 @@ class _Linearised:
     """The graph of E overlaps, its pairs being (image, surface), and what tells how much to believe it.
 
     Attributes:
-        graph: not tempered.
-        score_variance: (E, 12, 12) of the gradients.
+        graph: not tempered, but for what it says of the field.
+        score_variance: (E, 6, 6) of the gradients in the image's displacement.
         inliers: (E,).
         meeting: (E,) pixels that meet the surface.
-        field: leaves (E, ...), or None.
     """
 
     graph: PoseGraph
     score_variance: NDArray[np.float64]
     inliers: NDArray[np.float64]
     meeting: NDArray[np.float64]
-    field: FieldTerms | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Field:
+    """The distortion field where terms are taken, and the exponents (N,) that they are then given.
+
+    There are too many to be kept one by one until their own exponents are known.
+    """
+
+    distortion: Distortion
+    exponents: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +96,12 @@ class GraphOptimum:
     graph: PoseGraph
     exponents: NDArray[np.float64]
     astray: NDArray[np.bool_]
+
+    def first(self, count: int) -> GraphOptimum:
+        """As a start for the first so many keyframes alone."""
+        some = slice(count)
+        poses, exponents, astray = self.poses[some], self.exponents[some], self.astray[some]
+        return replace(self, poses=poses, exponents=exponents, astray=astray)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +135,7 @@ def optimise(
     for round_ in range(1, len(inflations) + MOST_STEPS):
         if linearised is None:
             return None
-        tempered = _tempered(linearised, motion, poses)
+        tempered = _tempered(linearised, _exponents(linearised), motion, poses)
         step, none = sparse_gaussian.damped_step(linearised.graph if motion is None else tempered, damping)
         if round_ > len(inflations) and _gain(tempered, step, none) < converged * 0.5 * step[1:].size:
             break
@@ -132,12 +146,9 @@ def optimise(
         linearised = _linearised(keyframes, poses, inflation, astray)
     if linearised is None:
         return None
-    return GraphOptimum(
-        poses=poses,
-        graph=_tempered(linearised, motion, poses),
-        exponents=_exponents(linearised),
-        astray=astray,
-    )
+    exponents = _exponents(linearised)
+    graph = _tempered(linearised, exponents, motion, poses)
+    return GraphOptimum(poses=poses, graph=graph, exponents=exponents, astray=astray)
 
 
 def agreement(keyframes: Keyframes, poses: NDArray[np.float32]) -> PoseGraph | None:
@@ -149,7 +160,7 @@ def agreement(keyframes: Keyframes, poses: NDArray[np.float32]) -> PoseGraph | N
     linearised = _linearised(keyframes, poses, 1.0, np.zeros(len(poses), bool))
     if linearised is None:
         return None
-    graph = _tempered(linearised, None, poses)
+    graph = _tempered(linearised, _exponents(linearised), None, poses)
     share = linearised.inliers / np.maximum(linearised.meeting, 1.0)
     best = np.zeros(len(poses))
     np.maximum.at(best, graph.pairs.max(axis=1), share)
@@ -169,8 +180,9 @@ def with_distortion(
 
     None where no keyframes overlap.
     """
-    linearised = _linearised(keyframes, start.poses, 1.0, start.astray, distortion)
-    return None if linearised is None else _tempered(linearised, motion, start.poses, distortion)
+    field = _Field(distortion=distortion, exponents=start.exponents)
+    linearised = _linearised(keyframes, start.poses, 1.0, start.astray, field)
+    return None if linearised is None else _tempered(linearised, start.exponents, motion, start.poses)
 
 
 def optimise_with_distortion(
@@ -183,21 +195,23 @@ def optimise_with_distortion(
 ) -> FieldOptimum | None:
     """The optimum over poses and the sensor's distortion field, from one without it.
 
-    Terms are tempered in every step, for the field's prior is to be worth as much as they. `inflations` as
+    Terms are tempered in every step, by the exponents of the one before, for the field's prior is to be worth
+    as much as they. `inflations` as
     `FIELD_INFLATIONS`, none where the start is an optimum already; every `stride`-th sample counts.
     """
-    poses, rounds = start.poses, len(inflations) + MOST_STEPS
+    poses, exponents, rounds = start.poses, start.exponents, len(inflations) + MOST_STEPS
     for round_ in range(rounds):
         inflation = inflations[round_] if round_ < len(inflations) else 1.0
-        linearised = _linearised(keyframes, poses, inflation, start.astray, distortion, stride)
+        field = _Field(distortion=distortion, exponents=exponents)
+        linearised = _linearised(keyframes, poses, inflation, start.astray, field, stride)
         if linearised is None:
             return None
-        tempered = _tempered(linearised, motion, poses, distortion)
+        tempered = _tempered(linearised, exponents, motion, poses)
+        exponents = _exponents(linearised)
         step, of_field = sparse_gaussian.damped_step(tempered, HELD_DAMPING)
         gain = _gain(tempered, step, of_field)
         least = HELD_CONVERGED * 0.5 * (step[1:].size + of_field.size)
         if round_ == rounds - 1 or (inflation == 1.0 and gain < least):
-            exponents = _exponents(linearised)
             return FieldOptimum(
                 poses=poses, graph=tempered, exponents=exponents, astray=start.astray, distortion=distortion
             )
@@ -207,39 +221,43 @@ def optimise_with_distortion(
 
 def _tempered(
     linearised: _Linearised,
+    exponents: NDArray[np.float64],
     motion: TrajectoryPrior | None,
     poses: NDArray[np.float32],
-    distortion: Distortion | None = None,
 ) -> PoseGraph:
-    """The graph with its terms to the power of their exponents, and the priors at poses (N, 7)."""
+    """The graph with terms to the power of their images' exponents (N,), and the prior at poses (N, 7)."""
     graph = linearised.graph
-    exponents = _exponents(linearised)[graph.pairs[:, 0]]
-    field = None
-    if linearised.field is not None and distortion is not None:
-        field = _field_term(graph, linearised.field, exponents, distortion)
+    of_terms = exponents[graph.pairs[:, 0]]
     return replace(
         graph,
-        precision=graph.precision * exponents[:, None, None],
-        gradient=graph.gradient * exponents[:, None],
+        precision=graph.precision * of_terms[:, None, None],
+        gradient=graph.gradient * of_terms[:, None],
         joint=None if motion is None else motion.bent(matrices_of(poses)),
-        field=field,
     )
 
 
-def _field_term(
-    graph: PoseGraph, terms: FieldTerms, exponents: NDArray[np.float64], distortion: Distortion
-) -> FieldTerm:
-    """What tempered terms and the prior say of the field's coordinates."""
-    factor = distortion.factor
-    cross = np.zeros((graph.keyframes, 6, len(factor)))
-    tempered = np.asarray(terms.cross) * exponents[:, None, None]
-    np.add.at(cross, graph.pairs, tempered.reshape(len(graph), 2, 6, -1))
-    precision = np.einsum("e,eij->ij", exponents, np.asarray(terms.precision))
-    return FieldTerm(
-        precision=np.eye(factor.shape[1]) + factor.T @ precision @ factor,
-        gradient=distortion.coordinates + factor.T @ (exponents @ np.asarray(terms.gradient)),
-        cross=cross.reshape(-1, len(factor)) @ factor,
-    )
+class _FieldSums:
+    """What tempered terms say of the field's nodes, added up."""
+
+    def __init__(self, keyframes: int) -> None:
+        self.precision, self.gradient = np.zeros((NODES, NODES)), np.zeros(NODES)
+        self.cross = np.zeros((keyframes, 6, NODES))
+
+    def add(self, terms: FieldTerms, pairs: NDArray[np.int_], exponents: NDArray[np.float64]) -> None:
+        """Terms of pairs (B, 2), to the power of exponents (B,)."""
+        self.precision += np.einsum("e,eij->ij", exponents, np.asarray(terms.precision)[: len(pairs)])
+        self.gradient += exponents @ np.asarray(terms.gradient, np.float64)[: len(pairs)]
+        cross = np.asarray(terms.cross)[: len(pairs)] * exponents[:, None, None]
+        np.add.at(self.cross, pairs, cross.reshape(len(pairs), 2, 6, -1))
+
+    def term(self, distortion: Distortion) -> FieldTerm:
+        """With the prior, in the field's coordinates."""
+        factor = distortion.factor
+        return FieldTerm(
+            precision=np.eye(factor.shape[1]) + factor.T @ self.precision @ factor,
+            gradient=distortion.coordinates + factor.T @ self.gradient,
+            cross=self.cross.reshape(-1, NODES) @ factor,
+        )
 
 
 def _linearised(
@@ -247,36 +265,37 @@ def _linearised(
     poses: NDArray[np.float32],
     inflation: float,
     astray: NDArray[np.bool_],
-    distortion: Distortion | None = None,
+    field: _Field | None = None,
     stride: int = 1,
 ) -> _Linearised | None:
     """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
     stride = stride if inflation == 1.0 else THINNED
-    disparity = None if distortion is None else distortion.disparity_per_m.astype(np.float32)
+    disparity = None if field is None else field.distortion.disparity_per_m.astype(np.float32)
+    sums = None if field is None else _FieldSums(len(poses))
     overlaps, parts = [], []
     for surface, samples, index, images in keyframes.batches(stride):
         relative = relative_to(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
         terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation, disparity)
-        parts.append([np.asarray(leaf, np.float64)[: len(images)] for leaf in jax.tree.leaves(terms)])
-        overlaps.append(np.stack([images, np.full(len(images), index)], axis=1))
-    if not parts:
+        pairs, count = np.stack([images, np.full(len(images), index)], axis=1), len(images)
+        inliers = np.asarray(terms.inliers)[:count]
+        agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
+        if field is not None and sums is not None and terms.field is not None:
+            sums.add(terms.field, pairs, np.where(agree, field.exponents[images], 0.0))
+        score_variance = np.asarray(terms.score_variance)[:, :6, :6]
+        leaves = (terms.precision, terms.gradient, score_variance, inliers, terms.meeting)
+        parts.append([np.asarray(leaf, np.float64)[:count][agree] for leaf in leaves])
+        overlaps.append(pairs[agree])
+    if not sum(map(len, overlaps)):
         return None
-    pairs = np.concatenate(overlaps)
-    leaves = (np.concatenate(leaf) for leaf in zip(*parts, strict=True))
-    precision, gradient, score_variance, inliers, meeting, *of_field = leaves
-    agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
-    if not agree.any():
-        return None
+    precision, gradient, score_variance, inliers, meeting = map(np.concatenate, zip(*parts, strict=True))
     graph = PoseGraph(
-        keyframes=len(poses), pairs=pairs[agree], precision=precision[agree], gradient=gradient[agree]
+        keyframes=len(poses),
+        pairs=np.concatenate(overlaps),
+        precision=precision,
+        gradient=gradient,
+        field=None if field is None or sums is None else sums.term(field.distortion),
     )
-    return _Linearised(
-        graph=graph,
-        score_variance=score_variance[agree],
-        inliers=inliers[agree],
-        meeting=meeting[agree],
-        field=FieldTerms(*(leaf[agree] for leaf in of_field)) if of_field else None,
-    )
+    return _Linearised(graph=graph, score_variance=score_variance, inliers=inliers, meeting=meeting)
 
 
 def _gain(graph: PoseGraph, step: NDArray[np.float64], of_field: NDArray[np.float64]) -> float:
@@ -303,6 +322,6 @@ def _exponents(linearised: _Linearised) -> NDArray[np.float64]:
     np.maximum.at(largest, images, linearised.inliers)
     of_image = graph.precision[:, :6, :6]
     floor = 1e-6 * np.trace(of_image, axis1=1, axis2=2)[:, None, None] * np.eye(6)
-    repetition = np.linalg.solve(of_image + floor, linearised.score_variance[:, :6, :6])
+    repetition = np.linalg.solve(of_image + floor, linearised.score_variance)
     inflation = max(1.0, float(np.median(np.trace(repetition, axis1=1, axis2=2) / 6)))
     return 1.0 / (np.maximum(1.0, total / largest) * inflation)

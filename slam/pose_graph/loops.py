@@ -17,14 +17,12 @@ import jaxlie
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import dijkstra
 
 from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import matrices_of
-from slam.filter.map_update import capacity_for
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import place_distances
-from slam.pose_graph.displacements import displaced
+from slam.pose_graph.displacements import displaced, in_parts
 from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.sparse_gaussian import PoseGraph, damped_step
 from slam.registration.alignment import STIFFNESS
@@ -85,16 +83,16 @@ def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float
 
     After a keyframe that closes a loop the next ones that its overlaps reach are passed over.
     """
-    hops, lengths = _hops(graph), _path_lengths(poses)
+    together, lengths = _held_together(graph), _path_lengths(poses)
     pairs, ways, precisions, passed = [], [], [], -1
     for later in range(len(poses)):
         if later <= passed:
             continue
         walked = lengths[later] - lengths
-        far = np.isinf(hops[later]) & (np.arange(len(walked)) < later)
+        far = ~together[[later]].toarray()[0] & (np.arange(len(walked)) < later)
         far &= _is_in_reach(poses, poses[later], walked)
         for earlier in _most_alike(images, later, np.nonzero(far)[0]):
-            found = _registered(images, poses, later, earlier, np.isfinite(hops[earlier]))
+            found = _registered(images, poses, later, earlier, together[[earlier]].toarray()[0])
             pose = np.asarray(found.optimum.pose)
             if not (found.is_finite and found.is_unambiguous and found.covered >= LEAST_COVERED):
                 continue
@@ -128,7 +126,7 @@ def closed(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArra
     """
     while len(loops):
         bent = _bent(graph, poses, loops)
-        gaps = np.asarray(_gaps(*(bent[of] for of in loops.pairs.T), loops.ways)[0])
+        gaps, _ = in_parts(_gaps, *(bent[of] for of in loops.pairs.T), loops.ways)
         is_wide = np.abs(gaps).max(axis=1) > NEAR_VIEW
         if not is_wide.any():
             return bent
@@ -141,11 +139,8 @@ def _bent(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray
     pairs = np.concatenate([graph.pairs, loops.pairs])
     ways = np.concatenate([_ways(poses[graph.pairs[:, 1]], poses[graph.pairs[:, 0]]), loops.ways])
     weights = np.concatenate([graph.precision[:, :6, :6], loops.precisions])
-    room = np.minimum(np.arange(capacity_for(len(pairs))), len(pairs) - 1)
     for _ in range(CLOSING_STEPS):
-        later, earlier = poses[pairs[room, 0]], poses[pairs[room, 1]]
-        gaps, jacobians = (np.asarray(leaf, np.float64) for leaf in _gaps(later, earlier, ways[room]))
-        gaps, jacobians = gaps[: len(pairs)], jacobians[: len(pairs)]
+        gaps, jacobians = in_parts(_gaps, poses[pairs[:, 0]], poses[pairs[:, 1]], ways)
         bent = PoseGraph(
             keyframes=len(poses),
             pairs=pairs,
@@ -156,11 +151,16 @@ def _bent(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray
     return poses
 
 
-def _hops(graph: PoseGraph) -> NDArray[np.float64]:
-    """Overlaps (N, N) that lead from one keyframe to another; inf where they are `LEAST_HOPS` or more."""
+def _held_together(graph: PoseGraph) -> scipy.sparse.csr_array:
+    """Which keyframes (N, N) fewer than `LEAST_HOPS` overlaps lead to from one another."""
     ends = (graph.pairs[:, 0], graph.pairs[:, 1])
-    adjacency = scipy.sparse.csr_array((np.ones(len(graph)), ends), shape=(graph.keyframes,) * 2)
-    return dijkstra(adjacency, directed=False, unweighted=True, limit=LEAST_HOPS - 1)
+    shape = (graph.keyframes,) * 2
+    overlap = scipy.sparse.coo_array((np.ones(len(graph)), ends), shape=shape).tocsr()
+    step = (overlap + overlap.T + scipy.sparse.eye_array(graph.keyframes)).astype(bool)
+    reached = step
+    for _ in range(LEAST_HOPS - 2):
+        reached = (reached @ step).astype(bool)
+    return scipy.sparse.csr_array(reached)
 
 
 def _path_lengths(poses: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -202,13 +202,12 @@ def _registered(
     beside: NDArray[np.bool_],
 ) -> Registration:
     """A keyframe, sought about where an earlier one stands, among those (N,) beside that one alone."""
-    surface = images.keyframe_map.surfaces[later]
+    surface = images.keyframe_map.surface(later)
     view = CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
     searcher = Searcher(images.keyframe_map, view, images.noise, LEAST_HOPS)
     placed = poses.copy()
     placed[~beside, 4:] += OUT_OF_SIGHT_M
-    room = np.minimum(np.arange(capacity_for(len(poses))), len(poses) - 1)
-    everyone = GroupMap(jnp.asarray(placed[room][None]), jnp.ones(1), matrices_of(placed), 0)
+    everyone = GroupMap(placed[None], jnp.ones(1), matrices_of(placed), 0)
     return searcher.near(everyone, [jnp.asarray(poses[earlier])])
 
 
@@ -223,8 +222,7 @@ def _relative(earlier: jax.Array, later: jax.Array) -> jax.Array:
 
 
 def _ways(earlier: NDArray[np.float32], later: NDArray[np.float32]) -> NDArray[np.float32]:
-    room = np.minimum(np.arange(capacity_for(len(earlier))), len(earlier) - 1)
-    return np.asarray(_relative(earlier[room], later[room]))[: len(earlier)]
+    return in_parts(_relative, earlier, later)
 
 
 @jax.jit

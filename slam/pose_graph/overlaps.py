@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.geometry.poses import matrices_of
 from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
+from slam.keyframes.pages import Paged
 from slam.keyframes.plane_segmentation import with_plane_segments
 from slam.keyframes.planes import region_planes
 from slam.likelihood.distortion import NodeWeights
@@ -36,6 +38,9 @@ class KeyframeDetail:
     `is_segmented` says whether large planes are one each.
     """
 
+    ROOM: ClassVar[int] = 24
+    """100 MB in memory, with what is derived: a keyframe overlaps with a dozen, most of them neighbours."""
+
     view: CanvasView
     planes: jax.Array
     region_sizes: jax.Array
@@ -50,6 +55,17 @@ class KeyframeDetail:
     def sample(self) -> PointSample:
         """On the host, where stacking is cheap."""
         return jax.tree.map(np.asarray, sample_points(self.view, self.planes, self.region_sizes))
+
+    def stored(self) -> Sequence[ArrayLike]:
+        """What no other keyframe has as well; sizes are products of three counts up to 25."""
+        return self.view.depth_m, self.planes, np.asarray(self.region_sizes, np.uint16)
+
+    def with_stored(self, arrays: Sequence[Any]) -> KeyframeDetail:
+        """With those arrays, or without any."""
+        on_device: list[Any] = [one if one is None else jnp.asarray(one, jnp.float32) for one in arrays]
+        depth_m, planes, region_sizes = on_device
+        view = replace(self.view, depth_m=depth_m)
+        return KeyframeDetail(view, planes, region_sizes, self.is_segmented)
 
     def with_plane_segments(self, noise: DepthNoise) -> KeyframeDetail:
         """The same with large planes as one each."""
@@ -75,32 +91,38 @@ class Keyframes:
     """Keyframes at full detail, and which of them overlap.
 
     Attributes:
-        surfaces: N.
-        samples: N, on the host.
-        images_of: for each surface, the keyframes (n,) whose images are compared with it.
+        details: N.
+        images_of: for each one as a surface, the keyframes (n,) whose images are compared with it.
         noise: the sensor, at full detail.
     """
 
-    surfaces: Sequence[PlaneImage]
-    samples: Sequence[PointSample]
+    details: Sequence[Paged[KeyframeDetail]]
     images_of: Sequence[NDArray[np.int_]]
     noise: DepthNoise
 
-    def of(self, details: Sequence[KeyframeDetail]) -> Keyframes:
-        """The same overlaps of other images of the keyframes."""
-        surfaces, samples = [detail.surface for detail in details], [detail.sample for detail in details]
-        return replace(self, surfaces=surfaces, samples=samples)
+    def first(self, count: int) -> Keyframes:
+        """The first so many, and their overlaps with each other."""
+        images_of = [images[images < count] for images in self.images_of[:count]]
+        return replace(self, details=self.details[:count], images_of=images_of)
+
+    def corrected(self, disparity_per_m: jax.Array) -> Keyframes:
+        """The same without the distortion field of these nodes (NODES,) in their images."""
+        details = [
+            detail.pages.hold(detail.value.without_distortion(disparity_per_m, self.noise))
+            for detail in self.details
+        ]
+        return replace(self, details=details)
 
     def batches(self, stride: int) -> Iterator[tuple[PlaneImage, PointSample, int, NDArray[np.int_]]]:
         """Surface, every `stride`-th sample of the images, the surface's index, the images' (n,)."""
         for surface, images in enumerate(self.images_of):
             for first in range(0, len(images), IMAGE_BUCKET):
                 chosen = images[first : first + IMAGE_BUCKET]
-                padded = [self.samples[int(image)] for image in np.resize(chosen, IMAGE_BUCKET)]
+                padded = [self.details[int(image)].value.sample for image in np.resize(chosen, IMAGE_BUCKET)]
                 samples = jax.tree.map(
                     lambda *leaves: np.stack([leaf[:, ::stride] for leaf in leaves]), *padded
                 )
-                yield self.surfaces[surface], samples, surface, chosen
+                yield self.details[surface].value.surface, samples, surface, chosen
 
     def log_densities(
         self,
@@ -132,34 +154,31 @@ class KeyframeImages:
     """
 
     keyframe_map: KeyframeMap
-    details: Sequence[KeyframeDetail]
+    details: Sequence[Paged[KeyframeDetail]]
     noise: DepthNoise
 
     def at(self, poses: NDArray[np.float32]) -> Keyframes:
         """With the overlaps that they have at poses (N, 7)."""
         return keyframes_at(self.keyframe_map, self.details, matrices_of(poses), self.noise)
 
-    def corrected(self, disparity_per_m: jax.Array) -> list[KeyframeDetail]:
-        """The details without the distortion field of these nodes (NODES,)."""
-        return [detail.without_distortion(disparity_per_m, self.noise) for detail in self.details]
-
 
 def keyframes_at(
     keyframe_map: KeyframeMap,
-    details: Sequence[KeyframeDetail],
+    details: Sequence[Paged[KeyframeDetail]],
     poses: NDArray[np.float64],
     noise: DepthNoise,
 ) -> Keyframes:
     """The keyframes with those overlaps that they have at poses (N, 4, 4)."""
-    overlap = np.zeros((len(details), len(details)), bool)
+    overlaps: list[set[int]] = [set() for _ in details]
     for second in range(1, len(details)):
-        before = KeyframeMap(surfaces=keyframe_map.surfaces[:second], samples=keyframe_map.samples[:second])
-        frame = framing(details[second].view)
-        overlap[second, selected_keyframes(before, poses[:second], poses[second], frame, OVERLAPS)] = True
+        samples, before = keyframe_map.samples[:second], poses[:second]
+        frame = framing(details[second].skeleton.view)
+        for first in selected_keyframes(samples, before, poses[second], frame, OVERLAPS).tolist():
+            overlaps[first].add(second)
+            overlaps[second].add(first)
     return Keyframes(
-        surfaces=[detail.surface for detail in details],
-        samples=[detail.sample for detail in details],
-        images_of=[np.nonzero(row)[0] for row in overlap | overlap.T],
+        details=details,
+        images_of=[np.asarray(sorted(images), int) for images in overlaps],
         noise=noise,
     )
 

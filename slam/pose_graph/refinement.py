@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import cluster, mean_keyframes
+from shapes.geometry.pose_sets import cluster
 from shapes.geometry.poses import matrices_of
-from slam.filter.state import CameraParticles, FilterState
+from slam.filter.state import FilterState
+from slam.keyframes.pages import Paged
 from slam.likelihood.distortion import Distortion, node_factor
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
-from slam.pose_graph.displacements import draw_poses
+from slam.pose_graph.displacements import draw_poses, mean_poses
 from slam.pose_graph.distortion_scale import ScaledField, scaled_field, unseen_field
 from slam.pose_graph.gauss_newton import (
     THINNED,
@@ -40,8 +41,28 @@ from slam.pose_graph.gauss_newton import (
 from slam.pose_graph.overlaps import KeyframeDetail, KeyframeImages, Keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
+FIELD_KEYFRAMES = 200
+"""Search effort: an hour's film has thousands, and the field has 62 coordinates."""
+
 
 @jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class PlacedKeyframes:
+    """Keyframes of G modes, each looked up in a place of a table (...); leaves as in `RefinedKeyframes`.
+
+    Attributes:
+        poses: (G, ..., 7).
+        covariances: (G, ..., 6, 6).
+        held: (G, ...).
+        sensitivity: (G, ..., 6, F).
+    """
+
+    poses: jax.Array
+    covariances: jax.Array
+    held: jax.Array
+    sensitivity: jax.Array
+
+
 @dataclass(frozen=True, kw_only=True)
 class RefinedKeyframes:
     """Where the modes have the keyframes, before the particles (K,) drew theirs, and the distortion field.
@@ -59,14 +80,23 @@ class RefinedKeyframes:
         sd_per_m: (G, NODES) its standard deviations.
     """
 
-    mode: jax.Array
-    poses: jax.Array
-    covariances: jax.Array
-    held: jax.Array
-    sensitivity: jax.Array
-    factor: jax.Array
-    disparity_per_m: jax.Array
-    sd_per_m: jax.Array
+    mode: NDArray[np.int_]
+    poses: NDArray[np.float32]
+    covariances: NDArray[np.float64]
+    held: NDArray[np.bool_]
+    sensitivity: NDArray[np.float64]
+    factor: NDArray[np.float64]
+    disparity_per_m: NDArray[np.float64]
+    sd_per_m: NDArray[np.float64]
+
+    def at(self, keyframes: NDArray[np.integer]) -> PlacedKeyframes:
+        """Of the keyframes with these indices (...)."""
+        return PlacedKeyframes(
+            poses=jnp.asarray(self.poses[:, keyframes]),
+            covariances=jnp.asarray(self.covariances[:, keyframes], jnp.float32),
+            held=jnp.asarray(self.held[:, keyframes]),
+            sensitivity=jnp.asarray(self.sensitivity[:, keyframes], jnp.float32),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +116,7 @@ class _Mode:
 def refine_keyframes(
     key: jax.Array,
     state: FilterState,
-    details: Sequence[KeyframeDetail],
+    details: Sequence[Paged[KeyframeDetail]],
     noise: DepthNoise,
     sd_per_m: NDArray[np.float64],
     motion: TrajectoryPrior | None = None,
@@ -103,32 +133,24 @@ def refine_keyframes(
         motion: prior of the keyframes' poses, where it is to have a say.
         scales: factors of `sd_per_m`, equally likely.
     """
-    particles: CameraParticles = state.population.particles
-    used = len(state.keyframe_map)
-    poses = np.array(particles.keyframe_poses)
+    poses = state.keyframe_poses.copy()
     weights = np.exp(np.asarray(state.population.log_weights, np.float64))
-    groups = cluster(matrices_of(poses[:, :used]), weights)
+    groups = cluster(matrices_of(poses), weights)
     unknown = Distortion.unknown(node_factor(sd_per_m))
     modes: list[_Mode] = []
     for group in range(groups.max() + 1):
         members = groups == group
         share = jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum())
-        filtered = np.asarray(mean_keyframes(particles.keyframe_poses, share))[:used]
+        filtered = mean_poses(state.keyframe_poses, share)
         images = KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=noise)
         group_key = jax.random.fold_in(key, group)
         mode = _refined(group_key, images, filtered, unknown, scales, motion, len(groups))
-        poses[:, :used] = np.where((members[:, None] & mode.held)[..., None], mode.drawn, poses[:, :used])
+        poses = np.where((members[:, None] & mode.held)[..., None], mode.drawn, poses)
         modes.append(mode)
-    moved = replace(particles, keyframe_poses=jnp.asarray(poses))
-
-    def stacked(name: str) -> jax.Array:
-        leaves = np.stack([getattr(mode, name) for mode in modes])
-        return jnp.asarray(leaves, bool if name == "held" else jnp.float32)
 
     told = ("poses", "covariances", "held", "sensitivity", "factor", "disparity_per_m", "sd_per_m")
-    return replace(state, population=replace(state.population, particles=moved)), RefinedKeyframes(
-        mode=jnp.asarray(groups, jnp.int32),
-        **{name: stacked(name) for name in told},
+    return replace(state, keyframe_poses=poses), RefinedKeyframes(
+        mode=groups, **{name: np.stack([getattr(mode, name) for mode in modes]) for name in told}
     )
 
 
@@ -150,7 +172,7 @@ def _refined(
     graph = found and with_distortion(keyframes, found, unknown, motion)
     if found is None or graph is None:
         return _unrefined(filtered, unknown, scales, count)
-    field = _estimated_field(images, keyframes, found, unknown, scales, motion)
+    field = _estimated_field(keyframes, found, unknown, scales, motion)
     return _Mode(
         poses=found.poses,
         covariances=sparse_gaussian.conditional_marginals(graph),
@@ -162,22 +184,22 @@ def _refined(
 
 
 def _estimated_field(
-    images: KeyframeImages,
     keyframes: Keyframes,
     start: GraphOptimum,
     unknown: Distortion,
     scales: Sequence[float],
     motion: TrajectoryPrior | None,
 ) -> ScaledField:
-    """The field at the joint optimum with the poses.
+    """The field at the joint optimum with the poses, of the first `FIELD_KEYFRAMES`.
 
     Twice: planes that were fitted to distorted depths do not bend with the field. The first time few samples
     do, since all are looked at again.
     """
+    keyframes, start = keyframes.first(FIELD_KEYFRAMES), start.first(FIELD_KEYFRAMES)
     found = optimise_with_distortion(keyframes, start, unknown, motion, stride=THINNED)
     if found is not None:
-        disparity = jnp.asarray(found.distortion.disparity_per_m, jnp.float32)
-        corrected, removed = keyframes.of(images.corrected(disparity)), found.distortion.removed()
+        corrected = keyframes.corrected(jnp.asarray(found.distortion.disparity_per_m, jnp.float32))
+        removed = found.distortion.removed()
         found = optimise_with_distortion(corrected, found, removed, motion, inflations=())
     if found is None:
         return unseen_field(unknown.factor.shape[1], scales)

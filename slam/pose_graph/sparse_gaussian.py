@@ -19,12 +19,9 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import SuperLU, splu
 
+from slam.pose_graph.block_cholesky import BlockCholesky
 from slam.registration.alignment import STIFFNESS
-
-MARGINAL_COLUMNS = 600
-"""Of the inverse, at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,22 +110,13 @@ def damped_step(graph: PoseGraph, damping: float) -> tuple[NDArray[np.float64], 
 
 
 def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
-    """Displacements (count, N, 6), Gaussian with the graph's precision around zero, given what terms share.
-
-    Perturb and solve: the normal equations with a right hand side whose covariance is the precision
-    (Papandreou and Yuille 2010).
-    """
-    size = 6 * graph.keyframes
-    sizes = (12 * len(graph), size, 0 if graph.joint is None else size)
-    noise = np.asarray(jax.random.normal(key, (count, sum(sizes))), np.float64)
-    pairwise, diagonal, jointly = np.split(noise, np.cumsum(sizes)[:-1], axis=1)
-    of_terms = np.einsum("eij,kej->kei", _roots(graph.precision), pairwise.reshape(count, -1, 12))
-    right = np.stack([_summed(graph, terms) for terms in of_terms])
-    right += np.sqrt(STIFFNESS) * diagonal
-    if graph.joint is not None:
-        right += jointly @ _roots(graph.joint.precision).T
-    drawn = _normal_equations(graph, STIFFNESS).solve(np.ascontiguousarray(right[:, 6:].T)).T
-    return np.concatenate([np.zeros((count, 6)), drawn], axis=1).reshape(count, -1, 6)
+    """Displacements (count, N, 6), Gaussian of the graph's precision around zero, given what terms share."""
+    noise = np.asarray(jax.random.normal(key, (count, 6 * graph.keyframes)), np.float64)
+    drawn = noise.T.copy()
+    drawn[:6] = 0.0
+    if graph.keyframes > 1:
+        drawn[6:] = _normal_equations(graph, STIFFNESS).transposed_solve(drawn[6:])
+    return drawn.T.reshape(count, -1, 6)
 
 
 def field_posterior(graph: PoseGraph) -> FieldPosterior:
@@ -137,7 +125,7 @@ def field_posterior(graph: PoseGraph) -> FieldPosterior:
     return _field_posterior(graph, graph.field, _normal_equations(graph, STIFFNESS))
 
 
-def _field_posterior(graph: PoseGraph, field: FieldTerm, factor: SuperLU) -> FieldPosterior:
+def _field_posterior(graph: PoseGraph, field: FieldTerm, factor: BlockCholesky) -> FieldPosterior:
     """By the Schur complement of the poses, whose normal equations are factorised."""
     follow = np.concatenate([np.zeros((6, field.cross.shape[1])), -factor.solve(field.cross[6:])])
     precision = field.precision + field.cross.T @ follow
@@ -152,14 +140,9 @@ def conditional_marginals(graph: PoseGraph) -> NDArray[np.float64]:
 
     Given what terms share: its part is S C S^T with the sensitivity S of the `FieldPosterior`.
     """
-    solve = _normal_equations(graph, STIFFNESS).solve
-    size = 6 * (graph.keyframes - 1)
     covariances = np.zeros((graph.keyframes, 6, 6))
-    for first in range(0, size, MARGINAL_COLUMNS):
-        columns = np.arange(first, min(first + MARGINAL_COLUMNS, size))
-        solved = solve(np.eye(size, len(columns), -first)).reshape(-1, 6, len(columns) // 6, 6)
-        keyframes = columns[::6] // 6
-        covariances[keyframes + 1] = solved[keyframes, :, np.arange(len(keyframes))]
+    if graph.keyframes > 1:
+        covariances[1:] = _normal_equations(graph, STIFFNESS).diagonal_of_inverse()
     return covariances
 
 
@@ -173,12 +156,6 @@ def connected_to_first(graph: PoseGraph) -> NDArray[np.bool_]:
     return component == component[0]
 
 
-def _roots(precision: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Square roots A of matrices (..., n, n) A A^T."""
-    values, vectors = np.linalg.eigh(precision)
-    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
-
-
 def _summed(graph: PoseGraph, of_terms: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum (6 N,) of vectors (E, 12) of the terms."""
     total = np.zeros((graph.keyframes, 6))
@@ -186,14 +163,17 @@ def _summed(graph: PoseGraph, of_terms: NDArray[np.float64]) -> NDArray[np.float
     return total.ravel()
 
 
-def _normal_equations(graph: PoseGraph, stiffness: float) -> SuperLU:
+def _normal_equations(graph: PoseGraph, stiffness: float) -> BlockCholesky:
     """The factorised precision of all keyframes but the first, `stiffness` added to its diagonal."""
-    index = (6 * graph.pairs[:, :, None] + np.arange(6)).reshape(-1, 12)
-    rows, columns = np.broadcast_arrays(index[:, :, None], index[:, None, :])
-    size = 6 * graph.keyframes
-    blocks = (graph.precision.ravel(), (rows.ravel(), columns.ravel()))
-    precision = scipy.sparse.coo_array(blocks, shape=(size, size)).tocsr()
+    diagonal = np.tile(stiffness * np.eye(6), (graph.keyframes, 1, 1))
+    np.add.at(diagonal, graph.pairs[:, 0], graph.precision[:, :6, :6])
+    np.add.at(diagonal, graph.pairs[:, 1], graph.precision[:, 6:, 6:])
+    pairs, blocks = graph.pairs, graph.precision[:, :6, 6:]
     if graph.joint is not None:
-        precision = precision + scipy.sparse.csr_array(graph.joint.precision)
-    precision = precision[6:, 6:]
-    return splu(scipy.sparse.csc_array(precision + stiffness * scipy.sparse.eye_array(size - 6)))
+        jointly = graph.joint.precision.reshape(graph.keyframes, 6, graph.keyframes, 6).swapaxes(1, 2)
+        every = np.stack(np.tril_indices(graph.keyframes, -1), axis=1)
+        diagonal += jointly[np.arange(graph.keyframes), np.arange(graph.keyframes)]
+        pairs = np.concatenate([pairs, every])
+        blocks = np.concatenate([blocks, jointly[tuple(every.T)]])
+    free = (pairs > 0).all(axis=1)
+    return BlockCholesky.of(diagonal[1:], pairs[free] - 1, blocks[free])

@@ -7,6 +7,7 @@ approximation at the most probable pivot of each map.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-from shapes.geometry.poses import single_precision_poses
+from shapes.geometry.poses import poses_of
 from slam.config import SlamConfig
-from slam.filter.map_update import capacity_for
 from slam.filter.motion import FreeMotion, MotionHistory, MotionPrior, OrbitMotion, velocity_ratio
 from slam.filter.state import FilterState
+from slam.pose_graph.displacements import in_parts
 from slam.pose_graph.sparse_gaussian import JointTerm
 
 PIVOT_STEPS = 6
@@ -103,22 +104,21 @@ class TrajectoryPrior:
     ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
         """Minus log p(poses, pivot), gradient (6 N + 3,) and curvature in displacements and the pivot."""
         count = len(poses)
-        index = np.minimum(np.arange(capacity_for(count)), count - 1)
-        placed, trio = single_precision_poses(poses), np.maximum(index[:, None] - np.asarray([2, 1, 0]), 0)
-        ratios = np.zeros(len(index), np.float32)
+        placed, trio = poses_of(poses), np.maximum(np.arange(count)[:, None] - np.asarray([2, 1, 0]), 0)
+        ratios = np.zeros(count, np.float32)
         for at in range(2, count):
             first, second, third = self.times_ns[at - 2 : at + 1]
             ratios[at] = velocity_ratio((first, second), third)
-        terms = _terms(self.motion, jnp.asarray(pivot, jnp.float32), placed[trio], jnp.asarray(ratios))
-        log_densities, residuals, jacobians = (np.asarray(leaf, np.float64)[1:count] for leaf in terms)
+        terms = in_parts(partial(_terms, self.motion, jnp.asarray(pivot, jnp.float32)), placed[trio], ratios)
+        log_densities, residuals, jacobians = (leaf[1:].astype(np.float64) for leaf in terms)
         excess = (pivot - self.pivot_m) / self.pivot_sigma_m
         log_prior = -0.5 * (excess @ excess) - np.log(self.pivot_sigma_m * np.sqrt(2.0 * np.pi)).sum()
         gradient, curvature = np.zeros(POSE * count + PIVOT), np.zeros((POSE * count + PIVOT,) * 2)
         gradient[-PIVOT:] = excess / self.pivot_sigma_m
         curvature[-PIVOT:, -PIVOT:] = np.diag(self.pivot_sigma_m**-2.0)
-        for poses_of, residual, jacobian in zip(trio[1:count], residuals, jacobians, strict=True):
+        for trio_of, residual, jacobian in zip(trio[1:count], residuals, jacobians, strict=True):
             own = np.append(
-                (poses_of[:, None] * POSE + np.arange(POSE)).ravel(), POSE * count + np.arange(PIVOT)
+                (trio_of[:, None] * POSE + np.arange(POSE)).ravel(), POSE * count + np.arange(PIVOT)
             )
             np.add.at(gradient, own, residual @ jacobian)
             np.add.at(curvature, np.ix_(own, own), jacobian.T @ jacobian)

@@ -44,6 +44,9 @@ WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
 WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
 """Relative to depth, as in `slam.registration.global_search`."""
 
+SCORED_AT_ONCE = 256
+"""Candidates: one size for which a kernel is compiled."""
+
 WIDE_CLIMBED = 256
 """Candidates that climb: the grid is coarser than the modes, the right place may be the three hundredth on it
 (measured)."""
@@ -80,13 +83,13 @@ class GroupMap:
     """A group of particles' view of the map.
 
     Attributes:
-        keyframe_poses: (K, N, 7) of all particles.
+        keyframe_poses: (K, N, 7) of all particles, on the host.
         weights: (K,) of the group's members, zero elsewhere.
         representative: (N, 4, 4) keyframe poses of its heaviest member.
         group: its number.
     """
 
-    keyframe_poses: jax.Array
+    keyframe_poses: NDArray[np.float32]
     weights: jax.Array
     representative: NDArray[np.float64]
     group: int
@@ -189,7 +192,7 @@ class Searcher:
 
     def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
         chosen = selected_keyframes(
-            self.keyframe_map, group.representative, matrices_of(pose), self._framing, self.compared
+            self.keyframe_map.samples, group.representative, matrices_of(pose), self._framing, self.compared
         )
         return self._stacked(group, chosen, self.compared)
 
@@ -198,16 +201,21 @@ class Searcher:
     ) -> tuple[NDArray[np.int_], LocalMap]:
         present = np.arange(count) < len(chosen)
         indices = np.where(present, np.resize(chosen, count), chosen[0])
-        poses = mean_keyframes(group.keyframe_poses[:, indices], group.weights)
+        poses = mean_keyframes(jnp.asarray(group.keyframe_poses[:, indices]), group.weights)
         return indices, LocalMap(self.keyframe_map.stacked(indices), jnp.asarray(present), poses)
 
     def _map_scores(
         self, group: GroupMap, candidates: NDArray[np.float64], blur: float
     ) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
-        padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, 256))
+        padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, SCORED_AT_ONCE))
         scores = [
-            np.asarray(log_map_scores(local_map, self.view, self.noise, padded, blur))
+            np.concatenate(
+                [
+                    np.asarray(log_map_scores(local_map, self.view, self.noise, some, blur))
+                    for some in jnp.split(padded, len(padded) // SCORED_AT_ONCE)
+                ]
+            )
             for local_map in self._neighbourhoods(group)
         ]
         return np.max(scores, axis=0)[: len(candidates)]

@@ -16,6 +16,7 @@ from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, ObjectScene
 from pipeline.synthesis.writing import write_recording
 from scene.result import SceneResult
+from shapes.geometry.poses import poses_of
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
@@ -47,7 +48,7 @@ def true_trajectory(filmed_mug: SyntheticRecording) -> SlamResult:
     frames = len(mean)
     return SlamResult(
         times_ns=filmed_mug.trajectory.times_ns,
-        trajectories=np.tile(mean, (3, 1, 1, 1)),
+        draws=np.tile(poses_of(mean), (3, 1, 1)).astype(np.float32),
         log_weights=np.log([0.5, 0.3, 0.2]),
         mean=mean,
         covariance=np.tile(1e-6 * np.eye(6), (frames, 1, 1)),

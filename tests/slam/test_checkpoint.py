@@ -10,6 +10,7 @@ import pytest
 from recordings.types import Frame
 from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
+from slam.keyframes.pages import PageFile
 from slam.result import SlamResult
 from slam.tracking import track
 from tests.slam import box_room
@@ -38,14 +39,15 @@ def test_a_killed_tracker_ends_with_the_same_bytes(
     frames = walk_after_a_blank(7, seed)
     config = SlamConfig(particles=16)
     whole = track(jax.random.clone(key), frames, box_room.INTRINSICS, config)
+    pages = PageFile()
 
     def kill(checkpoint: Checkpoint) -> None:
-        if len(checkpoint.history.frames) == killed_after:
+        if len(checkpoint.history) == killed_after:
             checkpoint.save(tmp_path / "checkpoint")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        track(jax.random.clone(key), frames, box_room.INTRINSICS, config, on_checkpoint=kill)
+        track(jax.random.clone(key), frames, box_room.INTRINSICS, config, pages=pages, on_checkpoint=kill)
     seen: list[int] = []
     resumed = track(
         jax.random.clone(key),
@@ -53,7 +55,8 @@ def test_a_killed_tracker_ends_with_the_same_bytes(
         box_room.INTRINSICS,
         config,
         on_frame=lambda info: seen.append(info.keyframes),
-        checkpoint=Checkpoint.load(tmp_path / "checkpoint"),
+        pages=pages,
+        checkpoint=Checkpoint.load(tmp_path / "checkpoint", pages),
     )
 
     assert len(seen) == len(frames)
@@ -65,7 +68,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path: Path, content: bytes) -> None
     """As one that is no checkpoint at all."""
     (tmp_path / "checkpoint").write_bytes(content)
     with pytest.raises(ValueError, match="checkpoint"):
-        Checkpoint.load(tmp_path / "checkpoint")
+        Checkpoint.load(tmp_path / "checkpoint", PageFile())
 
 
 def test_a_checkpoint_builds_nothing_but_this_programs_dataclasses(tmp_path: Path) -> None:
@@ -75,4 +78,4 @@ def test_a_checkpoint_builds_nothing_but_this_programs_dataclasses(tmp_path: Pat
         with (tmp_path / "checkpoint").open("wb") as file:
             np.savez(file, shape=np.array(shape))
         with pytest.raises(ValueError, match="no checkpoint"):
-            Checkpoint.load(tmp_path / "checkpoint")
+            Checkpoint.load(tmp_path / "checkpoint", PageFile())

@@ -44,7 +44,9 @@ def disturbed(value, rng: np.random.Generator, number: float):
     changed = {}
     for name in chosen:
         array = np.array(getattr(value, name), copy=True)
-        array[rng.random(array.shape) < rng.choice([0.05, 0.5, 1.0])] = number
+        largest = float(np.finfo(array.dtype).max)
+        told = np.clip(number, -largest, largest) if np.isfinite(number) else number
+        array[rng.random(array.shape) < rng.choice([0.05, 0.5, 1.0])] = told
         changed[name] = array
     return replace(value, **changed)
 
@@ -83,7 +85,7 @@ def first_frames(result: SlamResult, count: int) -> SlamResult:
     """The path's first frames."""
     per_frame = ("times_ns", "mean", "covariance", "ess", "log_evidence", "resampled", "lost", "explained")
     changed = {name: getattr(result, name)[:count] for name in per_frame}
-    return replace(result, trajectories=result.trajectories[:, :count], **changed)
+    return replace(result, draws=result.draws[:, :count], **changed)
 
 
 def test_one_frame_is_published(true_trajectory: SlamResult, tmp_path: Path) -> None:

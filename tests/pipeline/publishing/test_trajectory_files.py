@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.publishing.trajectory_files import path_texts
+from shapes.geometry.poses import poses_of
 from slam.result import SlamResult
 
 
@@ -15,7 +16,7 @@ def path(seed: int, count: int, lost: tuple[int, ...] = ()) -> SlamResult:
     matrices[:, :3, 3] = rng.normal(size=(count, 3))
     return SlamResult(
         times_ns=1_700_000_000_123_456_789 + np.arange(count) * 33_333_333,
-        trajectories=matrices[None],
+        draws=poses_of(matrices)[None].astype(np.float32),
         log_weights=np.zeros(1),
         mean=matrices,
         covariance=np.tile(np.eye(6), (count, 1, 1)),

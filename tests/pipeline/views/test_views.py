@@ -108,9 +108,9 @@ def test_runs_keep_their_views_to_themselves(tmp_path: Path) -> None:
 
 def test_paths_that_differ_are_told(true_trajectory: SlamResult) -> None:
     """The third particle stands a metre aside in the last frame; where all agree, nothing is said."""
-    trajectories = true_trajectory.trajectories.copy()
-    trajectories[2, -1, 0, 3] += 1.0
-    undecided = replace(true_trajectory, trajectories=trajectories)
+    draws = true_trajectory.draws.copy()
+    draws[2, -1, 4] += 1.0
+    undecided = replace(true_trajectory, draws=draws)
 
     agreed, told = (
         report_markdown(run, summary_of(run))

@@ -68,9 +68,7 @@ def test_what_two_images_share_counts_once():
     composite twice or half as large would be off by half at least.
     """
     of_all = registrar(seed=5).keyframe_map
-    of_two = KeyframeRegistrar(
-        KeyframeMap(surfaces=of_all.surfaces[:2], samples=of_all.samples[:2]), NOISE, compared=4
-    )
+    of_two = KeyframeRegistrar(of_all.only([0, 1]), NOISE, compared=4)
     together = seen_from_all_sides()[:2]
     apart = together.copy()
     apart[1, :3, 3] += (0.0, 0.0, 50.0)

@@ -36,7 +36,8 @@ def images() -> KeyframeImages:
     for frame in box_room.frames(_circling(YAWS), seed=5):
         view = view_of_frame(frame, box_room.INTRINSICS)
         keyframe_map = keyframe_map.with_keyframe(surfel_image(view, NOISE))
-        details.append(keyframe_detail(view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS), NOISE))
+        detailed = view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS)
+        details.append(keyframe_map.pages.hold(keyframe_detail(detailed, NOISE)))
     return KeyframeImages(keyframe_map=keyframe_map, details=details, noise=NOISE)
 
 
@@ -101,11 +102,8 @@ def test_a_loop_that_the_others_contradict_is_dropped(images):
 
 def test_three_quarters_of_a_circle_close_no_loop(images):
     """The last view shows another wall."""
-    whole = images.keyframe_map
     part = KeyframeImages(
-        keyframe_map=KeyframeMap(surfaces=whole.surfaces[:12], samples=whole.samples[:12]),
-        details=images.details[:12],
-        noise=NOISE,
+        keyframe_map=images.keyframe_map.only(range(12)), details=images.details[:12], noise=NOISE
     )
 
     chained = _chained(part, YAWS[:12], DRIFTED[:12])

@@ -24,7 +24,7 @@ def test_climbs_that_leave_the_numbers_find_nothing(monkeypatch: pytest.MonkeyPa
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     keyframe_map = KeyframeMap().with_keyframe(surfel_image(view, NOISE))
     searcher = Searcher(keyframe_map, view, NOISE, compared=4)
-    group = GroupMap(HERE[None, None], jnp.ones(1), np.eye(4)[None], 0)
+    group = GroupMap(np.asarray(HERE)[None, None], jnp.ones(1), np.eye(4)[None], 0)
     monkeypatch.setattr(search, "ascend", Mock(side_effect=lambda *given: jnp.full_like(given[-1], jnp.nan)))
 
     assert searcher.anywhere(group, HERE, np.asarray([1.0])) == []

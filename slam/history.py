@@ -1,0 +1,116 @@
+"""What the filter reported of every frame; memory hardly grows with them, for blocks of them are paged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.filter.rival_motion import Doubt
+from slam.filter.state import FrameInfo, Ties
+from slam.keyframes.pages import Paged, PageFile
+
+FRAMES_AT_ONCE = 256
+"""In a block, 1.5 MB: kernels of what follows are compiled for so many."""
+
+_NAMES = [name for name in FrameInfo.__dataclass_fields__ if name not in ("ties", "doubt")]
+_STRUCTURE = jax.tree.structure(
+    FrameInfo(ties=Ties(*[np.zeros(0)] * 3), doubt=Doubt(np.zeros(0), 0.0), **dict.fromkeys(_NAMES, 0))  # type: ignore[arg-type]
+)
+"""Of any frame's report."""
+
+
+@dataclass(frozen=True)
+class FrameBlock:
+    """Reports of n frames one after the other, their leaves stacked (n, ...), in the order of the tree."""
+
+    ROOM: ClassVar[int] = 2
+    """They are read one after the other."""
+
+    leaves: tuple[NDArray[Any], ...]
+
+    @classmethod
+    def of(cls, infos: Sequence[FrameInfo]) -> FrameBlock:
+        """Those reports; covariances of fewer components than the most are filled up with zeros."""
+        most = max(len(info.component_covariances) for info in infos)
+        padded = [
+            jax.tree.leaves(replace(info, component_covariances=_filled(info.component_covariances, most)))
+            for info in infos
+        ]
+        return cls(tuple(np.stack(of_all) for of_all in zip(*padded, strict=True)))
+
+    @property
+    def infos(self) -> Any:
+        """A `FrameInfo` whose leaves are stacked (n, ...)."""
+        return _STRUCTURE.unflatten(self.leaves)
+
+    def stored(self) -> Sequence[NDArray[Any]]:
+        """All of it."""
+        return self.leaves
+
+    def with_stored(self, arrays: Sequence[Any]) -> FrameBlock:
+        """With those arrays."""
+        return FrameBlock(tuple(arrays))
+
+
+def _filled(covariances: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    return np.pad(covariances, ((0, count - len(covariances)), (0, 0), (0, 0)))
+
+
+@dataclass(kw_only=True)
+class History:
+    """The reports so far.
+
+    Attributes:
+        pages: where blocks go.
+        times_ns: stamps of all frames.
+        blocks: whole ones.
+        latest: reports since the last of them.
+        in_doubt: whether some frame was not found where it was expected, or in two places.
+    """
+
+    pages: PageFile = field(default_factory=PageFile)
+    times_ns: list[int] = field(default_factory=list)
+    blocks: list[Paged[FrameBlock]] = field(default_factory=list)
+    latest: list[FrameInfo] = field(default_factory=list)
+    in_doubt: bool = False
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.times_ns)
+
+    def append(self, time_ns: int, info: FrameInfo) -> None:
+        """One frame more."""
+        self.times_ns.append(time_ns)
+        self.latest.append(info)
+        self.in_doubt |= info.unexpected or info.components > 1
+        if len(self.latest) == FRAMES_AT_ONCE:
+            self.blocks.append(self.pages.hold(FrameBlock.of(self.latest)))
+            self.latest = []
+
+    def stacked(self) -> Iterator[tuple[slice, Any]]:
+        """Frames, and their reports as one `FrameInfo` with leaves stacked (n, ...), block by block."""
+        for number, block in enumerate(self.blocks):
+            yield slice(number * FRAMES_AT_ONCE, (number + 1) * FRAMES_AT_ONCE), block.value.infos
+        if self.latest:
+            yield slice(len(self) - len(self.latest), len(self)), FrameBlock.of(self.latest).infos
+
+    def infos(self) -> Iterator[FrameInfo]:
+        """Report after report."""
+        for frames, stacked in self.stacked():
+            for index in range(frames.stop - frames.start):
+                yield jax.tree.map(lambda leaf, index=index: leaf[index], stacked)
+
+    def lineages(self) -> NDArray[np.int32]:
+        """Which particle (T, K) of each frame the last ones descend from."""
+        ancestors = np.concatenate([infos.ancestors for _, infos in self.stacked()])
+        lineages = np.empty_like(ancestors)
+        lineage = np.arange(ancestors.shape[1])
+        for index in range(len(ancestors) - 1, -1, -1):
+            lineages[index] = lineage
+            lineage = ancestors[index, lineage]
+        return lineages
