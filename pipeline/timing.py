@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -11,6 +11,34 @@ from dataclasses import dataclass
 def wall_clock() -> float:
     """Seconds since some moment, for differences."""
     return time.perf_counter()
+
+
+def processor_clock() -> float:
+    """Seconds of processor time of all threads, for differences: a busy machine does not change them."""
+    return time.process_time()
+
+
+def own_processor_clock() -> float:
+    """The same of this thread alone."""
+    return time.thread_time()
+
+
+@contextmanager
+def kernels_counted() -> Iterator[Callable[[], int]]:
+    """A count of the kernels that have been compiled, or fetched from the persistent cache, in the block."""
+    import jax
+
+    count = 0
+
+    def note(event: str, *_: float, **_named: float | str) -> None:
+        nonlocal count
+        count += event == "/jax/core/compile/backend_compile_duration"
+
+    jax.monitoring.register_event_time_span_listener(note)
+    try:
+        yield lambda: count
+    finally:
+        jax.monitoring.unregister_event_time_span_listener(note)
 
 
 @dataclass

@@ -28,6 +28,7 @@ _STRUCTURE = jax.tree.structure(
 class FrameBlock:
     """Reports of n frames one after the other, their leaves stacked (n, ...), in the order of the tree."""
 
+    ARRAYS: ClassVar[int] = _STRUCTURE.num_leaves
     ROOM: ClassVar[int] = 2
     """They are read one after the other."""
 

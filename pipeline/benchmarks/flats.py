@@ -66,10 +66,10 @@ def _path(frames: int, rng: np.random.Generator) -> NDArray[np.float64]:
     middles = ROOM_M * _round().astype(float)
     ways = np.roll(middles, -1, axis=0) - middles
     headings = np.arctan2(ways[:, 1], ways[:, 0])
-    walk = int(ROOM_M / WALK_M)
+    walks = [int(ROOM_M / WALK_M)] * len(middles) + [0]
     stays = np.diff(np.linspace(0, frames, len(middles) + 2).astype(int))
     heading, yaws, positions = headings[-1], [], []
-    for room, stay in enumerate(stays):
+    for room, (stay, walk) in enumerate(zip(stays, walks, strict=True)):
         middle, way = middles[room % len(middles)], headings[room % len(middles)]
         about = max(stay - walk, 2)
         change = (way - heading + np.pi) % (2 * np.pi) - np.pi

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -176,7 +176,7 @@ def compared_file(path: Path, reference: Trajectory) -> ComparedTrajectory:
 
 def peer_runs(
     names: Sequence[str],
-    frames: Sequence[Frame],
+    frames: Iterable[Frame],
     intrinsics: CameraIntrinsics,
     ours: ComparedTrajectory,
     on_peer: Callable[[int, int], None],
@@ -196,10 +196,23 @@ def peer_runs(
     return found
 
 
-def frames_at(
-    path: Path, options: ReadOptions, times_ns: NDArray[np.int64]
-) -> tuple[list[Frame], CameraIntrinsics]:
-    """The frames of a recording with the given stamps, in memory: peers need them several times."""
-    recording = open_recording(path, options)
-    wanted = {int(time) for time in times_ns}
-    return [frame for frame in recording if frame.time_ns in wanted], recording.intrinsics
+class FramesAt:
+    """The frames of a recording with some stamps, read anew at each iteration: an hour has no room in memory.
+
+    Attributes:
+        intrinsics: their camera.
+    """
+
+    def __init__(self, path: Path, options: ReadOptions, times_ns: NDArray[np.int64]) -> None:
+        """Those of `path` with stamps (n,)."""
+        self._recording = open_recording(path, options)
+        self._wanted = set(times_ns.tolist())
+        self.intrinsics: CameraIntrinsics = self._recording.intrinsics
+
+    def __iter__(self) -> Iterator[Frame]:
+        """In the order of time."""
+        return (frame for frame in self._recording if frame.time_ns in self._wanted)
+
+    def __len__(self) -> int:
+        """How many there are, pixels not decoded."""
+        return sum(stamp in self._wanted for stamp in self._recording.stamps_ns())

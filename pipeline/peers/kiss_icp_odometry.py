@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from recordings.types import CameraIntrinsics, Frame
 from slam.odometry import KissOdometry, OdometrySettings
 
 
-def track(frames: Sequence[Frame], intrinsics: CameraIntrinsics, voxel_m: float) -> NDArray[np.float64]:
+def track(frames: Iterable[Frame], intrinsics: CameraIntrinsics, voxel_m: float) -> NDArray[np.float64]:
     """Poses (T, 4, 4) by odometry with one voxel size."""
     odometry = KissOdometry(intrinsics, OdometrySettings(voxel_m=voxel_m))
     pose, poses = np.eye(4), []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import open3d as o3d
@@ -29,7 +29,7 @@ def _images(frame: Frame) -> tuple[o3d.t.geometry.Image, o3d.t.geometry.Image]:
     return depth, o3d.t.geometry.Image(o3d.core.Tensor.from_numpy(grey))
 
 
-def track_odometry(frames: Sequence[Frame], intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
+def track_odometry(frames: Iterable[Frame], intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
     """Poses (T, 4, 4) by adding up multi-scale point-to-plane odometry."""
     method = o3d.t.pipelines.odometry.Method.PointToPlane
     poses, previous = [np.eye(4)], None
@@ -49,7 +49,7 @@ def track_odometry(frames: Sequence[Frame], intrinsics: CameraIntrinsics) -> NDA
     return np.stack(poses)
 
 
-def track_model(frames: Sequence[Frame], intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
+def track_model(frames: Iterable[Frame], intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
     """Poses (T, 4, 4) by tracking each frame against the TSDF model of those before."""
     slam = o3d.t.pipelines.slam
     height, width = next(iter(frames)).depth_m.shape

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics, Frame
 
-Track = Callable[[Sequence[Frame], CameraIntrinsics], NDArray[np.float64]]
+Track = Callable[[Iterable[Frame], CameraIntrinsics], NDArray[np.float64]]
 """(frames, intrinsics) -> poses (T, 4, 4), the first frame's camera as reference."""
 
 
@@ -53,7 +53,7 @@ def settings_of(name: str) -> dict[str, Track]:
 
 def best_of(
     name: str,
-    frames: Sequence[Frame],
+    frames: Iterable[Frame],
     intrinsics: CameraIntrinsics,
     error: Callable[[NDArray[np.float64]], float],
 ) -> PeerRun:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import small_gicp
@@ -14,7 +14,7 @@ from slam.odometry import points_of
 POINT_STRIDE_PX = 4
 
 
-def track(frames: Sequence[Frame], intrinsics: CameraIntrinsics, voxel_m: float) -> NDArray[np.float64]:
+def track(frames: Iterable[Frame], intrinsics: CameraIntrinsics, voxel_m: float) -> NDArray[np.float64]:
     """Poses (T, 4, 4) against a map of one voxel size."""
     voxel_map = small_gicp.GaussianVoxelMap(voxel_m)
     poses: list[NDArray[np.float64]] = []

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.checkpoints import CheckpointKeeper
 from pipeline.errors import PipelineError
+from pipeline.memory import give_back_free_memory
 from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.room import room_stage
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 SOURCES = ("pipeline.stages.slam", "slam.tracking")
 MANY_SEARCHED = 10
+FRAMES_UNTIL_TIDY, TIDIED_AT = 1000, 100
+"""By the hundredth frame most kernels are compiled."""
 TOLD_DISPLACEMENT_M = 0.02
 """By which a second motion must widen the told spread of a frame to be worth a warning. Chosen by hand."""
 CAUSES = (
@@ -79,6 +82,8 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
             if info.doubt.shift_m > TOLD_DISPLACEMENT_M:
                 contested.append(done - 1)
             progress(done, total)
+            if done % FRAMES_UNTIL_TIDY == TIDIED_AT:
+                give_back_free_memory()
             if done == total:
                 progress.phase("refining the map")
 

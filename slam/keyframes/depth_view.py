@@ -52,8 +52,8 @@ class CanvasView:
 
 def framing(view: CanvasView) -> NDArray[np.float64]:
     """What the view's image takes in (6,): fx, fy, cx, cy, columns, rows, in pixels."""
-    camera = view.camera
-    rows, columns = np.argwhere(np.asarray(view.measured)).max(axis=0) + 1
+    camera, measured = view.camera, np.asarray(view.measured)
+    rows, columns = measured[:, 0].sum(), measured[0].sum()
     return np.asarray([camera.fx, camera.fy, camera.cx, camera.cy, columns, rows], float)
 
 

@@ -23,9 +23,11 @@ class Pageable(Protocol):
 
     Attributes:
         ROOM: values of this kind that are in memory at once.
+        ARRAYS: how many they are.
     """
 
     ROOM: ClassVar[int]
+    ARRAYS: ClassVar[int]
 
     def stored(self) -> Sequence[ArrayLike]:
         """Its own arrays."""
@@ -67,7 +69,7 @@ class PageFile:
 
     def hold(self, value: V) -> Paged[V]:
         """A value that may leave memory when it has not been asked for for long."""
-        held = Paged(self, value.with_stored([None] * len(value.stored())), value, None)
+        held = Paged(self, value.with_stored([None] * value.ARRAYS), value, None)
         self.touch(held)
         return held
 

@@ -33,10 +33,11 @@ class SurfelImage:
         measured: (H, W) bool, the pixels that the image has.
         rays: (3, H, W) through the pixel centres, z = 1.
         camera: intrinsics at working resolution.
-        ROOM: 40 MB in memory; a frame is compared with a few, a lost one with 40.
     """
 
+    ARRAYS: ClassVar[int] = 3
     ROOM: ClassVar[int] = 96
+    """40 MB in memory; a frame is compared with a few, a lost one with 40."""
 
     depth_m: jax.Array
     planes: jax.Array

@@ -13,6 +13,7 @@ the field at the pixel, its orientation does not.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -133,30 +134,34 @@ class OverlapTerms:
     field: FieldTerms | None
 
 
-def sample_points(view: CanvasView, planes: jax.Array, region_sizes: jax.Array) -> PointSample:
-    """Up to `SAMPLES` of a view's pixels that lie on planes (3, H, W), fewer on large regions (H, W).
+def sampled_pixels(region_sizes: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Up to `SAMPLES` flat indices of pixels on planes, fewer on large regions (H, W); block by block.
 
     A table top says the same thing many times; what stands on it is seen by few pixels. Systematic: pixels
     in the order of the image at equal steps of their weights' running sum.
     """
-    normals, sizes = np.asarray(planes), np.asarray(region_sizes, np.float64)
+    sizes = region_sizes.astype(np.float64)
     weight = (sizes > 0) / np.sqrt(np.maximum(sizes, 1.0))
     share = np.minimum(1.0, SAMPLES * weight / max(weight.sum(), 1e-12)).ravel()
     pixels = np.nonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0)[0][:SAMPLES]
     rows, columns = weight.shape
     row, column = np.divmod(pixels, columns)
     block = (row * BLOCKS_ACROSS // rows) * BLOCKS_ACROSS + column * BLOCKS_ACROSS // columns
-    pixels = pixels[np.argsort(block, kind="stable")]
-    normal = normals.reshape(3, -1)[:, pixels]
-    points = (np.asarray(view.rays) * np.asarray(view.depth_m)).reshape(3, -1)[:, pixels]
-    nodes, (row, column) = NodeWeights.of(view), np.divmod(pixels, columns)
+    return pixels[np.argsort(block, kind="stable")].astype(np.int32)
+
+
+def points_at(view: CanvasView, planes: jax.Array, pixels: NDArray[np.int32]) -> PointSample:
+    """Pixels (n,) of a view that lie on planes (3, H, W); on the host, where stacking is cheap."""
+    normal = np.asarray(planes).reshape(3, -1)[:, pixels]
+    depth, rays = np.asarray(view.depth_m).ravel()[pixels], np.asarray(view.rays).reshape(3, -1)[:, pixels]
+    nodes, (row, column) = NodeWeights.of(view), np.divmod(pixels, view.depth_m.shape[1])
     at_pixels = np.concatenate([np.asarray(nodes.rows)[row], np.asarray(nodes.columns)[column]], axis=1)
     unit = normal / np.linalg.norm(normal, axis=0)
-    return PointSample(_padded(points), _padded(unit), _padded(at_pixels.T))
+    return PointSample(_padded(rays * depth), _padded(unit), _padded(at_pixels.T))
 
 
-def _padded(columns: NDArray[np.floating]) -> jax.Array:
-    return jnp.asarray(np.pad(columns, ((0, 0), (0, SAMPLES - columns.shape[1]))), jnp.float32)
+def _padded(columns: NDArray[np.floating]) -> Any:
+    return np.pad(columns, ((0, 0), (0, SAMPLES - columns.shape[1]))).astype(np.float32)
 
 
 @jax.tree_util.register_dataclass

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.sparse.linalg import splu
 
 SIDE = 6
@@ -26,12 +25,12 @@ class _Column:
 
     Attributes:
         later: (s,) block columns eliminated later in which it has blocks.
-        diagonal: (6, 6) lower triangular.
+        inverse: (6, 6) of its diagonal block, lower triangular.
         below: (6 s, 6).
     """
 
     later: NDArray[np.int_]
-    diagonal: NDArray[np.float64]
+    inverse: NDArray[np.float64]
     below: NDArray[np.float64]
 
 
@@ -74,7 +73,7 @@ class BlockCholesky:
         """A^-1 of columns (6 n, m) or of one (6 n,)."""
         values = right.reshape(len(self.order), SIDE, -1)[self.order]
         for index, column in enumerate(self.columns):
-            values[index] = solve_triangular(column.diagonal, values[index], lower=True, check_finite=False)
+            values[index] = column.inverse @ values[index]
             if len(column.later):
                 values[column.later] -= (column.below @ values[index]).reshape(-1, SIDE, values.shape[2])
         return self._back_substituted(values).reshape(right.shape)
@@ -88,13 +87,7 @@ class BlockCholesky:
         for index in range(len(self.columns) - 1, -1, -1):
             column = self.columns[index]
             later = values[column.later].reshape(len(column.below), values.shape[2])
-            values[index] = solve_triangular(
-                column.diagonal,
-                values[index] - column.below.T @ later,
-                lower=True,
-                trans=1,
-                check_finite=False,
-            )
+            values[index] = column.inverse.T @ (values[index] - column.below.T @ later)
         found = np.empty_like(values)
         found[self.order] = values
         return found
@@ -109,8 +102,7 @@ class BlockCholesky:
                 waiting[column.later[0]] += 1
         for index in range(len(self.columns) - 1, -1, -1):
             column = self.columns[index]
-            inverse = solve_triangular(column.diagonal, np.eye(SIDE), lower=True, check_finite=False)
-            own = inverse.T @ inverse
+            own = column.inverse.T @ column.inverse
             front = own
             if len(column.later):
                 parent = int(column.later[0])
@@ -118,7 +110,7 @@ class BlockCholesky:
                     np.searchsorted(np.append(parent, self.columns[parent].later), column.later)
                 )
                 known = fronts[parent][np.ix_(place, place)]
-                gain = column.below @ inverse
+                gain = column.below @ column.inverse
                 across = -known @ gain
                 own = own - gain.T @ across
                 front = np.block([[own, across.T], [across, known]])
@@ -164,9 +156,9 @@ def _factorised(
             place = _scalar_rows(np.searchsorted(nodes, of_child))
             front[np.ix_(place, place)] += update
         left[index] = []
-        lower = _cholesky(front[:SIDE, :SIDE])
-        below = solve_triangular(lower, front[SIDE:, :SIDE].T, lower=True, check_finite=False).T
-        columns.append(_Column(later, lower, below))
+        inverse = np.linalg.inv(_cholesky(front[:SIDE, :SIDE])).astype(np.float64)
+        below = front[SIDE:, :SIDE] @ inverse.T
+        columns.append(_Column(later, inverse, below))
         if len(later):
             left[later[0]].append((later, front[SIDE:, SIDE:] - below @ below.T))
             patterns[later[0]].update(later[1:].tolist())

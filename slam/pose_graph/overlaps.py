@@ -21,7 +21,13 @@ from slam.keyframes.pages import Paged
 from slam.keyframes.plane_segmentation import with_plane_segments
 from slam.keyframes.planes import region_planes
 from slam.likelihood.distortion import NodeWeights
-from slam.likelihood.overlap_density import PlaneImage, PointSample, log_overlap_densities, sample_points
+from slam.likelihood.overlap_density import (
+    PlaneImage,
+    PointSample,
+    log_overlap_densities,
+    points_at,
+    sampled_pixels,
+)
 
 OVERLAPS = 6
 """Earlier keyframes with which each one is compared, both ways round."""
@@ -35,9 +41,10 @@ class KeyframeDetail:
     """A keyframe at full detail: its view, and `region_planes` of it.
 
     JAX computes in the background: planes are asked for when the keyframe is made, and used at the end.
-    `is_segmented` says whether large planes are one each.
+    `is_segmented` says whether large planes are one each; `known_pixels` are `pixels` where these are known.
     """
 
+    ARRAYS: ClassVar[int] = 4
     ROOM: ClassVar[int] = 24
     """100 MB in memory, with what is derived: a keyframe overlaps with a dozen, most of them neighbours."""
 
@@ -45,6 +52,7 @@ class KeyframeDetail:
     planes: jax.Array
     region_sizes: jax.Array
     is_segmented: bool = False
+    known_pixels: NDArray[np.int32] | None = None
 
     @cached_property
     def surface(self) -> PlaneImage:
@@ -52,20 +60,27 @@ class KeyframeDetail:
         return PlaneImage.of(self.view, jnp.where((self.region_sizes > 0)[None], self.planes, 0.0))
 
     @cached_property
+    def pixels(self) -> NDArray[np.int32]:
+        """Flat indices of those that are compared."""
+        known = self.known_pixels
+        return sampled_pixels(np.asarray(self.region_sizes)) if known is None else known
+
+    @cached_property
     def sample(self) -> PointSample:
-        """On the host, where stacking is cheap."""
-        return jax.tree.map(np.asarray, sample_points(self.view, self.planes, self.region_sizes))
+        """What lies there."""
+        return points_at(self.view, self.planes, self.pixels)
 
     def stored(self) -> Sequence[ArrayLike]:
         """What no other keyframe has as well; sizes are products of three counts up to 25."""
-        return self.view.depth_m, self.planes, np.asarray(self.region_sizes, np.uint16)
+        return self.view.depth_m, self.planes, np.asarray(self.region_sizes, np.uint16), self.pixels
 
     def with_stored(self, arrays: Sequence[Any]) -> KeyframeDetail:
         """With those arrays, or without any."""
-        on_device: list[Any] = [one if one is None else jnp.asarray(one, jnp.float32) for one in arrays]
+        *images, pixels = arrays
+        on_device: list[Any] = [one if one is None else jnp.asarray(one, jnp.float32) for one in images]
         depth_m, planes, region_sizes = on_device
         view = replace(self.view, depth_m=depth_m)
-        return KeyframeDetail(view, planes, region_sizes, self.is_segmented)
+        return KeyframeDetail(view, planes, region_sizes, self.is_segmented, pixels)
 
     def with_plane_segments(self, noise: DepthNoise) -> KeyframeDetail:
         """The same with large planes as one each."""

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from recordings.types import Frame
+from slam import history
 from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
 from slam.keyframes.pages import PageFile
+from slam.keyframes.surfels import SurfelImage
+from slam.pose_graph.overlaps import KeyframeDetail
 from slam.result import SlamResult
 from slam.tracking import track
 from tests.slam import box_room
@@ -61,6 +64,34 @@ def test_a_killed_tracker_ends_with_the_same_bytes(
 
     assert len(seen) == len(frames)
     assert same(resumed, whole)
+
+
+def test_what_leaves_memory_changes_nothing(
+    key: jax.Array, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With room for one keyframe, and blocks of three frames, the same bytes."""
+    frames, config = walk_after_a_blank(7, seed), SlamConfig(particles=16)
+    whole = track(jax.random.clone(key), frames, box_room.INTRINSICS, config)
+    pages = PageFile()
+    for kind in (SurfelImage, KeyframeDetail):
+        monkeypatch.setattr(kind, "ROOM", 1)
+    monkeypatch.setattr(history, "FRAMES_AT_ONCE", 3)
+
+    assert same(track(jax.random.clone(key), frames, box_room.INTRINSICS, config, pages=pages), whole)
+    assert pages.size > 0
+
+
+def test_a_checkpoint_without_its_pages_is_refused(key: jax.Array, seed: int, tmp_path: Path) -> None:
+    """As where half of the file was lost."""
+    frames, pages = walk_after_a_blank(3, seed), PageFile()
+
+    def keep(checkpoint: Checkpoint) -> None:
+        checkpoint.save(tmp_path / "checkpoint")
+
+    track(key, frames, box_room.INTRINSICS, SlamConfig(particles=16), pages=pages, on_checkpoint=keep)
+
+    with pytest.raises(ValueError, match="pages"):
+        Checkpoint.load(tmp_path / "checkpoint", PageFile())
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"no archive"])

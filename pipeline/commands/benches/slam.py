@@ -29,6 +29,15 @@ from pipeline.peers import PEERS
     metavar="SD",
     help="Of the field, in 1/m, by which the inverse depths of each short run's camera err in all frames.",
 )
+@click.option(
+    "--hour",
+    "hour_frames",
+    type=click.IntRange(min=5000),
+    default=100_000,
+    show_default=True,
+    metavar="FRAMES",
+    help="Length of the film of twenty rooms, which --only hour alone tracks: it takes hours.",
+)
 @click.option("--only", metavar="TEXT", default="", help="Only the rows whose name has this in it.")
 @click.option(
     "--against",
@@ -54,6 +63,7 @@ def command(
     rooms: int,
     runs: int,
     distortion: float,
+    hour_frames: int,
     only: str,
     against: str,
     data: Path,
@@ -75,13 +85,15 @@ def command(
     from pipeline.benchmarks.slam import slam_rows
     from pipeline.benchmarks.slam_cases import real_rows, short_walk, synthetic_rows
     from pipeline.benchmarks.slam_coverage import ROW, coverage_row
+    from pipeline.benchmarks.slam_hour import ROW as HOUR_ROW
+    from pipeline.benchmarks.slam_hour import hour_row
     from pipeline.quiet_stdout import stdout_to_stderr
 
     peers = words("--against", against, PEERS)
     every = [*real_rows(data), *synthetic_rows(), *corridor_rows(), *moving_rows()]
     rows = [row for row in every if only in row.name]
-    counted = runs > 0 and only in ROW
-    if not rows and not counted:
+    counted, timed = runs > 0 and only in ROW, len(only) > 0 and only in HOUR_ROW
+    if not rows and not counted and not timed:
         raise PipelineError(f"--only {only}: no row has that in its name")
     talking = not (common.as_json or common.quiet)
     if talking:
@@ -99,6 +111,12 @@ def command(
         with common.progress("coverage", "runs") as progress, stdout_to_stderr():
             walk = partial(short_walk, distortion_per_m=distortion)
             measured.append(coverage_row(runs, common.seed, progress, walk))
+        if talking:
+            for cells in _cells(measured[-1]):
+                click.echo(_line(cells))
+    if timed:
+        with common.progress("hour", "frames") as progress, stdout_to_stderr():
+            measured.append(hour_row(hour_frames, common.seed, progress))
         if talking:
             for cells in _cells(measured[-1]):
                 click.echo(_line(cells))
@@ -124,6 +142,8 @@ def _cells(row: dict[str, Any]) -> list[list[str]]:
             [row["row"], "voxscene", shares, row["unit"], "", "", "", "", ""],
             [row["row"], "voxscene", f"{worst}; {far}", "", "", "", "", "", ""],
         ]
+    if "peak_mb" in row:
+        return [[row["row"], "voxscene", one, "", "", "", "", "", ""] for one in _hour_lines(row)]
     scale = 1000 if row["unit"].startswith("mm") else 100
     return [
         [
@@ -139,6 +159,15 @@ def _cells(row: dict[str, Any]) -> list[list[str]]:
         ]
         for name, figures in row["trackers"].items()
     ]
+
+
+def _hour_lines(row: dict[str, Any]) -> list[str]:
+    cost = f"{row['frames']} frames, {row['keyframes']} keyframes: at most {row['peak_mb']:.0f} MB"
+    kernels = f"{row['kernels_after_start']} kernels compiled after frame 1,000"
+    speed = f"the last tenth at {row['last_to_first_tenth']:.2f} of the first one's rate"
+    errors = " ".join(f"{name} {100 * row[f'{name}_m']:.1f}" for name in ("median", "worst", "end"))
+    told = f"told {100 * row['told_end_m']:.1f} at the end, {row['lost_frames']} lost"
+    return [f"{cost}; {kernels}; {speed}", f"cm off: {errors}; {told}"]
 
 
 def _line(cells: list[str]) -> str:

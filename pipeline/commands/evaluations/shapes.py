@@ -79,7 +79,7 @@ def _held_back(
 ) -> dict[str, Any]:
     from pipeline.config import build
     from pipeline.evaluation.held_back import held_back_errors, held_back_times
-    from pipeline.evaluation.trajectories import frames_at
+    from pipeline.evaluation.trajectories import FramesAt
     from recordings.options import ReadOptions
     from shapes.learning.config import LearnConfig
 
@@ -89,7 +89,8 @@ def _held_back(
     if not len(times_ns):
         raise PipelineError(f"{name} was learned from every frame; hold some back with -s learn.views=N")
     options = build(ReadOptions, settings.get("recording", {}), "recording")
-    found = held_back_errors(shape, *frames_at(recording, options, times_ns), slam)
+    frames = FramesAt(recording, options, times_ns)
+    found = held_back_errors(shape, frames, frames.intrinsics, slam)
     if not found.frames:
         raise PipelineError(f"no frame of {recording} that was held back shows {name}")
     return vars(found)

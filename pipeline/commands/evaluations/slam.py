@@ -134,16 +134,16 @@ def _run_peers(
     Raises:
         PipelineError: the recording is not the run's.
     """
-    from pipeline.evaluation.trajectories import frames_at, peer_runs
+    from pipeline.evaluation.trajectories import FramesAt, peer_runs
     from pipeline.quiet_stdout import stdout_to_stderr
 
     if source.suffix in ESTIMATES:
         raise PipelineError(f"peers need the frames: name the recording of {run_path} with --recording")
-    frames, intrinsics = frames_at(source, options, ours.times_ns)
+    frames = FramesAt(source, options, ours.times_ns)
     if len(frames) != len(ours.times_ns):
         raise PipelineError(f"{source} is not the recording that {run_path} was made from")
     with common.progress("peers", "peers") as progress, stdout_to_stderr():
-        return peer_runs(names, frames, intrinsics, ours, progress)
+        return peer_runs(names, frames, frames.intrinsics, ours, progress)
 
 
 def _peer_document(one: ComparedTrajectory | str) -> dict[str, Any]:

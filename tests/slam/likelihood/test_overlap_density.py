@@ -16,7 +16,8 @@ from slam.likelihood.overlap_density import (
     PlaneImage,
     PointSample,
     overlap_terms,
-    sample_points,
+    points_at,
+    sampled_pixels,
 )
 from tests.slam import box_room
 
@@ -31,7 +32,7 @@ def _keyframe(pose: np.ndarray, seed: int) -> tuple[PlaneImage, PointSample]:
     view = view_of_frame(box_room.frames(pose[None], seed=seed)[0], box_room.INTRINSICS, FINE_CANVAS)
     planes, sizes = region_planes(view, NOISE)
     planes = jnp.where((sizes > 0)[None], planes, 0.0)
-    return PlaneImage.of(view, planes), sample_points(view, planes, sizes)
+    return PlaneImage.of(view, planes), points_at(view, planes, sampled_pixels(np.asarray(sizes)))
 
 
 def _sigma(depth: np.ndarray) -> np.ndarray:
