@@ -43,7 +43,10 @@ class CheckpointKeeper:
 
     @contextmanager
     def pages(self) -> Iterator[BinaryIO | None]:
-        """A file beside it for what a stage has no room for in memory; None where it cannot be written."""
+        """A file beside it for what a stage has no room for in memory; None where it cannot be written.
+
+        Afterwards it stays only where a checkpoint, which is what refers to it, does.
+        """
         path = self._path.with_name(f"{self._path.name}{PAGES}")
         with ExitStack() as stack:
             file = None
@@ -51,7 +54,11 @@ class CheckpointKeeper:
                 file = stack.enter_context(
                     path.open("r+b" if path.exists() and self._path.exists() else "w+b")
                 )
-            yield file
+            try:
+                yield file
+            finally:
+                if not self._path.exists():
+                    path.unlink(missing_ok=True)
 
     def found(self, load: Callable[[Path], C]) -> C | None:
         """The checkpoint that was kept before, if there is one and it is whole."""
