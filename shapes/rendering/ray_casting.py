@@ -18,24 +18,14 @@ from shapes.geometry.camera import Camera
 from shapes.rendering.object_library import LEVELS, WORDS, ObjectLibrary, level_of, unpack, unpack_second
 from shapes.rendering.tiles import TILE, TILE_PIXELS
 
-MET = 0.3
-"""Voxels along the ray from the solid at which it is met: its planes are exact there to first order."""
-BEHIND = 1.0
-"""Voxels along the ray that a plane may lie behind a point of the solid to be where the ray came in."""
-NEAR = 2.0
-"""Voxels from the surface from which a ray steps onto the tangent plane."""
-SHALLOW = 0.3
-"""Least cosine to the normal with which such a step reckons: no further than 1 / SHALLOW distances."""
-SHALLOWEST = 0.1
-"""Least cosine with which the depth of a crossing is reckoned: planes of small voxels tell no less."""
-LONGEST = 1.5
-"""Longest step in distances to the surface, where no plane faces the ray."""
-LEAST = 0.3
-"""Shortest step in voxels, so that a ray gets away from a surface that it has passed."""
+PAST = 0.01
+"""Voxels by which a ray steps past the border of a voxel, so that it is in the next one."""
+CLEAR = 0.3
+"""Voxels by which the distance by a voxel's plane may overrate the way to the surface."""
+LEAST_RATE = 1e-6
+"""Voxels per metre: what is slower stands still."""
 SHORT = 0.25
 """Voxels before the surface at which rays that approach it stop, to look at both planes from there."""
-UNSEEN = 0.5
-"""Voxels between the empty balls round both ends of a step from which on a thin wall may lie there."""
 APPROACH_STEPS = 4
 """Looks at the nearest plane alone, which costs half, before those at both; three or six make it slower."""
 STEPS = (1, 6, 12, 24)
@@ -49,7 +39,7 @@ CONE_STEPS = 12
 CONE_SLACK = 0.3
 """Voxels by which a stored distance may overrate the true one."""
 
-VOXELS_PER_PIXEL = 2.0
+VOXELS_PER_PIXEL = 4.0
 """The chosen level of detail has so many voxels along a pixel's edge or more, where the object is nearest."""
 
 NEAREST_M = 1e-3
@@ -248,10 +238,10 @@ def advance(
 ) -> jax.Array:
     """Depths of pixels `number` of tiles after so many steps; negated where the surface is met, +inf beyond.
 
-    First by sphere tracing (Hart 1996), with the nearest plane alone, up to just before the surface. Then a
-    ray meets the solid behind the planes of its voxel, where it enters by one that faces it; so the two
-    sides of a wall thinner than a voxel are told apart. It goes back where a step has led through such a
-    wall, or where the empty balls round its ends do not touch; a ray that has met the surface stays there.
+    First by sphere tracing (Hart 1996), with the nearest plane alone, up to just before the surface. Then
+    from voxel to voxel (Amanatides and Woo 1987): the solid of a voxel is what lies in it behind its planes,
+    and the ray meets the first of these pieces that it enters, at its plane or at the voxel's border. So
+    what is rendered is one rigid shape, whatever the poses: where rays begin and stop decides nothing.
     """
     column, row = number % TILE, number // TILE
     direction = _direction(rays, column, row)
@@ -267,29 +257,20 @@ def advance(
         clear = jnp.abs(_plane_distance(_word(table, rays, point), point)[0])
         return depth + jnp.maximum(clear - SHORT, 0.0) * voxel_m
 
-    def look(_: int, march: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        depth, empty = march  # met surfaces have negated depths; nothing is before `empty` or `depth`
-        point = point_at(jnp.abs(depth))
+    def look(_: int, depth: jax.Array) -> jax.Array:
+        point = point_at(jnp.abs(depth))  # met surfaces have negated depths
         # computed once: the compiler would look them up again wherever one of them is used
         words = jax.lax.optimization_barrier(_words(table, rays, point))
-        distance, entered, left = _stay(words, point, direction, voxel_m)
-        clear = jnp.abs(distance) * voxel_m
-        known = entered > -BEHIND * voxel_m
-        inside = (entered < MET * voxel_m) & (left > 0)
-        gap = jnp.where(inside, LEAST, UNSEEN) * voxel_m + jnp.where(inside, 0.0, clear)
-        leapt = (depth - gap > empty) & ~(inside & known)
-        passed = (entered > -jnp.inf) & (entered < left) & (left <= 0) & (depth + left > empty)
-        onto = jnp.where(entered > 0, jnp.minimum(entered, clear / SHALLOW), LONGEST * clear)
-        step = jnp.maximum(jnp.where(clear < NEAR * voxel_m, onto, clear), LEAST * voxel_m)
-        middle = 0.5 * (jnp.maximum(entered, left - voxel_m) + left)
-        further = jnp.where(leapt, empty, depth + jnp.where(passed, middle, step))
-        hit = jnp.maximum(depth + jnp.where(known, entered, 0.0), NEAREST_M)
-        further = jnp.where(inside & ~leapt, -hit, further)
-        return jnp.where(depth < 0, depth, further), depth + clear
+        distance, first, last = _stay(words, point, direction)
+        border = _way_out(point, direction)
+        first, last = jnp.maximum(first, 0.0), jnp.minimum(last, border)
+        step = jnp.maximum(border + PAST * voxel_m, (distance - CLEAR) * voxel_m)
+        further = jnp.where(first < last, -jnp.maximum(depth + first, NEAREST_M), depth + step)
+        return jnp.where(depth < 0, depth, further)
 
     depth = jnp.maximum(depth, enter)
     depth = jax.lax.fori_loop(0, approach_steps, approach, depth)
-    depth, _ = jax.lax.fori_loop(0, steps, look, (depth, depth))
+    depth = jax.lax.fori_loop(0, steps, look, depth)
     # one array, computed once: three would each look at the voxel again
     return jax.lax.optimization_barrier(jnp.where(jnp.abs(depth) <= leave, depth, jnp.inf))
 
@@ -321,7 +302,7 @@ def _plane_distance(word: jax.Array, point: Vector) -> tuple[jax.Array, Vector]:
 
 
 def _stay(
-    words: Sequence[jax.Array], point: Vector, direction: Vector, voxel_m: jax.Array
+    words: Sequence[jax.Array], point: Vector, direction: Vector
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distance of a point from the nearest sheet in voxels, and a ray's stay in the solid of its voxel.
 
@@ -329,23 +310,30 @@ def _stay(
     rate a > 0, it is from s / a on, and behind one that it moves away from until then.
 
     Returns:
-        Distance, and the depths in metres from the point on at which the ray enters the solid, -inf where no
-        plane faces it and +inf where it misses the solid, and at which it leaves it.
+        Distance, and the depths in metres from the point on at which the ray enters the solid and leaves it;
+        in the other order where it misses it.
     """
     offset = [p - jnp.floor(p) - 0.5 for p in point]
-    least = SHALLOWEST / voxel_m
     enter, leave, distances = [], [], []
     for word, unpacked in zip(words, (unpack, unpack_second), strict=True):
         distance, *normal = unpacked(word)
         distance = distance + _dot(normal, offset)
         rate = -_dot(normal, direction)
         facing = rate > 0
-        crossing = distance / jnp.where(facing, jnp.maximum(rate, least), jnp.minimum(rate, -least))
+        crossing = distance / jnp.where(facing, jnp.maximum(rate, LEAST_RATE), jnp.minimum(rate, -LEAST_RATE))
         enter.append(jnp.where(facing, crossing, -jnp.inf))
         leave.append(jnp.where(facing, jnp.inf, crossing))
         distances.append(distance)
-    first, last = jnp.maximum(*enter), jnp.minimum(*leave)
-    return distances[0], jnp.where(first < last, first, jnp.inf), last
+    return distances[0], jnp.maximum(*enter), jnp.minimum(*leave)
+
+
+def _way_out(point: Vector, direction: Vector) -> jax.Array:
+    """Metres of depth from a point to where the ray leaves its voxel."""
+    ways = []
+    for p, d in zip(point, direction, strict=True):
+        ahead = jnp.where(d > 0, jnp.floor(p) + 1 - p, p - jnp.floor(p))
+        ways.append(ahead / jnp.maximum(jnp.abs(d), LEAST_RATE))
+    return jnp.minimum(jnp.minimum(*ways[:2]), ways[2])
 
 
 def _crossing(rays: Rays, direction: Vector) -> tuple[jax.Array, jax.Array]:

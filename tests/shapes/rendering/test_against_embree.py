@@ -85,10 +85,13 @@ def test_walls_thinner_than_a_voxel_are_where_they_are(shape, wall_mm: float) ->
 
 @pytest.mark.slow
 def test_the_21_ycb_shapes_render_as_by_embree(shared_data: Path) -> None:
-    """24 views each; one plane a voxel put up to 10.6% off, 5% in or out, and had 6.7 times the jumps."""
+    """24 views each; one plane a voxel put up to 10.6% off, 5% in or out, and had 6.7 times the jumps.
+
+    Measured: 0.69%, 1.09%, 1.20 times.
+    """
     rows = {name: compared(mesh, 24) for name, mesh in ycb(shared_data / "ycbv" / "models")}
 
     table = np.array(list(rows.values()))
-    assert table[:, 0].max() < 0.02, rows
+    assert table[:, 0].max() < 0.01, rows
     assert table[:, 1].max() < 0.015, rows
-    assert table[:, 2].sum() < 2.5 * table[:, 3].sum(), rows
+    assert table[:, 2].sum() < 1.5 * table[:, 3].sum(), rows

@@ -1,5 +1,7 @@
 """Rendered depth against Open3D's ray casting of the same mesh, and what must hold at the borders."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -66,6 +68,26 @@ def test_rays_do_not_leap_over_thin_walls(seed: int) -> None:
 
     missed = (truth & ~hit).sum() / truth.sum()
     assert missed < 0.04, f"{missed:.1%} of the bowl's pixels are missed"
+
+
+def test_what_is_rendered_does_not_depend_on_where_rays_begin(
+    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary], seed: int
+) -> None:
+    """A camera whose tiles begin one pixel further on sees the same: rays skip other lengths of free space.
+
+    At most 5 of 10,000 pixels differ by more than 1 mm, where a leap ends behind a sliver of the solid. Rays
+    that stopped near the first plane that they came to differed in 14 and 16 of them (cup, ring).
+    """
+    mesh, library = mesh_and_library
+    poses = random_views(np.random.default_rng(seed), mesh, 20)
+    height, width = INTRINSICS.height + 1, INTRINSICS.width + 1
+    aside = replace(INTRINSICS, cx=INTRINSICS.cx + 1, cy=INTRINSICS.cy + 1, width=width, height=height)
+
+    here = render(library, poses)
+    there = np.asarray(render_layers(library, posed(poses), cameras(aside), height, width))[:, 1:, 1:]
+
+    away = np.abs(np.where(np.isfinite(here), here, 10.0) - np.where(np.isfinite(there), there, 10.0))
+    assert (away > 0.001).sum() < 1e-3 * np.isfinite(here).sum()
 
 
 def test_what_the_camera_cannot_see_renders_as_nothing(
