@@ -20,8 +20,6 @@ from shapes.rendering.tiles import TILE, TILE_PIXELS
 
 PAST = 0.01
 """Voxels by which a ray steps past the border of a voxel, so that it is in the next one."""
-CLEAR = 0.3
-"""Voxels by which the distance by a voxel's plane may overrate the way to the surface."""
 LEAST_RATE = 1e-6
 """Voxels per metre: what is slower stands still."""
 SHORT = 0.25
@@ -36,8 +34,8 @@ SHRINKING = 8
 CONE_STEPS = 12
 """Steps of the coarse march of a tile's cone: speed."""
 
-CONE_SLACK = 0.3
-"""Voxels by which a stored distance may overrate the true one."""
+SLACK = 0.3
+"""Voxels by which the distance by a voxel's plane may overrate the true one."""
 
 VOXELS_PER_PIXEL = 4.0
 """The chosen level of detail has so many voxels along a pixel's edge or more, where the object is nearest."""
@@ -166,7 +164,7 @@ def free_depth(table: jax.Array, rays: Rays) -> jax.Array:
         outside = [p - q for p, q in zip(point, inside, strict=True)]
         beyond = jnp.sqrt(_dot(outside, outside))
         distance, _ = _plane_distance(_word(table, rays, inside), inside)
-        clearance = jnp.maximum(distance - beyond, beyond) - CONE_SLACK
+        clearance = jnp.maximum(distance - beyond, beyond) - SLACK
         return depth + jnp.maximum((clearance - depth * spread) * pace, 0.0)
 
     depth = jax.lax.fori_loop(0, CONE_STEPS, advance, rays.nearest_m)
@@ -264,7 +262,7 @@ def advance(
         distance, first, last = _stay(words, point, direction)
         border = _way_out(point, direction)
         first, last = jnp.maximum(first, 0.0), jnp.minimum(last, border)
-        step = jnp.maximum(border + PAST * voxel_m, (distance - CLEAR) * voxel_m)
+        step = jnp.maximum(border + PAST * voxel_m, (distance - SLACK) * voxel_m)
         further = jnp.where(first < last, -jnp.maximum(depth + first, NEAREST_M), depth + step)
         return jnp.where(depth < 0, depth, further)
 
