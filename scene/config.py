@@ -48,7 +48,7 @@ class ParseConfig:
         proposals: where the search's poses come from before they are refined: templates matched to observed
             `points`, convolution `masks`, or `both`, half and half.
         unknown_solids: whether boxes and cylinders of free size compete with what is asked for when presence
-            is told; it takes about as long as all the rest.
+            is told.
         exact: one object or two whose presence is computed exactly where they are not found: at rest on a
             support, or without one anywhere in the region.
         rounds: of renewed search on what is left unexplained.
@@ -86,7 +86,7 @@ class ParseConfig:
     gamma: float = 2.2
     presence: float = 0.9
     proposals: Literal["points", "masks", "both"] = "both"
-    unknown_solids: bool = False
+    unknown_solids: bool = True
     exact: tuple[str, ...] = ()
     rounds: int = 2
     pool: int = 48

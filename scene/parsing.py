@@ -129,6 +129,7 @@ def parse_scene(
     presence = presence_in_scene(
         rng,
         views,
+        number,
         densities,
         poses,
         world_from_camera,

@@ -56,42 +56,71 @@ class ObjectRenderer:
         """What `layers` runs."""
         nowhere = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (LAYERS, 1))
         _layers.lower(
-            self, np.zeros(LAYERS, np.int32), nowhere, window.camera, *window.depth_m.shape
+            self, window.camera, *window.depth_m.shape, np.zeros(LAYERS, np.int32), nowhere
         ).compile()
 
     def layers(
-        self, indices: NDArray[np.integer], poses: NDArray[np.floating], window: PixelWindow
+        self,
+        indices: NDArray[np.integer],
+        poses: NDArray[np.floating],
+        window: PixelWindow,
+        scales: NDArray[np.floating] | None = None,
     ) -> NDArray[np.float32]:
-        """Depth (n, H, W) of n objects alone in a window, at poses (n, 7) camera_from_box.
+        """Depth (n, H, W) of n objects alone in a window.
 
         `LAYERS` in a kernel, so that one kernel serves any number.
+
+        Args:
+            indices: (n,) of the objects.
+            poses: (n, 7) camera_from_box.
+            window: the pixels.
+            scales: (n, 3) by which objects are larger along the axes of their boxes, about their centres;
+                None: as they are.
         """
         parts = -(-len(indices) // LAYERS)
         every = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (parts * LAYERS, 1))
         every[: len(poses)] = poses
         which = np.resize(np.asarray(indices, np.int32), parts * LAYERS)
+        given = [which, every]
+        if scales is not None:
+            given.append(np.resize(np.asarray(scales, np.float32), (parts * LAYERS, 3)))
 
-        def rendered(part: tuple[NDArray[np.int32], NDArray[np.float32]]) -> NDArray[np.float32]:
-            return np.asarray(_layers(self, *part, window.camera, *window.depth_m.shape))
+        def rendered(part: tuple[NDArray, ...]) -> NDArray[np.float32]:
+            return np.asarray(_layers(self, window.camera, *window.depth_m.shape, *part))
 
-        depth = map_parallel(rendered, zip(np.split(which, parts), np.split(every, parts), strict=True))
+        depth = map_parallel(rendered, zip(*(np.split(leaf, parts) for leaf in given), strict=True))
         return np.concatenate(depth)[: len(indices)]
 
-    def posed(self, indices: jax.Array, poses: jax.Array, camera_index: jax.Array) -> PosedObjects:
-        """Objects at poses (n, 7) camera_from_box as the engine takes them."""
+    def posed(
+        self,
+        indices: jax.Array,
+        poses: jax.Array,
+        camera_index: jax.Array,
+        scales: jax.Array | None = None,
+    ) -> PosedObjects:
+        """Objects at poses (n, 7) camera_from_box, of scales (n, 3), as the engine takes them."""
 
-        def matrix(index: jax.Array, pose: jax.Array) -> jax.Array:
-            back = jaxlie.SE3.from_translation(-self.centres_m[index])
+        def matrix(pose: jax.Array, centre_m: jax.Array) -> jax.Array:
+            back = jaxlie.SE3.from_translation(-centre_m)
             return (jaxlie.SE3(pose.astype(jnp.float32)) @ back).as_matrix()
 
         indices = indices.astype(jnp.int32)
-        return PosedObjects(indices, jax.vmap(matrix)(indices, poses), camera_index.astype(jnp.int32))
+        centres_m = self.centres_m[indices]
+        centres_m = centres_m if scales is None else scales * centres_m
+        matrices = jax.vmap(matrix)(poses, centres_m)
+        return PosedObjects(indices, matrices, camera_index.astype(jnp.int32), scales)
 
 
 @partial(jax.jit, static_argnames=("height", "width"))
 def _layers(
-    renderer: ObjectRenderer, indices: jax.Array, poses: jax.Array, camera: Camera, height: int, width: int
+    renderer: ObjectRenderer,
+    camera: Camera,
+    height: int,
+    width: int,
+    indices: jax.Array,
+    poses: jax.Array,
+    scales: jax.Array | None = None,
 ) -> jax.Array:
-    posed = renderer.posed(indices, poses, jnp.zeros(len(indices), jnp.int32))
+    posed = renderer.posed(indices, poses, jnp.zeros(len(indices), jnp.int32), scales)
     cameras = jax.tree.map(lambda leaf: leaf[None], camera)
     return render_layers(renderer.library, posed, cameras, height, width)

@@ -267,16 +267,29 @@ def _table(members: NDArray[np.float64]) -> SupportPlane:
 def _rectangle(
     members: NDArray[np.float64], middle: NDArray[np.float64], normal: NDArray[np.float64]
 ) -> SupportPlane:
+    """The plane through a point with a normal, as far as its members (N, 3) reach."""
+    rotation, centre, half = least_rectangle(members, middle, normal)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, centre
+    return SupportPlane(camera_from_table=pose, half_size_m=half, bend=np.zeros(6))
+
+
+def least_rectangle(
+    members: NDArray[np.float64], middle: NDArray[np.float64], normal: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """The least rectangle in the plane through a point with a normal that holds nearly all members (N, 3).
 
-    Its sides are along the camera's but for the turn that makes it least: a square top seen over a corner
+    Its sides are along the frame's but for the turn that makes it least: a square top seen over a corner
     fills half of the rectangle that is not turned.
+
+    Returns:
+        Axes (3, 3) as columns, the last one the normal, middle (3,) and half sizes (2,).
     """
     right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     if np.linalg.norm(right) < 0.1:
         right = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
     right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(normal, right), normal], axis=1)
+    rotation = np.stack([right, np.cross(normal, right), normal], axis=1).astype(np.float64)
     flat = (members - middle) @ rotation[:, :2]
     turns = np.linspace(-np.pi / 4, np.pi / 4, TURNS, endpoint=False)
     across = flat @ np.stack([np.cos(turns), np.sin(turns)])
@@ -286,10 +299,7 @@ def _rectangle(
     (low, high), turn = (lows[:, best], highs[:, best]), turns[best]
     about = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
     rotation = rotation @ about
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    pose[:3, 3] = middle + rotation[:, :2] @ ((low + high) / 2)
-    return SupportPlane(camera_from_table=pose, half_size_m=(high - low) / 2, bend=np.zeros(6))
+    return rotation, np.asarray(middle + rotation[:, :2] @ ((low + high) / 2)), (high - low) / 2
 
 
 def _settled(table: SupportPlane, points_m: NDArray[np.floating]) -> SupportPlane:

@@ -7,7 +7,7 @@ a board, as the back of a seat.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,7 +96,11 @@ def pieces_on(
     )
     lies_in = inside & (np.abs(heights_m) < LOWEST_M)
     shown = (points_m[..., 2] != NO_RETURN) & ~surface & ~lies_in.any(axis=0)
-    number = _connected(points_m, shown)
+
+    def near(one: tuple[slice, ...], other: tuple[slice, ...]) -> NDArray[np.bool_]:
+        return np.linalg.norm(points_m[one] - points_m[other], axis=-1) < SAME_SURFACE_M
+
+    number = connected(shown, near)
     count = int(number.max(initial=-1)) + 1
     over = np.stack([is_over(one, points_m) for one in supports])
     owner = np.where(over.any(axis=0), np.where(over, heights_m, np.inf).argmin(axis=0), -1)
@@ -115,13 +119,20 @@ def pieces_on(
     return Pieces(number, support, furniture, np.linalg.norm(sides_m, axis=1), pixels)
 
 
-def _connected(points_m: NDArray[np.float64], shown: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The piece (H, W) of each pixel that is shown, -1 elsewhere; neighbours join within SAME_SURFACE_M."""
+def connected(
+    shown: NDArray[np.bool_],
+    is_joined: Callable[[tuple[slice, ...], tuple[slice, ...]], NDArray[np.bool_]],
+) -> NDArray[np.intp]:
+    """The piece (H, W) of each pixel that is shown (H, W), -1 elsewhere.
+
+    Args:
+        shown: which pixels belong to pieces.
+        is_joined: which pixels of one part of the image belong to the piece of their neighbours in the other.
+    """
     places = np.cumsum(shown).reshape(shown.shape) - 1
     ends = []
-    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        near = np.linalg.norm(points_m[one] - points_m[other], axis=-1) < SAME_SURFACE_M
-        joined = shown[one] & shown[other] & near
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
+        joined = shown[one] & shown[other] & is_joined(one, other)
         ends.append((places[one][joined], places[other][joined]))
     rows, columns = (np.concatenate(each) for each in zip(*ends, strict=True))
     count = int(shown.sum())

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from itertools import permutations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import softmax
 
-from scene.mcmc.mixture_init import of_points, own_components
-from scene.mcmc.pose_mixture import PoseMixture
-from scene.mcmc.symmetry_arrays import SpinLines
 from scene.presence.depth_candidates import PresenceFrames
-from scene.presence.gaussian_fits import climbed, fitted
+from scene.presence.gaussian_fits import Fits, climbed, face_factors, fitted
 from scene.presence.pose_priors import PosePriors
+from scene.presence.size_prior import SizePrior, free_sizes
 from scene.presence.solids import (
     FREE_OF_CYLINDERS,
     GREATEST_M,
@@ -22,114 +23,156 @@ from scene.presence.solids import (
     SolidFits,
     log_sizes_density,
     tied,
-    upright,
 )
-from scene.search.importance_sampling import FIRST_SIGMA, LEAST_SIGMA, MODES, apart
+from scene.presence.state_mixture import StateMixture
+from scene.search.importance_sampling import LEAST_SIGMA, apart
 from scene.search.search_result import Initialisation
 
 LEAST_DENSITY = 1e-30
 """Of the prior where it excludes a pose: what is fitted may still come to where it does not."""
 
-SOLID_M, SOLID_RAD, LEAST_SIZE = 0.002, 0.015, 0.002
-"""First standard deviations of a solid's place and sizes, and of its turn; least one of the logs of sizes."""
+LEAST_SIZE = 0.002
+"""Least standard deviation of the logs of sizes, as that of places."""
 
-CLIMBS, SOLID_TURNS, SOLID_DRAWS = 10, 2, 32
-"""Turns of climbing to a solid's best place, and of the fit there with its draws."""
+CLIMBS, SOLID_CLIMBS = 4, 8
+"""Turns of climbing to the best place of an object, which was found nearly, and to that of a solid."""
 
 UNFREE = 1e-6
 """Of steps that change nothing."""
 
-NEAR_M, NEAR_RAD = 0.002, 0.02
-"""First standard deviations round states of chains."""
+NEAR, FAR = np.repeat([0.002, 0.02], [6, 3]), np.repeat([0.006, 0.06], [6, 3])
+"""First steps of faces (metres) and turns (radians) round states of chains and of the search, and round
+proposed solids, which are fitted to points: a pixel at a metre. With steps of 2 cm the search leaves a good
+start."""
 
-DRAWS, TURNS = 20, 2
-"""Of a site; a third of what refinement takes, whose Gaussians start chains."""
+DRAWS, TURNS = 48, 2
+"""Of a site, and turns of fitting: a covariance in nine dimensions then rests on thirty effective draws."""
+
+TRUST, EVEN = 0.5, 0.2
+"""Power of the Gaussians' masses among their weights, and the share of these that is the same for all: what
+an object explains alone is not what it explains among others."""
+
+SPINS, SPIN_WIDTH = 6, 0.6
+"""Gaussians round the circle of what is round, and their standard deviation over the step between them: their
+sum is then even to 1%."""
 
 
-def sites_of(start: Initialisation, one: int, count: int) -> NDArray[np.float64]:
-    """Poses (count, 7) camera_from_box where an object may be that was not found.
+def sites_of(start: Initialisation, one: int, most: int) -> NDArray[np.float64]:
+    """Poses (S, 7) camera_from_box, at most so many, where an object may be that was not found.
 
     Where the search would put it were it there, where it explains most alone, and the next such places.
     """
     pool = start.pools[one]
     ranked = pool[np.argsort(-start.log_alone[one, : len(pool)], kind="stable")]
-    sites = start.rivals[one][None]
-    for pose in ranked:
-        if len(sites) == count:
-            break
-        if apart(pose, sites, 1.0).all():
+    return distinct(np.concatenate([start.rivals[one][None], ranked]))[:most]
+
+
+def distinct(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Those of poses (S, 7) that are apart from all before."""
+    sites = poses[:1]
+    for pose in poses[1:]:
+        if apart(pose, sites, 0.5).all():
             sites = np.append(sites, pose[None], axis=0)
-    return np.resize(sites, (count, 7))
+    return sites
 
 
 def born_near(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    sites: NDArray[np.float64],
-    lines: SpinLines,
-    sampled: NDArray[np.bool_],
-) -> PoseMixture:
-    """Mixtures of objects round sites (N, S, 7) world_from_box.
+    sites: Sequence[NDArray[np.float64]],
+    lines: NDArray[np.float64],
+    found: NDArray[np.bool_],
+) -> StateMixture:
+    """Mixtures of objects round sites (S, 7) world_from_box of each.
 
-    Gaussians are fitted to what the object explains there alone, by importance sampling in some turns.
+    Gaussians are fitted to what the object explains there beside the others that were found, if it is one of
+    these; else alone, for it may be in their place.
 
     Args:
         rng: random numbers.
         frames: what is seen.
-        priors: of poses.
-        sites: where they may be.
-        lines: about which they are round.
-        sampled: (N,) whether the sites are where chains ended, so that Gaussians begin narrow.
+        priors: of poses and sizes.
+        sites: where each of N objects may be, one or more.
+        lines: (N, 2, 3) direction and point of the lines about which they are round, zeros without one.
+        found: (N,) whether the search found them, at the first of their sites.
     """
-    owners = np.repeat(np.arange(len(sites)), sites.shape[1])
+    owners = np.repeat(np.arange(len(sites)), [len(one) for one in sites])
+    sizes = priors.sizes
+    front_m, front_gain = _others(rng, frames, sizes, sites, found)
 
-    def log_density(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        _, gain = frames.shown(rng, np.repeat(owners, poses.shape[1]), poses.reshape(-1, 7))
-        log_alone = gain.sum(axis=1, dtype=np.float64).reshape(poses.shape[:2])
-        half_m = np.repeat(priors.half_m[owners][:, None], poses.shape[1], axis=1)
-        return log_alone + np.log(np.maximum(priors.alone(poses, half_m), LEAST_DENSITY))
+    def log_density(states: NDArray[np.float64]) -> NDArray[np.float64]:
+        states = sizes.tied(states, owners)
+        each = np.repeat(owners, states.shape[1])
+        depth_m, gain = frames.shown(rng, each, states.reshape(-1, 10))
+        gain = np.where(depth_m < front_m[each], gain - front_gain[each], 0.0)
+        log_alone = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
+        log_prior = priors.alone(states[..., :7], np.exp(states[..., 7:]))
+        log_size = sizes.log_density(states[..., 7:], owners)
+        return log_alone + np.log(np.maximum(log_prior, LEAST_DENSITY)) + log_size
 
-    first = np.where(sampled[owners, None], np.repeat([NEAR_M, NEAR_RAD], 3), FIRST_SIGMA)
-    wide = first[:, :, None] * np.eye(6)
-    centres, factors = fitted(rng, log_density, sites.reshape(-1, 7), wide, LEAST_SIGMA, TURNS, DRAWS)
-    return _mixture(centres, factors, lines, sites.shape[1])
+    centres = np.concatenate([np.concatenate(sites), sizes.log_half[owners]], axis=1)
+    centres = sizes.tied(climbed(log_density, centres, NEAR, CLIMBS)[:, None], owners)[:, 0]
+    factors = face_factors(log_density, centres)
+    free = np.concatenate([np.ones((len(owners), 6), bool), free_sizes(sizes.ties)[owners]], axis=1)
+    least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
+    fits = fitted(rng, log_density, centres, factors, least, TURNS, DRAWS)
+    fits = replace(fits, centres=sizes.tied(fits.centres[:, None], owners)[:, 0])
+    return _mixture(fits, owners, lines, sizes)
+
+
+def _others(
+    rng: np.random.Generator,
+    frames: PresenceFrames,
+    sizes: SizePrior,
+    sites: Sequence[NDArray[np.float64]],
+    found: NDArray[np.bool_],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Depth and log gain (N, X) of what stands beside each of the objects found; +inf and 0 of the rest."""
+    present = np.flatnonzero(found)
+    first = [np.append(sites[one][0], sizes.log_half[one]) for one in present.tolist()]
+    states = np.array(first).reshape(-1, 10)
+    depth_m, gain = frames.shown(rng, present, states)
+    front_m = np.full((len(found), depth_m.shape[1]), np.inf, np.float32)
+    front_gain = np.zeros_like(front_m)
+    for one, other in permutations(range(len(present)), 2):
+        nearer = depth_m[other] < front_m[present[one]]
+        front_m[present[one], nearer] = depth_m[other, nearer]
+        front_gain[present[one], nearer] = gain[other, nearer]
+    return front_m, front_gain
 
 
 def solids_near(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    boxes: NDArray[np.float64],
-    axes: NDArray[np.integer],
+    starts: NDArray[np.float64],
+    is_round: NDArray[np.bool_],
 ) -> SolidFits:
-    """Unknown solids in the places of objects: what else might be seen there.
+    """Unknown solids round proposed ones.
 
     Args:
         rng: random numbers.
         frames: what is seen.
         priors: of poses.
-        boxes: (n, 10) world_from_box and logs of half sizes of the objects' boxes.
-        axes: (n,) the box axis about which each is round: then a cylinder stands there; -1 of others: a box.
+        starts: (n, 10) world_from_solid and logs of half sizes.
+        is_round: (n,) which are cylinders.
     """
-    starts = upright(boxes, axes)
+    starts = tied(starts[:, None], is_round)[:, 0]
     starts[:, 7:] = np.clip(starts[:, 7:], np.log(LEAST_M), np.log(GREATEST_M))
     centres, factors = np.zeros_like(starts), np.zeros((len(starts), 9, 9))
     for kind in (False, True):
-        mine = np.flatnonzero((axes >= 0) == kind)
+        mine = np.flatnonzero(is_round == kind)
         if len(mine):
             log_density = partial(_log_alone, frames, priors, kind)
-            best = climbed(log_density, starts[mine], CLIMBS)
+            best = climbed(log_density, starts[mine], FAR, SOLID_CLIMBS)
             free = FREE_OF_CYLINDERS if kind else np.ones(9)
-            sizes = np.maximum(np.exp(best[:, 7:]), LEAST_M)
-            first = np.tile(np.repeat([SOLID_M, SOLID_RAD], 3), (len(mine), 1))
-            first = np.where(free, np.concatenate([first, SOLID_M / sizes], axis=1), UNFREE)
+            factor = face_factors(log_density, best)
             least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
-            wide = first[:, :, None] * np.eye(9)
-            found = fitted(rng, log_density, best, wide, least, SOLID_TURNS, SOLID_DRAWS)
-            centres[mine], factors[mine] = found
-    centres = tied(centres[:, None], axes >= 0)[:, 0]
-    return SolidFits(is_round=axes >= 0, centres=centres, factors=factors)
+            found = fitted(rng, log_density, best, factor, least, TURNS, DRAWS)
+            centres[mine], factors[mine] = found.centres, found.factors
+    centres = tied(centres[:, None], is_round)[:, 0]
+    return SolidFits(is_round=is_round, centres=centres, factors=factors)
 
 
 def _log_alone(
@@ -146,17 +189,54 @@ def _log_alone(
 
 
 def _mixture(
-    centres: NDArray[np.float64], factors: NDArray[np.float64], lines: SpinLines, sites: int
-) -> PoseMixture:
-    """Mixtures of objects with so many Gaussians each, of round ones spun round the circle."""
-    count = len(centres) // sites
-    even = np.full((len(centres), MODES), -np.log(MODES))
-    at, spread = (
-        np.repeat(part[:, None], MODES, axis=1) for part in (centres, factors @ np.swapaxes(factors, 1, 2))
+    fits: Fits, owners: NDArray[np.intp], lines: NDArray[np.float64], sizes: SizePrior
+) -> StateMixture:
+    """Mixtures of objects, with Gaussians (n,) of objects `owners`, and of round ones also spun ones."""
+    parts = [_components(fits, np.flatnonzero(owners == one), line) for one, line in enumerate(lines)]
+    most = max(len(weights) for weights, *_ in parts)
+    log_weights = np.full((len(lines), most), -np.inf)
+    centres, factors = np.zeros((len(lines), most, 10)), np.zeros((len(lines), most, 9, 9))
+    centres[..., 0], factors[:] = 1.0, np.eye(9)
+    fixed = np.concatenate([np.zeros((len(lines), 6), bool), ~free_sizes(sizes.ties)], axis=1)
+    for one, (weights, means, covariances) in enumerate(parts):
+        log_weights[one, : len(weights)] = np.log(weights)
+        centres[one, : len(weights)] = means
+        covariances[:, fixed[one]] = covariances[:, :, fixed[one]] = 0.0
+        covariances[:, fixed[one], fixed[one]] = 1.0
+        factors[one, : len(weights)] = np.linalg.cholesky(covariances)
+    return StateMixture(
+        log_weights=log_weights, centres=centres, factors=factors, points_m=lines[:, 1], ties=sizes.ties
     )
-    with jax.enable_x64(True):
-        each = jax.tree.map(lambda leaf: jnp.repeat(leaf, sites, axis=0), lines)
-        about = jax.vmap(of_points)(jnp.asarray(spread), jnp.asarray(at), each.points_m)
-        parts = jax.vmap(own_components)(jnp.asarray(even), jnp.asarray(at), about, each)
-        log_weights, means, covariances = (leaf.reshape(count, -1, *leaf.shape[2:]) for leaf in parts)
-        return PoseMixture.build(log_weights, means, covariances, lines.points_m)
+
+
+def _components(
+    fits: Fits, mine: NDArray[np.intp], line: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Weights (C,), centres (C, 10) and covariances (C, 9, 9) of the Gaussians of one object."""
+    masses = fits.log_masses[mine]
+    weights = (1 - EVEN) * softmax(TRUST * masses) + EVEN / len(mine)
+    centres, factors = fits.centres[mine], fits.factors[mine]
+    rotations = Rotation.from_quat(centres[:, :4], scalar_first=True).as_matrix()
+    change = np.tile(np.eye(9), (len(mine), 1, 1))  # offsets are those of the line's point
+    change[:, :3, 3:6] = -rotations @ np.cross(line[1], np.eye(3)).T
+    covariances = change @ factors @ np.swapaxes(factors, 1, 2) @ np.swapaxes(change, 1, 2)
+    if not line[0].any():
+        return weights, centres, covariances
+    angles = 2 * np.pi * np.arange(SPINS) / SPINS
+    turns = Rotation.from_rotvec(angles[:, None] * line[0]).as_matrix()
+    spun = np.repeat(centres[:, None], SPINS, axis=1)
+    turned = rotations[:, None] @ turns
+    spun[..., :4] = (
+        Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(len(mine), SPINS, 4)
+    )
+    spun[..., 4:7] += (rotations @ line[1])[:, None] - turned @ line[1]
+    about = np.tile(np.eye(9), (SPINS, 1, 1))
+    about[:, 3:6, 3:6] = np.swapaxes(turns, 1, 2)
+    wide = about @ covariances[:, None] @ np.swapaxes(about, 1, 2)
+    wide[..., 3:6, 3:6] += (SPIN_WIDTH * 2 * np.pi / SPINS) ** 2 * np.outer(line[0], line[0])
+    half = 0.5 * weights
+    return (
+        np.concatenate([half, np.repeat(half / SPINS, SPINS)]),
+        np.concatenate([centres, spun.reshape(-1, 10)]),
+        np.concatenate([covariances, wide.reshape(-1, 9, 9)]),
+    )

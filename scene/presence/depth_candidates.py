@@ -35,7 +35,7 @@ class PresenceFrames:
         densities: of their windows.
         camera_from_world: (F, 4, 4).
         renderer: of the N objects' shapes, or of S draws of each, draw after draw.
-        objects: N.
+        log_half: (N, 3) logs of half sizes of the objects' boxes.
         draws: S.
         colours: of one of the frames and its number, where colours are compared.
         colour_weight: exponent of their factor.
@@ -45,7 +45,7 @@ class PresenceFrames:
     densities: Sequence[PixelDensity]
     camera_from_world: NDArray[np.float64]
     renderer: ObjectRenderer
-    objects: int
+    log_half: NDArray[np.float64]
     draws: int
     colours: tuple[int, ColourLayers] | None
     colour_weight: float
@@ -57,7 +57,7 @@ class PresenceFrames:
         densities: Sequence[PixelDensity],
         camera_from_world: NDArray[np.float64],
         renderer: ObjectRenderer,
-        objects: int,
+        log_half: NDArray[np.float64],
         colours: tuple[int, ColourLayers] | None,
         colour_weight: float,
     ) -> PresenceFrames:
@@ -67,27 +67,26 @@ class PresenceFrames:
             densities=densities,
             camera_from_world=camera_from_world,
             renderer=renderer,
-            objects=objects,
-            draws=len(renderer.library) // objects,
+            log_half=log_half,
+            draws=len(renderer.library) // len(log_half),
             colours=colours,
             colour_weight=colour_weight,
         )
 
-    @property
-    def pixels(self) -> int:
-        """Of all frames."""
-        return sum(one.window.depth_m.size for one in self.views)
-
     def shown(
-        self, rng: np.random.Generator, slots: NDArray[np.integer], poses: NDArray[np.float64]
+        self, rng: np.random.Generator, slots: NDArray[np.integer], states: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and log gain (n, X) of slots (n,) at poses (n, 7) world_from_box, each of a drawn shape."""
-        numbers = rng.integers(self.draws, size=len(slots)) * self.objects + slots
+        """Depth and log gain (n, X) of slots (n,) in states (n, 10), each of a drawn shape.
+
+        A state is world_from_box and logs of half sizes.
+        """
+        numbers = rng.integers(self.draws, size=len(slots)) * len(self.log_half) + slots
+        scales = np.exp(states[:, 7:] - self.log_half[slots])
 
         def in_frame(
             frame: int, in_camera: NDArray[np.float64]
         ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            layers_m = self.renderer.layers(numbers, in_camera, self.views[frame].window)
+            layers_m = self.renderer.layers(numbers, in_camera, self.views[frame].window, scales)
             depth_m, gain = self._weighed(frame, layers_m)
             if self.colours and self.colours[0] == frame:
                 factors = self.colours[1].log_factors(slots, in_camera, layers_m)
@@ -95,7 +94,7 @@ class PresenceFrames:
                 gain = gain + np.where(shown, self.colour_weight * np.asarray(factors), 0)
             return depth_m, gain
 
-        return self._in_all_frames(poses, in_frame)
+        return self._in_all_frames(states[:, :7], in_frame)
 
     def shown_solids(
         self, states: NDArray[np.float64], is_round: NDArray[np.bool_]
@@ -188,7 +187,7 @@ def candidates_of(
     """
     slots, count = log_offered.shape
     asked = slots - len(is_round)
-    seen = [frames.shown(rng, np.repeat(np.arange(asked), count), states[:asked, :, :7].reshape(-1, 7))]
+    seen = [frames.shown(rng, np.repeat(np.arange(asked), count), states[:asked].reshape(-1, 10))]
     if len(is_round):
         seen.append(frames.shown_solids(states[asked:].reshape(-1, 10), np.repeat(is_round, count)))
     depth_m, gain = (np.concatenate(leaves) for leaves in zip(*seen, strict=True))
@@ -196,7 +195,10 @@ def candidates_of(
         slot_layers(depth_m[first : first + count], gain[first : first + count])
         for first in range(0, slots * count, count)
     ]
-    log_rate = log_sizes_density(states[asked:, :, 7:], is_round[:, None])
-    prior = priors.of(states[..., :7], np.exp(states[..., 7:]), log_rate)
+    log_sizes = priors.sizes.log_density(states[:asked, :, 7:], np.arange(asked))
+    log_solids = log_sizes_density(states[asked:, :, 7:], is_round[:, None])
+    prior = priors.of(
+        states[..., :7], np.exp(states[..., 7:]), np.concatenate([log_sizes, log_solids]), asked
+    )
     log_hidden = np.append(log_hidden, np.full(len(is_round), -np.inf))
-    return Candidates(layers, log_offered, prior, log_hidden, frames.pixels)
+    return Candidates(layers, log_offered, prior, log_hidden)

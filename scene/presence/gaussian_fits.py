@@ -1,21 +1,48 @@
-"""Gaussians fitted by adaptive importance sampling (population Monte Carlo, Cappe et al. 2004)."""
+"""Gaussians fitted by adaptive multiple importance sampling (Cornuet, Marin, Mira and Robert 2012)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 
 from scene.search.importance_sampling import WIDER, tempered
 
-FACE_M, TURN_RAD = (0.02, 0.0005), (0.06, 0.002)
-"""First and least steps of a solid's faces and of its turns, ..."""
+ALIVE = 1 / 3
+"""Effective number of draws to which weights are tempered, over the draws of a turn."""
+
+LEAST_STEPS = np.repeat([0.0005, 0.002], [6, 3])
+"""Least steps of a box's faces (metres) and of its turns (radians) in a search, ..."""
 LONGER, SHORTER, FURTHEST = 1.3, 0.5, 2.0
 """... which grow where they lead up and shrink where they do not; most steps to the top of a parabola."""
+FIRST_WIDTHS = np.repeat([0.002, 0.02], [6, 3])
+"""Standard deviations of faces and turns that are tried first where the curvature is sought, ..."""
+WIDTHS_TRIED, LEAST_FALL = 3, 0.05
+"""... how often they are corrected to where the density falls by half a nat, by a tenth at least of what it
+falls, so that one that hardly falls grows threefold, ..."""
+LEAST_WIDTHS, LARGEST_WIDTHS = np.repeat([2e-4, 1e-3], [6, 3]), np.repeat([0.02, 0.3], [6, 3])
+"""... and their bounds: what pixels tell, and what a hand's breadth leaves open."""
 FLATTEST, THINNER = 1e-9, 0.2
 """Least curvature, and least share of a half size that a step leaves."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fits:
+    """n Gaussians.
+
+    Attributes:
+        centres: (n, 7 + D) states.
+        factors: (n, 6 + D, 6 + D) lower factors of offsets in the world, turns on the right, other numbers.
+        log_masses: (n,) log integrals of what they are fitted to, as the draws tell them.
+    """
+
+    centres: NDArray[np.float64]
+    factors: NDArray[np.float64]
+    log_masses: NDArray[np.float64]
 
 
 def fitted(
@@ -26,44 +53,67 @@ def fitted(
     least: NDArray[np.float64],
     turns: int,
     draws: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres (n, 7 + D) and lower factors (n, 6 + D, 6 + D) of the Gaussians, all fitted side by side.
+) -> Fits:
+    """Gaussians, all fitted side by side, each in steps from where it began.
 
     Args:
         rng: random numbers.
         log_density: of states (n, S, 7 + D), (n, S).
         centres: first ones: poses, then D other numbers.
-        factors: first ones, of offsets in the world, turns of the box, the other numbers.
-        least: (6 + D,) standard deviations that are added.
+        factors: first ones.
+        least: (n, 6 + D) or (6 + D,) standard deviations that are added.
         turns: of fitting.
-        draws: S, of a Gaussian in each; a third of them stay alive when weights are tempered.
+        draws: of a Gaussian in each; all turns' draws count in all fits to come.
     """
+    means, size = np.zeros(factors.shape[:2]), factors.shape[1]
+    steps, log_target = np.zeros((len(centres), 0, size)), np.zeros((len(centres), 0))
+    offered: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    log_weights = log_target
     for _ in range(turns):
-        normal = rng.standard_normal((len(centres), draws, factors.shape[1]))
-        normal[:, 0] = 0.0
-        steps = np.einsum("nij,nsj->nsi", factors, normal)
-        log_weights = log_density(moved(centres, steps)) + 0.5 * (normal**2).sum(axis=-1)
-        weights = np.stack([tempered(one, draws / 3) for one in log_weights])
+        offered.append((means, factors))
+        normal = rng.standard_normal((len(centres), draws, size))
+        fresh = means[:, None] + np.einsum("nij,nsj->nsi", factors, normal)
+        steps = np.concatenate([steps, fresh], axis=1)
+        log_target = np.concatenate([log_target, log_density(moved(centres, fresh))], axis=1)
+        log_offered = np.stack([_log_normal(steps, *one) for one in offered])
+        log_weights = log_target - (logsumexp(log_offered, axis=0) - np.log(len(offered)))
+        weights = np.stack([tempered(one, draws * ALIVE) for one in log_weights])
         means = np.einsum("ns,nsi->ni", weights, steps)
         spread = steps - means[:, None]
-        covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread) + np.diag(least**2)
-        centres = moved(centres, means[:, None])[:, 0]
+        covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread)
+        covariances[:, np.arange(size), np.arange(size)] += least**2
         factors = WIDER * np.linalg.cholesky(covariances)
-    return centres, factors
+    masses = logsumexp(log_weights, axis=1) - np.log(log_weights.shape[1])
+    return Fits(centres=moved(centres, means[:, None])[:, 0], factors=factors, log_masses=masses)
+
+
+def _log_normal(
+    steps: NDArray[np.float64], means: NDArray[np.float64], factors: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Log densities (n, S) of steps (n, S, d) under Gaussians: means (n, d), lower factors (n, d, d)."""
+    white = np.linalg.solve(factors, np.swapaxes(steps - means[:, None], 1, 2))
+    log_volume = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+    return -0.5 * (white**2).sum(axis=1) - (log_volume + 0.5 * means.shape[1] * np.log(2 * np.pi))[:, None]
 
 
 def climbed(
     log_density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     solids: NDArray[np.float64],
+    first: NDArray[np.float64],
     turns: int,
 ) -> NDArray[np.float64]:
-    """The densest solids (n, 10), poses and logs of half sizes, that are met on the way up.
+    """The densest boxes (n, 10), poses and logs of half sizes, that are met on the way up.
 
     A pattern search (Hooke and Jeeves 1961): each turn every face and every turn is moved either way; what
     leads up is then tried together, as far as the parabolas through three points say.
+
+    Args:
+        log_density: of states (n, S, 10), (n, S).
+        solids: where the search begins.
+        first: (9,) first steps of the faces, as `reshaped` takes them, and of the turns.
+        turns: of the search.
     """
-    steps = np.tile(np.repeat([FACE_M[0], TURN_RAD[0]], [6, 3]), (len(solids), 1))
-    least = np.repeat([FACE_M[1], TURN_RAD[1]], [6, 3])
+    steps = np.tile(first, (len(solids), 1))
     best, value = solids, log_density(solids[:, None])[:, 0]
     for _ in range(turns):
         probes = steps[:, None] * np.concatenate([np.eye(9), -np.eye(9)])
@@ -81,8 +131,34 @@ def climbed(
         values = np.concatenate([value[:, None], values, log_density(combined)], axis=1)
         chosen = np.arange(len(solids)), values.argmax(axis=1)
         best, value = options[chosen], values[chosen]
-        steps = np.clip(steps * np.where(leads_up, LONGER, SHORTER), least, np.inf)
+        steps = np.maximum(steps * np.where(leads_up, LONGER, SHORTER), LEAST_STEPS)
     return best
+
+
+def face_factors(
+    log_density: Callable[[NDArray[np.float64]], NDArray[np.float64]], boxes: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Lower factors (n, 9, 9) of Gaussians at the top (n, 10), by the curvature along each face and turn.
+
+    A box that is seen from one side knows its near faces and not its far ones, so that place and size hang
+    together; faces and turns are taken for independent.
+    """
+    steps, value = np.tile(FIRST_WIDTHS, (len(boxes), 1)), log_density(boxes[:, None])[:, 0]
+    for _ in range(WIDTHS_TRIED):
+        probes = steps[:, None] * np.concatenate([np.eye(9), -np.eye(9)])
+        values = log_density(reshaped(boxes, probes))
+        fall = np.maximum(value[:, None] - 0.5 * (values[:, :9] + values[:, 9:]), LEAST_FALL)
+        steps = np.clip(steps / np.sqrt(2 * fall), LEAST_WIDTHS, LARGEST_WIDTHS)
+    half_m = np.exp(boxes[:, 7:])
+    rotations = Rotation.from_quat(boxes[:, :4], scalar_first=True).as_matrix()
+    change = np.zeros((len(boxes), 9, 9))
+    for axis in range(3):
+        for face, sign in ((2 * axis, 1.0), (2 * axis + 1, -1.0)):
+            change[:, :3, face] = 0.5 * sign * rotations[:, :, axis]
+            change[:, 6 + axis, face] = 0.5 / half_m[:, axis]
+        change[:, 3 + axis, 6 + axis] = 1.0
+    wide = change * steps[:, None]
+    return np.asarray(np.linalg.cholesky(wide @ np.swapaxes(wide, 1, 2)), np.float64)
 
 
 def reshaped(solids: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:

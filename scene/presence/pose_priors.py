@@ -16,10 +16,11 @@ from scene.model.contact import TOP_FACE
 from scene.model.prior import PosePrior, contact_densities, log_floating
 from scene.model.scene_graph import Bodies
 from scene.presence.forests import ForestPrior, log_weighted_trees
+from scene.presence.size_prior import SizePrior
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
-PAIRS = 4096
-"""Of candidates, in one kernel."""
+PAIRS = 256, 4096
+"""Of candidates, in one kernel; fewer in a smaller one."""
 
 TOUCHING_SIGMAS = 10.0
 """Boxes further apart than so many standard deviations of a loose contact rest not on each other."""
@@ -27,11 +28,11 @@ TOUCHING_SIGMAS = 10.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosePriors:
-    """The chains' prior over poses of N objects, and of sets of them.
+    """The chains' prior over poses of N objects, the sizes', and that of sets of them.
 
     Attributes:
         prior: of poses.
-        half_m: (N, 3) half sizes of the objects' boxes.
+        sizes: of the N objects.
         supports: (S, 7) poses of slabs.
         slab_half_m: (S, 3) their half sizes.
         floating_weight: of trees, the odds of floating.
@@ -40,7 +41,7 @@ class PosePriors:
     """
 
     prior: PosePrior
-    half_m: NDArray[np.float64]
+    sizes: SizePrior
     supports: NDArray[np.float64]
     slab_half_m: NDArray[np.float64]
     floating_weight: float
@@ -48,18 +49,22 @@ class PosePriors:
     grafts: bool
 
     def of(
-        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], log_rate: NDArray[np.float64]
+        self,
+        poses: NDArray[np.float64],
+        half_m: NDArray[np.float64],
+        log_sizes: NDArray[np.float64],
+        asked: int,
     ) -> ForestPrior:
-        """Of candidates (N + U, K, 7) world_from_box of objects that are asked for, then of solids.
+        """Of candidates (N + U, K, 7) world_from_box of N objects that are asked for, then of solids.
 
         Args:
             poses: of the candidates.
             half_m: (N + U, K, 3) half sizes of their boxes.
-            log_rate: (U, K) of the solids' sizes.
+            log_sizes: (N + U, K) log density of these, of solids with their rate.
+            asked: N.
         """
         slots, count = poses.shape[:2]
-        asked = slots - len(log_rate)
-        rate = np.concatenate([np.ones((asked, count)), np.exp(log_rate)])
+        rate = np.exp(log_sizes)
         on_others = np.zeros((slots * count, slots * count))
         log_trees = np.zeros(slots + 1)
         if self.grafts:
@@ -109,11 +114,12 @@ class PosePriors:
         count = poses.shape[1]
         densities = np.empty(count)
         faces = np.arange(6) == TOP_FACE if on_support else np.ones(6, bool)
-        for first in range(0, count, PAIRS):
-            part = np.resize(np.arange(first, min(first + PAIRS, count)), PAIRS)
+        together = PAIRS[0] if count <= PAIRS[0] else PAIRS[1]
+        for first in range(0, count, together):
+            part = np.resize(np.arange(first, min(first + together, count)), together)
             with jax.enable_x64(True):
                 found = np.asarray(_on_another(self.prior, faces, half_m[:, part], poses[:, part]))
-            densities[first : first + PAIRS] = found[: count - first]
+            densities[first : first + together] = found[: count - first]
         return np.exp(LOG_CONTACT_JACOBIAN) * densities
 
 

@@ -8,30 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
-from scene.execution import FAST_COMPILE
 from scene.hidden.hidden_places import HiddenPlaces
-from scene.mcmc import pose_mixture
-from scene.mcmc.pose_mixture import PoseMixture
 from scene.presence.depth_candidates import PresenceFrames, candidates_of
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import SolidFits
+from scene.presence.state_mixture import StateMixture
 from scene.presence.toggling import ABSENT, Candidates, toggle
 
 CANDIDATES = 24
 """K of a slot: of draws from a fitted Gaussian in six dimensions a third or so then counts."""
 
-DRAWN, SWEEPS = 2, 12
+DRAWN, SWEEPS = 3, 8
 """How often candidates are drawn in a chain, and sweeps with each."""
 
-BURN_IN = 4
-"""Sweeps that are dropped: what is there may first take another's place."""
+SCENES, ANNEALED = 8, 2.0 ** np.array([-5, -4, -3, -2, -1, 0, 0])
+"""Scenes with which a chain begins, and powers of the likelihood in their sweeps: what explains most comes
+first, and what explains a part of that finds it taken."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +46,20 @@ class Presence:
 
 DrawCandidates = Callable[[NDArray[np.float64], NDArray[np.bool_]], tuple[NDArray[np.float64], Candidates]]
 """Poses (N, K, 7), of which the first is a given one (N, 7) where that is kept (N,), and what they show."""
+
+
+def first_scene(rng: np.random.Generator, candidates: Candidates) -> NDArray[np.integer]:
+    """A scene (N,) from the empty one, by population annealing (Hukushima and Iba 2003).
+
+    Scenes are moved with growing powers of the likelihood and drawn by what each step makes of their
+    weights, so that the one that is left is seldom in a lesser mode.
+    """
+    scenes, before = np.full((SCENES, candidates.slots), ABSENT), 0.0
+    for power in ANNEALED:
+        gain = (power - before) * np.array([candidates.log_likelihood(one) for one in scenes])
+        scenes, before = scenes[rng.choice(SCENES, SCENES, p=softmax(gain))], power
+        scenes = np.stack([toggle(rng, candidates, one, 1, power)[0] for one in scenes])
+    return scenes[0]
 
 
 def chain_presence(
@@ -72,7 +83,7 @@ def chain_presence(
         drawn, candidates = draw(poses, choice >= 0)
         choice = np.where(choice >= 0, 0, choice)
         if drawing == 0:
-            choice, _ = toggle(rng, candidates, choice, BURN_IN)
+            choice = first_scene(rng, candidates)
         choice, expected = toggle(rng, candidates, choice, sweeps)
         poses = drawn[np.arange(len(poses)), np.maximum(choice, 0)]
         sums += expected
@@ -83,7 +94,7 @@ def presence_posterior(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    mixture: PoseMixture,
+    mixture: StateMixture,
     solids: SolidFits,
     chains: int,
     hidden: HiddenPlaces,
@@ -101,17 +112,14 @@ def presence_posterior(
     """
     with np.errstate(divide="ignore"):
         log_hidden = np.log(hidden.share)
-    objects, beside = len(priors.half_m), len(solids.is_round)
-    log_half = np.log(priors.half_m)
-    sizes = np.tile(log_half[:, None], (1, CANDIDATES, 1))
+    objects, beside = len(mixture.centres), len(solids.is_round)
 
     def draw(states: NDArray[np.float64], kept: NDArray[np.bool_]) -> tuple[NDArray[np.float64], Candidates]:
-        poses, log_poses = _drawn(mixture, rng, states[:objects, :7], kept[:objects])
-        others = solids.drawn(rng, CANDIDATES)
-        others[kept[objects:], 0] = states[objects:][kept[objects:]]
-        drawn = np.concatenate([np.concatenate([poses, sizes], axis=-1), others])
-        log_offered = np.concatenate([log_poses, solids.log_density(others)])
-        return drawn, candidates_of(rng, frames, priors, drawn, solids.is_round, log_offered, log_hidden)
+        drawn = np.concatenate([mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
+        drawn[kept, 0] = states[kept]
+        log_offered = [mixture.log_density(drawn[:objects]), solids.log_density(drawn[objects:])]
+        given = drawn, solids.is_round, np.concatenate(log_offered), log_hidden
+        return drawn, candidates_of(rng, frames, priors, *given)
 
     nowhere = np.tile([1.0, *[0.0] * 9], (objects + beside, 1))
     by_chain = [chain_presence(rng, draw, nowhere)[:objects] for _ in range(chains)]
@@ -122,30 +130,3 @@ def presence_posterior(
     )
     of_chains = there.std(axis=0, ddof=1) / np.sqrt(chains)
     return Presence(probability=told, standard_error=np.hypot(of_chains, of_share))
-
-
-def _drawn(
-    mixture: PoseMixture, rng: np.random.Generator, poses: NDArray[np.float64], kept: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Candidates (N, K, 7) and their log densities (N, K); the first is a pose (N, 7) where that is kept."""
-    shape = len(kept), CANDIDATES
-    uniform, normal = rng.random(shape), rng.standard_normal((*shape, 6))
-    with jax.enable_x64(True):
-        drawn, log_offered = _sampled(mixture, uniform, normal, poses, kept)
-    return np.asarray(drawn), np.asarray(log_offered)
-
-
-@partial(jax.jit, compiler_options=FAST_COMPILE)
-def _sampled(
-    mixture: PoseMixture, uniform: jax.Array, normal: jax.Array, poses: jax.Array, kept: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """The same of numbers (N, K) and (N, K, 6)."""
-
-    def of_slot(
-        mixture: PoseMixture, uniform: jax.Array, normal: jax.Array, pose: jax.Array, keep: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        drawn = jax.vmap(lambda one, other: pose_mixture.sample(one, other, mixture))(uniform, normal)
-        drawn = drawn.at[0].set(jnp.where(keep, pose, drawn[0]))
-        return drawn, jax.vmap(partial(pose_mixture.log_density, mixture))(drawn)
-
-    return jax.vmap(of_slot)(mixture, uniform, normal, poses, kept)

@@ -109,19 +109,6 @@ def tied(states: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np
     return states
 
 
-def upright(boxes: NDArray[np.float64], axes: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Boxes (n, 10) turned so that the axis about which each is round, if any, is the last."""
-    turned = np.array(boxes)
-    for one in np.flatnonzero(axes >= 0):
-        order = np.roll(np.arange(3), 2 - axes[one])
-        turn = Rotation.from_matrix(np.eye(3)[:, order])
-        turned[one, :4] = (Rotation.from_quat(boxes[one, :4], scalar_first=True) * turn).as_quat(
-            scalar_first=True
-        )
-        turned[one, 7:] = boxes[one, 7:][order]
-    return tied(turned[:, None], axes >= 0)[:, 0]
-
-
 def log_sizes_density(log_half: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Log density (...) of logs of half sizes (..., 3), of cylinders radius twice and height, with the rate.
 

@@ -22,15 +22,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import softmax
+from scipy.special import logsumexp, softmax
 
 from scene.presence.forests import ForestPrior
 
 ABSENT, HIDDEN = -1, -2
 """In place of the number of a slot's candidate."""
+
+
+BLOCKS, BLOCK = 3, 6
+"""Slots of a sweep that are moved with all that they overlap, and slots of such a move at most: three things
+that stand for one are open, and that one is not, in a sixteenth of the moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +65,12 @@ class Candidates:
         prior: of sets and poses.
         log_hidden: (N,) log of the mean over prior poses of what being there unseen does to the likelihood;
             -inf where that is left out.
-        pixels: X.
     """
 
     layers: Sequence[SlotLayers]
     log_offered: NDArray[np.float64]
     prior: ForestPrior
     log_hidden: NDArray[np.float64]
-    pixels: int
 
     @property
     def slots(self) -> int:
@@ -77,22 +82,30 @@ class Candidates:
         """K."""
         return self.log_offered.shape[1]
 
+    @cached_property
+    def shared(self) -> dict[tuple[int, int], tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Of pairs of slots whose candidates share pixels: where these are in either's own pixels."""
+        shared = {}
+        for a, b in combinations(range(self.slots), 2):
+            pixels = self.layers[a].pixels, self.layers[b].pixels
+            both, of_a, of_b = np.intersect1d(*pixels, assume_unique=True, return_indices=True)
+            if both.size:
+                shared[a, b], shared[b, a] = (of_a, of_b), (of_b, of_a)
+        return shared
+
     def overlapping(self) -> list[tuple[int, int]]:
         """Pairs of slots whose candidates share pixels; that depends on no choice among them."""
-        pairs = zip(*np.triu_indices(self.slots, 1), strict=True)
-        pixels = [one.pixels for one in self.layers]
-        return [
-            (int(a), int(b))
-            for a, b in pairs
-            if np.intersect1d(pixels[a], pixels[b], assume_unique=True).size
-        ]
+        return [pair for pair in self.shared if pair[0] < pair[1]]
 
-    def log_weights(self, choice: NDArray[np.integer], slots: Sequence[int]) -> NDArray[np.float64]:
+    def log_weights(
+        self, choice: NDArray[np.integer], slots: Sequence[int], power: float = 1.0
+    ) -> NDArray[np.float64]:
         """Log weights (1 + n (K + 1),) of none of n slots, and of each at its candidates and then hidden.
 
         Args:
             choice: (N,) of all slots; what it says of these does not matter.
             slots: one or two.
+            power: of the likelihood.
         """
         rest = np.array(choice)
         rest[list(slots)] = ABSENT
@@ -101,35 +114,36 @@ class Candidates:
         parts = [np.array([self.prior.log_density(taken, hidden)])]
         for slot in slots:
             log_prior = self.prior.log_densities(taken, slot, hidden)
-            log_seen = log_prior + self._gains(taken, slot) - self.log_offered[slot] - np.log(self.count)
+            log_seen = (
+                log_prior + power * self._gains(taken, slot) - self.log_offered[slot] - np.log(self.count)
+            )
             unseen = self.prior.log_density(taken, hidden + 1) + self.log_hidden[slot]
             parts.append(np.append(log_seen, unseen))
         return np.concatenate(parts)
 
-    def log_density(self, choice: NDArray[np.integer]) -> float:
-        """Log density of a scene (N,) in proportion to which it is among the candidates."""
-        scene = np.full(self.slots, ABSENT)
-        log_density = self.prior.log_density([], 0)
-        for slot, place in enumerate(choice):
-            if place != ABSENT:
-                weights = self.log_weights(scene, [slot])
-                log_density += weights[1 + (place if place >= 0 else self.count)] - weights[0]
-                scene[slot] = place
-        return float(log_density)
+    def log_likelihood(self, choice: NDArray[np.integer]) -> float:
+        """Log likelihood of a scene (N,) over that of the empty one, in sight."""
+        taken: list[tuple[int, int]] = []
+        total = 0.0
+        for slot in np.flatnonzero(choice >= 0).tolist():
+            total += self._gains(taken, slot)[choice[slot]]
+            taken.append((slot, int(choice[slot])))
+        return float(total)
 
     def _gains(self, taken: Sequence[tuple[int, int]], slot: int) -> NDArray[np.float64]:
         """(K,) what each candidate adds to the log likelihood of what is taken."""
         mine = self.layers[slot]
-        front_m = np.full(self.pixels, np.inf, np.float32)
-        gain = np.zeros(self.pixels, np.float32)
-        first = np.full(self.pixels, self.slots)
+        front_m = np.full(len(mine.pixels), np.inf, np.float32)
+        gain = np.zeros(len(mine.pixels), np.float32)
+        first = np.full(len(mine.pixels), self.slots)
         for other, place in taken:
-            theirs = self.layers[other]
-            nearer = theirs.depth_m[place] < front_m[theirs.pixels]  # of equally near ones the first counts
-            where = theirs.pixels[nearer]
-            front_m[where], gain[where] = theirs.depth_m[place, nearer], theirs.log_gain[place, nearer]
-            first[where] = other
-        front_m, gain, first = (part[mine.pixels] for part in (front_m, gain, first))
+            if (slot, other) not in self.shared:
+                continue
+            theirs, (here, there) = self.layers[other], self.shared[slot, other]
+            nearer = theirs.depth_m[place, there] < front_m[here]  # of equally near ones the first counts
+            here, there = here[nearer], there[nearer]
+            front_m[here], gain[here] = theirs.depth_m[place, there], theirs.log_gain[place, there]
+            first[here] = other
         before = mine.depth_m < np.where(first > slot, np.nextafter(front_m, np.float32(np.inf)), front_m)
         return np.where(before, mine.log_gain - gain, 0).sum(axis=1, dtype=np.float64)
 
@@ -140,6 +154,7 @@ def toggled(
     choice: NDArray[np.integer],
     slots: Sequence[int],
     expected: NDArray[np.float64],
+    power: float = 1.0,
 ) -> NDArray[np.integer]:
     """The scene (N,) after a move of one slot or two.
 
@@ -149,6 +164,7 @@ def toggled(
         choice: (N,) the scene before.
         slots: that are moved.
         expected: (N, 3) gets sums over moves: of probabilities of being there, of being hidden, and of 1.
+        power: of the likelihood.
     """
     expected[slots, 2] += 1
     there = choice[slots] != ABSENT
@@ -156,7 +172,7 @@ def toggled(
         expected[slots, 0] += 1
         expected[slots, 1] += choice[slots] == HIDDEN
         return choice
-    chances = softmax(candidates.log_weights(choice, slots))
+    chances = softmax(candidates.log_weights(choice, slots, power))
     each = chances[1:].reshape(len(slots), -1)
     expected[slots, 0] += each.sum(axis=1)
     expected[slots, 1] += each[:, -1]
@@ -169,18 +185,81 @@ def toggled(
     return choice
 
 
+def reseated(
+    rng: np.random.Generator,
+    candidates: Candidates,
+    choice: NDArray[np.integer],
+    slots: Sequence[int],
+    power: float = 1.0,
+) -> NDArray[np.integer]:
+    """The scene (N,) after a move of several slots at once, for three things that take one's place.
+
+    Of the slots a random half is open: one after the other takes what its options say, given those before;
+    the others are empty. That is an independence proposal x' with density q(x' | open). For the way back
+    `open` is drawn from those that allow the present scene x: on the space of scenes and what was open the
+    move is Metropolised, by pi(x') q(x | open) 2^n(x') / (pi(x) q(x' | open') 2^n(x)), n the slots taken.
+
+    Args:
+        rng: random numbers.
+        candidates: of all slots.
+        choice: (N,) the scene before.
+        slots: that are moved, drawn whatever the state.
+        power: of the likelihood.
+    """
+    order = rng.permutation(slots)
+    log_ratio, ends = 0.0, []
+    for present, sign in ((choice, -1), (None, 1)):
+        taken = np.zeros(len(order), bool) if present is None else present[order] != ABSENT
+        is_open = taken | (rng.random(len(order)) < 0.5)
+        scene = np.array(choice)
+        scene[order] = ABSENT
+        for slot in order[is_open].tolist():
+            weights = candidates.log_weights(scene, [slot], power)
+            if present is None:
+                option = rng.choice(len(weights), p=softmax(weights))
+            else:
+                option = _option(candidates, int(present[slot]))
+                if weights[option] == -np.inf:  # as what rests on something that is not yet there
+                    return np.array(choice)
+            log_ratio += sign * (logsumexp(weights) - weights[0])  # pi / q of this step
+            scene[slot] = _choice(candidates, option)
+        log_ratio += sign * (scene[order] != ABSENT).sum() * np.log(2)
+        ends.append(scene)
+    return ends[1] if np.log(rng.random()) < log_ratio else np.array(choice)
+
+
+def _option(candidates: Candidates, chosen: int) -> int:
+    """The place of a slot's choice among its options: absent, its candidates, hidden."""
+    return {ABSENT: 0, HIDDEN: candidates.count + 1}.get(chosen, chosen + 1)
+
+
+def _choice(candidates: Candidates, option: int) -> int:
+    """The choice that stands in a place among the options."""
+    return {0: ABSENT, candidates.count + 1: HIDDEN}.get(option, option - 1)
+
+
 def toggle(
-    rng: np.random.Generator, candidates: Candidates, choice: NDArray[np.integer], sweeps: int
+    rng: np.random.Generator,
+    candidates: Candidates,
+    choice: NDArray[np.integer],
+    sweeps: int,
+    power: float = 1.0,
 ) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """A scene (N,) after moves among candidates, and sums (N, 3) as `toggled` tells them.
 
-    A sweep moves every slot by itself, and as many pairs of those that may be taken for each other.
+    A sweep moves every slot by itself, as many pairs of those that may be taken for each other, and some
+    slots with all that they overlap.
     """
     expected = np.zeros((candidates.slots, 3))
     pairs = candidates.overlapping()
+    beside = [[other for one, other in candidates.shared if one == slot] for slot in range(candidates.slots)]
     for _ in range(sweeps):
         for slot in range(candidates.slots):
-            choice = toggled(rng, candidates, choice, [slot], expected)
+            choice = toggled(rng, candidates, choice, [slot], expected, power)
         for number in rng.permutation(len(pairs))[: candidates.slots]:
-            choice = toggled(rng, candidates, choice, list(pairs[number]), expected)
+            choice = toggled(rng, candidates, choice, list(pairs[number]), expected, power)
+        for slot in rng.permutation(candidates.slots)[:BLOCKS].tolist():
+            others = rng.permutation(np.array(beside[slot], np.intp))[: BLOCK - 1]
+            if len(others):
+                choice = reseated(rng, candidates, choice, [slot, *others.tolist()], power)
     return choice, expected

@@ -56,11 +56,13 @@ class PosedObjects:
         object_index: (N,) int32 in the library.
         camera_from_object: (N, 4, 4) rigid.
         camera_index: (N,) int32 among the cameras, and so among their images.
+        scale: (N, 3) by which objects are larger along their own axes, about their origin; None: as they are.
     """
 
     object_index: jax.Array
     camera_from_object: jax.Array
     camera_index: jax.Array
+    scale: jax.Array | None = None
 
     def __len__(self) -> int:
         return len(self.object_index)
@@ -72,6 +74,7 @@ def in_single_precision(posed: PosedObjects, cameras: Camera) -> tuple[PosedObje
         jnp.asarray(posed.object_index, jnp.int32),
         jnp.asarray(posed.camera_from_object, jnp.float32),
         jnp.asarray(posed.camera_index, jnp.int32),
+        None if posed.scale is None else jnp.asarray(posed.scale, jnp.float32),
     )
     return posed, jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cameras)
 
@@ -105,19 +108,24 @@ class Rays:
 
 
 def image_rays(library: ObjectLibrary, posed: PosedObjects, cameras: Camera) -> Rays:
-    """The rays of each posed object's image; leaves (N,)."""
+    """The rays of each posed object's image; leaves (N,).
+
+    Of a scaled object they are those of a camera that is scaled the other way, in the object as it is.
+    """
     model = posed.object_index
+    scale = [1.0] * 3 if posed.scale is None else posed.scale.T
     pose = posed.camera_from_object.reshape(-1, 16).T
     rotation, translation = [pose[4 * r : 4 * r + 3] for r in range(3)], pose[3:12:4]
     camera = jax.tree.map(itemgetter(posed.camera_index), cameras)
     grid_origin = library.grid_origin_m.T[:, model]
-    depth_of_centre = _dot(rotation[2], library.centre_m.T[:, model]) + translation[2]
-    radius = library.radius_m[model]
+    centre = [part * by for part, by in zip(library.centre_m.T[:, model], scale, strict=True)]
+    depth_of_centre = _dot(rotation[2], centre) + translation[2]
+    radius = library.radius_m[model] * (1.0 if posed.scale is None else jnp.max(posed.scale, axis=1))
     pixel = jnp.maximum(depth_of_centre - radius, 0.05 * radius) / jnp.maximum(camera.fx, camera.fy)
     level = _level_of_detail(library.pitch_m[model], pixel)
     pitch, size, first_voxel = level_of(library, model, level)
-    # grid axis a of a camera vector c: sum_b rotation[b][a] c[b] / pitch
-    to_grid = [[rotation[b][a] / pitch for b in range(3)] for a in range(3)]
+    # grid axis a of a camera vector c: sum_b rotation[b][a] c[b] / (pitch scale[a])
+    to_grid = [[rotation[b][a] / (pitch * scale[a]) for b in range(3)] for a in range(3)]
     corner = (-camera.cx / camera.fx, -camera.cy / camera.fy, jnp.ones_like(pitch))
     return Rays(
         origin=[-_dot(to_grid[a], translation) - grid_origin[a] / pitch for a in range(3)],

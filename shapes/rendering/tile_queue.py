@@ -142,6 +142,8 @@ def pixel_bounds(
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), np.float32).reshape(3, 8)
     model = posed.object_index
     corner = library.centre_m[model][:, :, None] + library.half_extent_m[model][:, :, None] * signs[None]
+    if posed.scale is not None:
+        corner = corner * posed.scale[:, :, None]
     pose = posed.camera_from_object
     x, y, z = (
         sum(pose[:, axis, b, None] * corner[:, b] for b in range(3)) + pose[:, axis, 3, None]

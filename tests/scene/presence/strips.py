@@ -91,7 +91,6 @@ def candidates_at(
             asked=slots,
         ),
         np.full(slots, -np.inf),
-        WIDTH,
     )
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from pipeline.benchmarks.cubes import cube_model
 from scene.hidden.hidden_places import HiddenPlaces
-from scene.mcmc.pose_mixture import PoseMixture
 from scene.model.number_prior import (
     BinomialNumber,
     FixedNumber,
@@ -23,7 +22,9 @@ from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import Presence, presence_posterior
+from scene.presence.size_prior import SizePrior
 from scene.presence.solids import SolidFits
+from scene.presence.state_mixture import StateMixture
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 WEIGHT = 0.5
@@ -45,7 +46,11 @@ def priors_of(free: int, number: NumberPrior) -> PosePriors:
     model = cube_model(free, table=True, upward_concentration=2.0)
     return PosePriors(
         prior=jax.device_get(model.prior),
-        half_m=np.full((free, 3), 0.5),
+        sizes=SizePrior(
+            log_half=np.log(np.full((free, 3), 0.5)),
+            sigma=np.full((free, 3), 0.1),
+            ties=np.tile(np.arange(3), (free, 1)),
+        ),
         supports=TABLE_POSE[None],
         slab_half_m=np.full((1, 3), 0.5),
         floating_weight=WEIGHT,
@@ -100,7 +105,7 @@ def test_the_prior_is_that_of_the_chains(seed: int) -> None:
 
     found = (
         priors_of(2, FixedNumber(2))
-        .of(poses[:, None], np.full((2, 1, 3), 0.5), np.zeros((0, 1)))
+        .of(poses[:, None], np.full((2, 1, 3), 0.5), np.zeros((2, 1)), 2)
         .log_density([(0, 0), (1, 0)], 0)
     )
     np.testing.assert_allclose(found, np.log(total), atol=1e-9)
@@ -118,10 +123,10 @@ class NothingSeen(PresenceFrames):
         return 1
 
     def shown(
-        self, rng: np.random.Generator, slots: np.ndarray, poses: np.ndarray
+        self, rng: np.random.Generator, slots: np.ndarray, states: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Depth 1, no gain."""
-        del rng, poses
+        del rng, states
         return np.ones((len(slots), 1), np.float32), np.zeros((len(slots), 1), np.float32)
 
 
@@ -134,7 +139,7 @@ class NothingSeen(PresenceFrames):
     ],
 )
 def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int) -> None:
-    """Three cubes over a table, graph inferred, candidates from a cloud: presence is the prior's for each.
+    """Three cubes of uncertain size over a table, graph inferred, from a cloud: presence is the prior's.
 
     Within five standard errors, each 0.03 at most.
     """
@@ -149,10 +154,14 @@ def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int)
 def presence_without_data(priors: PosePriors, seed: int, chains: int = 16) -> Presence:
     """Of three slots."""
     rng = np.random.default_rng(seed)
-    cloud = PoseMixture.build(
-        jnp.zeros((3, 1)),
-        jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0.2]), (3, 1, 1)),
-        jnp.tile(jnp.diag(jnp.array([0.7, 0.7, 0.8, 1.2, 1.2, 1.2]) ** 2), (3, 1, 1, 1)),
+    centre = np.array([1.0, 0, 0, 0, 0, 0, 0.2, *np.log([0.5, 0.5, 0.5])])
+    widths = np.array([0.7, 0.7, 0.8, 1.2, 1.2, 1.2, 0.12, 0.12, 0.12])
+    cloud = StateMixture(
+        log_weights=np.zeros((3, 1)),
+        centres=np.tile(centre, (3, 1, 1)),
+        factors=np.tile(np.diag(widths), (3, 1, 1, 1)),
+        points_m=np.zeros((3, 3)),
+        ties=priors.sizes.ties,
     )
     seen, nothing = NothingSeen(), HiddenPlaces.none(3)
     return presence_posterior(rng, seen, priors, cloud, SolidFits.none(), chains, nothing)

@@ -41,7 +41,7 @@ def test_moves_tell_what_the_sum_tells(name: str, seed: int) -> None:
             layers = SlotLayers(np.zeros(1, np.intp), np.ones_like(gain), gain)
             alone, others = np.ones((1, COUNT)), np.zeros((1, COUNT, 1, COUNT))
             prior = ForestPrior(alone, others, np.zeros(2), number.log_set_probabilities(1), 1)
-            return drawn, Candidates([layers], np.zeros((1, COUNT)), prior, np.full(1, -np.inf), 1)
+            return drawn, Candidates([layers], np.zeros((1, COUNT)), prior, np.full(1, -np.inf))
 
         nowhere = np.eye(4)[None]
         told = [chain_presence(rng, draw, nowhere, DRAWINGS, 2)[0, 0] for _ in range(CHAINS)]

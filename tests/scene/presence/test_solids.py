@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scene.presence.solids import SolidFits, solid_layers, upright
+from scene.presence.solids import SolidFits, solid_layers
 from shapes.geometry.camera import Camera
 from tests.statistical import assert_mean
 
@@ -60,12 +60,3 @@ def test_the_density_is_that_of_the_draws(is_round: bool, seed: int) -> None:
     ratio = np.exp(narrower.log_density(states) - drawn_from.log_density(states))[0]
 
     assert_mean(ratio, 1.0, detectable=0.1)
-
-
-def test_what_is_round_stands_on_its_axis() -> None:
-    """A box round about its first axis becomes a cylinder along it."""
-    box = np.concatenate([[1.0, 0, 0, 0, 0, 0, 0], np.log([0.2, 0.05, 0.05])])[None]
-    turned = upright(box, np.array([0]))[0]
-    along = Rotation.from_quat(turned[:4], scalar_first=True).as_matrix()[:, 2]
-    np.testing.assert_allclose(np.abs(along), [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(np.exp(turned[7:]), [0.05, 0.05, 0.2])

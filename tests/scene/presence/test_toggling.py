@@ -9,7 +9,7 @@ from scene.model.number_prior import BinomialNumber
 from scene.presence import toggling
 from scene.presence.forests import ForestPrior
 from scene.presence.posterior import chain_presence
-from scene.presence.toggling import ABSENT, Candidates, SlotLayers
+from scene.presence.toggling import ABSENT, Candidates, SlotLayers, reseated
 from tests.scene.presence import strips
 from tests.statistical import assert_mean
 
@@ -28,7 +28,7 @@ def toy_candidates(target: np.ndarray, chances: np.ndarray, places: np.ndarray) 
         np.ones((slots, count)), np.zeros((slots, count, slots, count)), np.zeros(3), np.zeros(3), slots
     )
     log_offered = np.log(chances[np.arange(2)[:, None], places])
-    return Candidates(layers, log_offered, prior, np.full(2, -np.inf), 2)
+    return Candidates(layers, log_offered, prior, np.full(2, -np.inf))
 
 
 def toy_error() -> float:
@@ -89,13 +89,25 @@ def test_scenes_among_candidates_have_their_density(kinds: tuple[int, int], seed
     places = np.tile(np.arange(strips.PLACES), (2, 1))
     candidates = strips.candidates_at(observed_m, which, number, places)
     scenes = strips.all_scenes(2)
-    found = np.array([candidates.log_density(np.where(one < 0, ABSENT, one)) for one in scenes])
+    found, likelihood = np.transpose([log_density_and_likelihood(candidates, one) for one in scenes])
 
     shown = np.stack([strips.depth_m(which, one) for one in scenes])
     exact = strips.log_density(observed_m, shown).sum(axis=1)
+    np.testing.assert_allclose(likelihood, exact - exact[0], atol=1e-4)
     there = (scenes >= 0).sum(axis=1)
     exact += number.log_set_probabilities(2)[there] - there * np.log(strips.PLACES)
     np.testing.assert_allclose(found - found[0], exact - exact[0], atol=1e-4)
+
+
+def log_density_and_likelihood(candidates: Candidates, places: np.ndarray) -> tuple[float, float]:
+    """Of a scene of strips (N,), by weights one after the other, and by itself."""
+    scene = np.full(len(places), ABSENT)
+    log_density = candidates.log_weights(scene, [0])[0]
+    for slot in np.flatnonzero(places >= 0).tolist():
+        weights = candidates.log_weights(scene, [slot])
+        log_density += weights[1 + places[slot]] - weights[0]
+        scene[slot] = places[slot]
+    return float(log_density), candidates.log_likelihood(scene)
 
 
 @pytest.mark.parametrize("kinds", [(0, 1), pytest.param((0, 0), marks=pytest.mark.slow)])
@@ -121,6 +133,42 @@ def chain_in_strips(
 
     nowhere = np.zeros(len(kinds), int)
     return chain_presence(rng, draw, nowhere, drawings=40, sweeps=2)[:, 0]
+
+
+def seats_in_strips(seed: int, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Presence (R, N) told by runs of the move of several slots alone, and the sum over all scenes (N,)."""
+    observed_m, number = strip(seed), BinomialNumber(0.5)
+    places = np.tile(np.arange(strips.PLACES), (len(kinds), 1))
+    candidates = strips.candidates_at(observed_m, kinds, number, places)
+    rng, runs = np.random.default_rng(seed), []
+    for _ in range(20):
+        choice, there = np.full(len(kinds), ABSENT), np.zeros(len(kinds))
+        for _ in range(250):
+            choice = reseated(rng, candidates, choice, range(len(kinds)))
+            there += choice != ABSENT
+        runs.append(there / 250)
+    return np.stack(runs), strips.exact_presence(observed_m, kinds, number)
+
+
+def test_a_move_of_several_slots_keeps_the_posterior(seed: int) -> None:
+    """All 441 scenes of the world of strips are candidates; no other move."""
+    told, exact = seats_in_strips(seed, np.array([0, 1]))
+    assert ((exact > 0.02) & (exact < 0.98)).any()
+    assert_mean(told, exact, detectable=0.1)
+
+
+def test_a_move_that_forgets_what_was_open_does_not(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant without 2^n."""
+
+    class WithoutLogOfTwo:
+        def __getattr__(self, name: str) -> object:
+            return (
+                (lambda x: 0.0 if np.array_equal(x, 2) else np.log(x)) if name == "log" else getattr(np, name)
+            )
+
+    monkeypatch.setattr(toggling, "np", WithoutLogOfTwo())
+    told, exact = seats_in_strips(seed, np.array([0, 1]))
+    assert (np.abs(told.mean(axis=0) - exact) > 5 * told.std(axis=0, ddof=1) / np.sqrt(len(told))).any()
 
 
 @pytest.mark.parametrize("worlds", [40, pytest.param(1000, marks=pytest.mark.slow)])

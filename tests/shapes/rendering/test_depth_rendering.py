@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -49,6 +50,26 @@ def test_rendering_agrees_with_ray_casting(
     for depth, reference in zip(actual, expected, strict=True):
         both = np.isfinite(depth) & np.isfinite(reference)
         assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[0])
+
+
+def test_scaled_objects_are_those_of_scaled_meshes(seed: int) -> None:
+    """A cup larger and smaller along its own axes: 20 views, met as well as the mesh itself is."""
+    mesh = MESHES["cup"]
+    rng = np.random.default_rng(seed)
+    poses, scales = random_views(rng, mesh, 20), rng.uniform(0.85, 1.2, (20, 3))
+    larger = [mesh.copy().apply_transform(np.diag(np.append(scale, 1.0))) for scale in scales]
+    expected = np.concatenate([ray_cast(one, pose[None]) for one, pose in zip(larger, poses, strict=True)])
+
+    library = library_of_mesh(mesh.vertices, mesh.faces)
+    given = replace(posed(poses), scale=jnp.asarray(scales, jnp.float32))
+    actual = np.asarray(render_layers(library, given, cameras(), INTRINSICS.height, INTRINSICS.width))
+
+    hit, truth = np.isfinite(actual), np.isfinite(expected)
+    overlap = (hit & truth).sum(axis=(1, 2)) / (hit | truth).sum(axis=(1, 2))
+    assert overlap.mean() >= 0.98, f"mean IoU {overlap.mean():.4f}, least {overlap.min():.4f}"
+    for depth, reference in zip(actual, expected, strict=True):
+        both = np.isfinite(depth) & np.isfinite(reference)
+        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * 1.2 * float(library.pitch_m[0])
 
 
 def test_rays_do_not_leap_over_thin_walls(seed: int) -> None:

@@ -1,0 +1,198 @@
+"""Where unknown boxes and cylinders may be: solids fitted to smooth pieces of what one frame shows.
+
+A piece is what hangs together without a step or a sharp edge. The solids of a piece are the least upright box
+that holds it, boxes behind each of its flat faces, and cylinders about the axes to which its normals are
+square. Of all of them those are kept that together agree with most pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scene.observation.depth_view import unproject
+from scene.observation.detection import least_rectangle
+from scene.observation.frame_data import SceneData
+from scene.observation.standing import connected
+from scene.presence.solids import LEAST_M, solid_layers
+from shapes.geometry.poses import matrices_of, poses_of
+
+STEP_M, TURN_COSINE = 0.004, 0.97
+"""Neighbours belong to one piece that differ by less along the normal and turn by less, 14 degrees: a step is
+then two deviations of a structured light sensor at a metre."""
+FEWEST_PIXELS = 40
+"""Of a piece, and of a face of it: smaller ones have no normals that would tell a turn."""
+FACES = 4
+"""Of a piece that are looked at: a camera sees three of a box."""
+FLAT_COSINE = 0.93
+"""Of a face's normals with their mean; sensors turn normals of small windows by some degrees."""
+LEVEL, UPRIGHT = 0.94, 0.35
+"""Cosines to the vertical above which a face is a top, and below which it is a side: 20 degrees."""
+INSIDE_M = 0.01
+"""By which points may stick out of a face's rectangle and still tell how deep the solid behind it is."""
+THINNEST_M = 0.02
+"""Of a box of which one face alone is seen, before its depth is fitted."""
+STANDS_M = 0.03
+"""What ends so far above its support stands on it, its foot hidden or cut off with the support's pixels."""
+SIDE_COSINE = 0.5
+"""Normals of a cylinder's wall are squarer to its axis; others belong to its ends."""
+AGREE_M, BEFORE_M = 0.01, 0.02
+"""A pixel agrees with a solid so far from it; what lies so far behind one contradicts it."""
+WORTH_PIXELS = 12
+"""That a solid has to explain beside those chosen before it."""
+
+
+def proposed_solids(
+    view: SceneData, world_from_camera: NDArray[np.float64], most: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Solids (n, 10), world_from_solid and logs of half sizes, and which are cylinders (n,).
+
+    Args:
+        view: the frame.
+        world_from_camera: (4, 4); the world's z points up, and things stand on z = 0.
+        most: n at most.
+    """
+    boxes, cylinders = [], []
+    for points_m, normals in _pieces(view, world_from_camera):
+        boxes += [_standing_box(points_m), *_boxes_behind_faces(points_m, normals)]
+        cylinders += _cylinders(points_m, normals)
+    solids = np.array([*boxes, *cylinders]).reshape(-1, 10)
+    is_round = np.arange(len(solids)) >= len(boxes)
+    chosen = _explaining(view, world_from_camera, solids, is_round, most)
+    return solids[chosen], is_round[chosen]
+
+
+def _pieces(
+    view: SceneData, world_from_camera: NDArray[np.float64]
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Points (P, 3) and normals (P, 3) of each piece, in the world."""
+    points_m = unproject(np.asarray(view.view.depth_m), view.view.camera)
+    normals = np.asarray(view.view.normals, np.float64)
+
+    def joined(one: tuple[slice, ...], other: tuple[slice, ...]) -> NDArray[np.bool_]:
+        step_m = np.abs(((points_m[one] - points_m[other]) * normals[one]).sum(axis=-1))
+        return (step_m < STEP_M) & ((normals[one] * normals[other]).sum(axis=-1) > TURN_COSINE)
+
+    number = connected(view.foreground & normals.any(axis=-1), joined)
+    count = np.bincount(number[number >= 0])
+    turn, origin_m = world_from_camera[:3, :3], world_from_camera[:3, 3]
+    for piece in np.flatnonzero(count >= FEWEST_PIXELS):
+        mine = number == piece
+        yield points_m[mine] @ turn.T + origin_m, normals[mine] @ turn.T
+
+
+def _solid(rotation: NDArray[np.float64], low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> NDArray:
+    """State (10,) of what lies between two corners along the axes (3, 3)."""
+    wxyz = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    half_m = np.maximum((high_m - low_m) / 2, LEAST_M)
+    return np.concatenate([wxyz, rotation @ ((low_m + high_m) / 2), np.log(half_m)])
+
+
+def _standing_box(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The least upright box (10,) over points (P, 3), down to the support."""
+    rotation = least_rectangle(points_m, points_m.mean(axis=0), np.array([0.0, 0.0, 1.0]))[0]
+    return _solid(rotation, *_on_support(rotation, *np.percentile(points_m @ rotation, [1, 99], axis=0)))
+
+
+def _on_support(
+    rotation: NDArray[np.float64], low_m: NDArray[np.float64], high_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of which the lower one is on z = 0 if the third axis is vertical and it is near."""
+    foot_m = np.where((np.arange(3) == 2) & (rotation[2, 2] > LEVEL) & (low_m < STANDS_M), 0.0, low_m)
+    return foot_m, high_m
+
+
+def _boxes_behind_faces(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> Iterator[NDArray]:
+    """Boxes (10,) behind the flat faces of a piece, the largest face first."""
+    left = np.ones(len(normals), bool)
+    for _ in range(FACES):
+        if left.sum() < FEWEST_PIXELS:
+            return
+        tried = normals[left][:: max(left.sum() // FEWEST_PIXELS, 1)]
+        normal = tried[(normals[left] @ tried.T > FLAT_COSINE).sum(axis=0).argmax()]
+        face = left & (normals @ normal > FLAT_COSINE)
+        left &= ~face
+        if face.sum() >= FEWEST_PIXELS:
+            mean = normals[face].mean(axis=0)
+            yield _box_behind(points_m, face, mean / np.linalg.norm(mean))
+
+
+def _box_behind(
+    points_m: NDArray[np.float64], face: NDArray[np.bool_], normal: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The box (10,) behind a face, as deep as points (P, 3) of its piece are seen behind it."""
+    up = np.array([0.0, 0.0, 1.0])
+    top, side = normal[2] > LEVEL, abs(normal[2]) < UPRIGHT
+    if side:
+        normal = normal - normal[2] * up
+        normal /= np.linalg.norm(normal)
+        rotation, across = np.stack([np.cross(up, normal), -normal, up], axis=1), 1
+    else:
+        normal = up if top else normal
+        rotation, across = least_rectangle(points_m[face], points_m[face].mean(axis=0), normal)[0], 2
+    inside = points_m @ rotation
+    low, high = np.percentile(inside[face], [1, 99], axis=0)
+    beside = np.arange(3) != across
+    behind = ((inside > low - INSIDE_M) & (inside < high + INSIDE_M))[:, beside].all(axis=1)
+    depths = inside[behind, across]
+    if side:  # its axis points into the solid
+        high[across] = max(np.percentile(depths, 99), low[across] + THINNEST_M)
+    else:
+        low[across] = 0.0 if top else min(np.percentile(depths, 1), high[across] - THINNEST_M)
+    return _solid(rotation, *_on_support(rotation, low, high))
+
+
+def _cylinders(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> Iterator[NDArray]:
+    """Cylinders (10,), upright and about the axis to which the normals are squarest.
+
+    On a wall points are centre + radius normal, square to the axis: three unknowns, by least squares.
+    """
+    for axis in (np.array([0.0, 0.0, 1.0]), np.linalg.eigh(normals.T @ normals)[1][:, 0]):
+        rotation = np.linalg.svd(axis[:, None])[0][:, [1, 2, 0]]
+        rotation[:, 2] = axis
+        rotation[:, 0] = np.cross(rotation[:, 1], axis)
+        wall = np.abs(normals @ axis) < SIDE_COSINE
+        if wall.sum() < FEWEST_PIXELS:
+            continue
+        flat, outward = points_m[wall] @ rotation[:, :2], normals[wall] @ rotation[:, :2]
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        terms = np.concatenate([np.eye(2)[None].repeat(len(flat), axis=0), outward[:, :, None]], axis=2)
+        x, y, radius = np.linalg.lstsq(terms.reshape(-1, 3), flat.ravel(), rcond=None)[0]
+        if radius < LEAST_M:
+            continue
+        low, high = np.percentile(points_m @ axis, [1, 99])
+        ends = [x - radius, y - radius, low], [x + radius, y + radius, high]
+        yield _solid(rotation, *_on_support(rotation, *(np.array(end) for end in ends)))
+
+
+def _explaining(
+    view: SceneData,
+    world_from_camera: NDArray[np.float64],
+    solids: NDArray[np.float64],
+    is_round: NDArray[np.bool_],
+    most: int,
+) -> list[int]:
+    """Of solids (n, 10) those that agree with most pixels beside those before, contradictions off."""
+    if not len(solids):
+        return []
+    window = view.window
+    in_camera = poses_of(np.linalg.inv(world_from_camera) @ matrices_of(solids[:, :7]))
+    parts = in_camera.astype(np.float32), np.exp(solids[:, 7:]).astype(np.float32), is_round
+    depth_m = np.asarray(solid_layers(window.camera, *jax.device_put(parts), *window.depth_m.shape))
+    seen = view.window_foreground & (window.depth_m > 0)
+    agrees = seen & (np.abs(depth_m - window.depth_m) < AGREE_M)
+    against = ((window.depth_m > depth_m + BEFORE_M) & (window.depth_m > 0)).sum(axis=(1, 2))
+    chosen: list[int] = []
+    explained = np.zeros_like(seen)
+    while len(chosen) < most:
+        worth = (agrees & ~explained).sum(axis=(1, 2)) - against
+        best = int(worth.argmax())
+        if worth[best] < WORTH_PIXELS:
+            break
+        chosen.append(best)
+        explained |= agrees[best]
+    return chosen
