@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-MOST_TRIANGLES = 400
+MOST_TRIANGLES = 600
 """Of a shape that is searched for in a small image: triangles of a centimetre, under its pixels."""
 PRINTED = 12
 """Triangles along the longest edge of a shape whose colours are known: prints of a centimetre are seen."""

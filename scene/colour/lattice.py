@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from scene.colour.density import fit
-from scene.colour.rendering import Layers, render_with_normals
+from scene.colour.rendering import SAMPLES, Layers, render_with_normals
 from scene.colour.surroundings import Placed, Surroundings, forbidden
 from scene.colour.world import Light, TableWorld
 
@@ -93,7 +93,7 @@ class Lattice:
             kinds.append(np.full(len(grid), number))
             poses.append(grid[:, [1, 2, 0]])
         groups = np.arange(sum(map(len, kinds))).reshape(-1, count**2)
-        return cls.rendered(world, np.concatenate(kinds), np.concatenate(poses), groups)
+        return cls.rendered(world, np.concatenate(kinds), np.concatenate(poses), groups, 1)
 
     @classmethod
     def rendered(
@@ -102,9 +102,10 @@ class Lattice:
         kinds: NDArray[np.int64],
         poses: NDArray[np.float64],
         groups: NDArray[np.int64],
+        samples: int = SAMPLES,
     ) -> Lattice:
         """These states."""
-        layers, normals = render_with_normals(world, kinds, poses)
+        layers, normals = render_with_normals(world, kinds, poses, samples)
         return cls(world, kinds, poses, groups, layers, normals.astype(np.float32))
 
     def under(self, light: Light) -> Lattice:
@@ -126,28 +127,33 @@ class Candidates:
     sites: NDArray[np.int64]
 
 
-def candidates(lattice: Lattice, around: Surroundings) -> Candidates:
-    """Of the first scene: at each site the states of the greatest gain."""
+def candidates(
+    lattice: Lattice, around: Surroundings, sites: int = SITES, each_site: int = OF_EACH_SITE
+) -> Candidates:
+    """Of the first scene: so many states of the greatest gain at each of some sites."""
     lacking, strange = around.lacking[0].astype(np.float32), around.excess[0].any()
+    barred = forbidden(lattice.world, around.scenes[0], lattice.kinds, lattice.poses, SPACING_M / 2)
     found: list[NDArray[np.int64]] = []
-    for _ in range(SITES):
-        promise = (lattice.fills @ lacking)[lattice.groups]
+    for _ in range(sites):
+        promise = np.where(barred, -np.inf, lattice.fills @ lacking)[lattice.groups]
         told = promise > NOISE_SDS * np.sqrt(PIXEL_VARIANCE * lattice.areas[lattice.groups])
         if not told.any() and not (strange and not found):
             break
-        states = _promising(lattice, around, promise)
+        states = _promising(lattice, promise)
         if not len(states):
             break
         gain = _gains(lattice, around, states)
-        best = _parted(lattice, states, np.argsort(-gain, kind="stable"))
+        best = _parted(lattice, states, np.argsort(-gain, kind="stable"), each_site)
+        if found and gain.max() <= 0:
+            break
         found.append(states[best])
         for one in states[gain > EXPLAINS * gain.max()]:
             lacking[lattice.layers.pixel[lattice.layers.start[one] : lattice.layers.start[one + 1]]] = 0.0
-    sites = np.repeat(np.arange(len(found)), [len(one) for one in found])
-    return Candidates(np.concatenate([np.zeros(0, np.int64), *found]), sites)
+    numbers = np.repeat(np.arange(len(found)), [len(one) for one in found])
+    return Candidates(np.concatenate([np.zeros(0, np.int64), *found]), numbers)
 
 
-def _promising(lattice: Lattice, around: Surroundings, promise: NDArray[np.float32]) -> NDArray[np.int64]:
+def _promising(lattice: Lattice, promise: NDArray[np.floating]) -> NDArray[np.int64]:
     """States near the one under which most is unexplained, some of each kind and yaw; promise (G, M)."""
     places = lattice.poses[lattice.groups[0], :2]
     apart = np.linalg.norm(places - places[promise.max(axis=0).argmax()], axis=1)
@@ -155,8 +161,7 @@ def _promising(lattice: Lattice, around: Surroundings, promise: NDArray[np.float
     count = min(WEIGHED, len(near))
     best = near[np.argpartition(-promise[:, near], count - 1, axis=1)[:, :count]]
     states = np.take_along_axis(lattice.groups, best, axis=1).ravel()
-    rest = around.scenes[0]
-    return states[~forbidden(lattice.world, rest, lattice.kinds[states], lattice.poses[states])]
+    return states[np.isfinite(np.take_along_axis(promise, best, axis=1).ravel())]
 
 
 def _gains(lattice: Lattice, around: Surroundings, states: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -166,7 +171,7 @@ def _gains(lattice: Lattice, around: Surroundings, states: NDArray[np.int64]) ->
     return placed.gains(noise, fit(placed.segments, noise, steps=FITS))
 
 
-def _parted(lattice: Lattice, states: NDArray[np.int64], ranked: NDArray[np.int64]) -> list[int]:
+def _parted(lattice: Lattice, states: NDArray[np.int64], ranked: NDArray[np.int64], wanted: int) -> list[int]:
     """The first few of the ranked that are apart from each other, few of each kind."""
     parted: list[int] = []
     count = np.zeros(len(lattice.world.kinds), np.int64)
@@ -177,6 +182,6 @@ def _parted(lattice: Lattice, states: NDArray[np.int64], ranked: NDArray[np.int6
         if count[kind] < OF_EACH_KIND and lattice.apart(states[alike], state).all():
             parted.append(one)
             count[kind] += 1
-        if len(parted) == OF_EACH_SITE:
+        if len(parted) == wanted:
             break
     return parted

@@ -62,7 +62,7 @@ class LampShares:
             np.tile(layers.pixel, tiled),
             np.tile(layers.depth_m, tiled),
             np.concatenate([light.shade(normals) for light in tried]),
-            np.tile(layers.face, tiled),
+            np.tile(layers.tint, (tiled, 1)),
             np.tile(layers.fill, tiled),
             np.tile(layers.kinds, tiled),
         )

@@ -145,7 +145,7 @@ def seen_together(world: TableWorld, layers: Layers, scenes: NDArray[np.int64] |
 def segments_of(world: TableWorld, image: ColourImage, view: View) -> Segments:
     """The pixels that each thing leads in, with what is known of its colours."""
     layers, leads = view.layers, view.leads
-    lit = layers.lit(world, image.colour.shape[1])
+    lit = layers.lit(image.colour.shape[1])
     base, variance = view.table[:, None] * image.table_colour, None
     if not leads.all():
         mean, sd = factor_prior(world.is_coloured[layers.kinds][layers.owner, None], world.noise)
@@ -199,32 +199,59 @@ def boxes_overlap(
     poses: NDArray[np.float64],
     other_kinds: NDArray[np.int64],
     other_poses: NDArray[np.float64],
+    overlap_m: float = OVERLAP_M,
 ) -> NDArray[np.bool_]:
-    """Whether boxes (...) overlap others (...) by more than `OVERLAP_M` along each axis that could part them.
+    """Whether boxes (...) overlap others (...) by more than so much along each axis that could part them."""
+    return overlap_depths(world, kinds, poses, other_kinds, other_poses)[0] > overlap_m
+
+
+def overlap_depths(
+    world: TableWorld,
+    kinds: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    other_kinds: NDArray[np.int64],
+    other_poses: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far (...) boxes overlap others, -inf of far ones, and the way (..., 2) that parts them soonest.
 
     Separating axes of two rectangles (Gottschalk, Lin and Manocha 1996); a round thing's box has yaw 0.
     """
+    reach = world.reaches_m[kinds] + world.reaches_m[other_kinds]
+    near = ((poses[..., :2] - other_poses[..., :2]) ** 2).sum(axis=-1) < reach**2
+    depths, ways = np.full(near.shape, -np.inf), np.zeros((*near.shape, 2))
+    if near.any():
+        ends = (kinds[near], poses[near]), (other_kinds[near], other_poses[near])
+        depths[near], ways[near] = _depths_of_near(world, *ends)
+    return depths, ways
+
+
+def _depths_of_near(
+    world: TableWorld, *pairs: tuple[NDArray[np.int64], NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`overlap_depths` (B,) and (B, 2) of kinds and poses."""
+    (kinds, _), (other_kinds, _) = pairs
     halves = np.array([kind.half_m for kind in world.kinds])
     middles = np.array([kind.middle_m for kind in world.kinds])
-    is_round = np.array([kind.turns == 0 for kind in world.kinds])
-    turns = [np.where(is_round[k], 0.0, p[..., 2]) for k, p in ((kinds, poses), (other_kinds, other_poses))]
+    turns = [np.where(world.spins[kind], 0.0, pose[..., 2]) for kind, pose in pairs]
     half = [halves[kinds], halves[other_kinds]]
     ends = [
-        place[..., :2] + _rotated(middles[kind], turn)
-        for kind, place, turn in zip((kinds, other_kinds), (poses, other_poses), turns, strict=True)
+        pose[..., :2] + _rotated(middles[kind], turn) for (kind, pose), turn in zip(pairs, turns, strict=True)
     ]
-    apart = ends[1] - ends[0]
-    least = np.full(kinds.shape, np.inf)
+    apart = ends[0] - ends[1]
+    least, way = np.full(kinds.shape, np.inf), np.zeros((*kinds.shape, 2))
     for turn in turns:
         for quarter in (0.0, np.pi / 2):
-            axis = turn + quarter
+            axis = np.stack([np.cos(turn + quarter), np.sin(turn + quarter)], axis=-1)
             reach = sum(
-                np.abs(np.cos(axis - own)) * size[..., 0] + np.abs(np.sin(axis - own)) * size[..., 1]
+                np.abs(np.cos(turn + quarter - own)) * size[..., 0]
+                + np.abs(np.sin(turn + quarter - own)) * size[..., 1]
                 for own, size in zip(turns, half, strict=True)
             )
-            distance = np.abs(np.cos(axis) * apart[..., 0] + np.sin(axis) * apart[..., 1])
-            least = np.minimum(least, reach - distance)
-    return least > OVERLAP_M
+            distance = (axis * apart).sum(axis=-1)
+            depth = reach - np.abs(distance)
+            way = np.where((depth < least)[..., None], axis * np.sign(distance)[..., None], way)
+            least = np.minimum(least, depth)
+    return least, way
 
 
 def _rotated(points: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.colour.density import fit, sums
-from scene.colour.rendering import Layers, Motion, Neighbours, render_with_motion
-from scene.colour.surroundings import Placed, Surroundings, forbidden
+from scene.colour.rendering import SAMPLES, Layers, Motion, Neighbours, render_with_motion
+from scene.colour.surroundings import Placed, Surroundings, forbidden, pushed_out
 from scene.colour.world import TableWorld
 
 FITS = 3
@@ -32,6 +32,13 @@ SHARP_STEPS = 4
 """Most steps with the noise itself, ..."""
 WORTH_NATS = 0.5
 """... as long as one of them gains so much."""
+
+
+ROCKED = (-3.0, -1.5, 1.5, 3.0)
+"""Deviations of a yaw by which things are shaken at last: edges in a thing have other places a pixel on."""
+SHAKEN = 0.7 * np.random.default_rng(0).standard_normal((4, 3))
+"""Deviations of poses likewise: as pixels' samples pass from one triangle to the next, gains are rough by
+some nats within a deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +95,11 @@ def refine(
     From the last blurred steps on those that are well behind the best of their `rivals` (B,) are left, and
     the worse half, but for as many as are wanted of each set.
     """
-    going, middle, poses = np.arange(len(kinds)), poses.copy(), poses.copy()
+    poses = poses.copy()
+    for number, scene in enumerate(around.scenes):
+        mine = images == number
+        poses[mine] = pushed_out(world, scene, kinds[mine], poses[mine])
+    going, middle = np.arange(len(kinds)), poses.copy()
     best, covariance = np.full(len(kinds), LEAST_GAIN), np.tile(np.eye(3), (len(kinds), 1, 1))
     for blur in (*blurs, *[1.0] * SHARP_STEPS):
         here = _stepped(world, around, kinds[going], middle[going], images[going], blur)
@@ -109,7 +120,32 @@ def refine(
         if done or not len(going):
             break
         middle[going] += step
+        for number, scene in enumerate(around.scenes):
+            mine = going[images[going] == number]
+            middle[mine] = pushed_out(world, scene, kinds[mine], middle[mine])
     return Refined(going, poses[going], best[going], covariance[going])
+
+
+def shaken(
+    world: TableWorld,
+    around: Surroundings,
+    kinds: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The best of each pose (B, 3) and a few near it by its covariance (B, 3, 3).
+
+    Thing b stands in image b of the surroundings.
+    """
+    ridge = covariance[:, :, 2] / np.sqrt(covariance[:, 2:, 2])
+    offsets = [np.zeros((len(kinds), 1, 3)), np.array(ROCKED)[:, None] * ridge[:, None]]
+    tried = poses[:, None] + np.concatenate(
+        [*offsets, SHAKEN @ np.linalg.cholesky(covariance).swapaxes(1, 2)], axis=1
+    )
+    things, each = tried.shape[:2]
+    images = np.repeat(np.arange(things), each)
+    here = _stepped(world, around, np.repeat(kinds, each), tried.reshape(-1, 3), images, 1.0)
+    return tried[np.arange(things), here.gains.reshape(things, each).argmax(axis=1)]
 
 
 def _leading(
@@ -135,7 +171,7 @@ def _stepped(
     blur: float,
 ) -> _Steps:
     """One Gauss-Newton step of each, with albedos that follow."""
-    layers, motion = render_with_motion(world, kinds, poses)
+    layers, motion = render_with_motion(world, kinds, poses, 1 if blur > 1.0 else SAMPLES)
     noise = world.noise.blurred(blur)
     placed = Placed.of(world, around, layers, images, rough=blur > 1.0)
     segments = placed.segments
@@ -166,8 +202,8 @@ def _stepped(
 
 def _lit_change(world: TableWorld, layers: Layers, motion: Motion, channels: int) -> NDArray[np.float64]:
     """(P, 3, C) change of lit colours with x, y and yaw: what is seen moves, and its triangle turns."""
-    across, down = Neighbours.of(layers, world.camera).slopes(layers.lit(world, channels))
-    turning = motion.shade[:, :, None] * world.face_colours(channels)[layers.face][:, None]
+    across, down = Neighbours.of(layers, world.camera).slopes(layers.lit(channels))
+    turning = motion.shade[:, :, None] * layers.tint_of(channels)[:, None]
     velocity = motion.velocity
     return turning - velocity[:, :, :1] * across[:, None] - velocity[:, :, 1:] * down[:, None]
 

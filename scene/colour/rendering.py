@@ -13,9 +13,11 @@ from shapes.rendering.rasterising import Fragments, image_velocities, rasterise
 
 TOGETHER = 96
 """Poses rendered at once: corners of 6,000 triangles stay in a core's cache."""
-UNRESOLVED = 1 / 24
-"""Mean square, over that of its second difference, of what a step between triangles moves a pixel's mean:
-1/12 of its height squared where it crosses the pixel, nothing in the one beside, which shows it too."""
+SAMPLES = 2
+"""Along each side of a pixel, of what is shaded: a step between triangles moves a pixel by a quarter."""
+UNRESOLVED = 1 / 96
+"""Mean square, over that of its second difference, of how far a pixel's mean is off by a step between
+triangles: 1/48 of its height squared where it crosses a pixel of two samples, nothing in the one beside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +29,7 @@ class Layers:
         pixel: (P,) row * width + column.
         depth_m: (P,).
         shade: (P,).
-        face: (P,) triangle, counted through all kinds.
+        tint: (P, 3 or 1) colour of what is seen, 1 where nothing is known; (P, 1) if nothing is of any kind.
         fill: (P,) share of the pixel that is covered.
         kinds: (B,).
     """
@@ -36,13 +38,17 @@ class Layers:
     pixel: NDArray[np.int64]
     depth_m: NDArray[np.floating]
     shade: NDArray[np.floating]
-    face: NDArray[np.int64]
+    tint: NDArray[np.floating]
     fill: NDArray[np.floating]
     kinds: NDArray[np.int64]
 
-    def lit(self, world: TableWorld, channels: int) -> NDArray[np.float64]:
+    def lit(self, channels: int) -> NDArray[np.float64]:
         """What each pixel returns of white light (P, C), or (P, 1) where no colours are known."""
-        return self.shade[:, None] * world.face_colours(channels)[self.face]
+        return self.shade[:, None] * self.tint_of(channels)
+
+    def tint_of(self, channels: int) -> NDArray[np.floating]:
+        """Colours (P, C); a grey image's mean."""
+        return self.tint.mean(axis=1, keepdims=True) if channels == 1 else self.tint
 
     @property
     def owner(self) -> NDArray[np.int64]:
@@ -59,7 +65,7 @@ class Layers:
             pixel=self.pixel[rows],
             depth_m=self.depth_m[rows],
             shade=self.shade[rows],
-            face=self.face[rows],
+            tint=self.tint[rows],
             fill=self.fill[rows],
             kinds=self.kinds[things],
         )
@@ -117,20 +123,22 @@ class Motion:
     velocity: NDArray[np.float64]
 
 
-def render(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> Layers:
+def render(
+    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64], samples: int = SAMPLES
+) -> Layers:
     """Things (B,) of these kinds at poses (B, 3), each alone."""
-    return render_with_normals(world, kinds, poses)[0]
+    return render_with_normals(world, kinds, poses, samples)[0]
 
 
 def render_with_normals(
-    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]
+    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64], samples: int = SAMPLES
 ) -> tuple[Layers, NDArray[np.float64]]:
     """`render`, and the unit normals (P, 3) of what each pixel shows, from which any lamp's shades follow."""
     if len(kinds) <= TOGETHER:
         poses = _unspun(world, kinds, poses)
-        return _layers(world, kinds, poses, _fragments(world, kinds, poses))
+        return _layers(world, kinds, poses, _fragments(world, kinds, poses, None, samples))
     parts = [
-        render_with_normals(world, kinds[first : first + TOGETHER], poses[first : first + TOGETHER])
+        render_with_normals(world, kinds[first : first + TOGETHER], poses[first : first + TOGETHER], samples)
         for first in range(0, len(kinds), TOGETHER)
     ]
     every = [layers for layers, _ in parts]
@@ -139,7 +147,7 @@ def render_with_normals(
         pixel=np.concatenate([one.pixel for one in every]),
         depth_m=np.concatenate([one.depth_m for one in every]),
         shade=np.concatenate([one.shade for one in every]),
-        face=np.concatenate([one.face for one in every]),
+        tint=np.concatenate([one.tint for one in every]),
         fill=np.concatenate([one.fill for one in every]),
         kinds=kinds,
     )
@@ -147,7 +155,7 @@ def render_with_normals(
 
 
 def render_with_motion(
-    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]
+    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64], samples: int = SAMPLES
 ) -> tuple[Layers, Motion]:
     """`render`, and how it changes with the poses."""
     poses = _unspun(world, kinds, poses)
@@ -157,7 +165,7 @@ def render_with_motion(
     twists[:, 2, 3:] = rotation[:, 2]
     origins = poses[:, :2] @ rotation[:, :2].T + world.camera_from_world[:3, 3]
     twists[:, 2, :3] = -np.cross(rotation[:, 2], origins)
-    fragments = _fragments(world, kinds, poses, twists)
+    fragments = _fragments(world, kinds, poses, twists, samples)
     layers, normals = _layers(world, kinds, poses, fragments)
     camera = world.camera
     row, column = np.divmod(layers.pixel, camera.width)
@@ -180,31 +188,39 @@ def _fragments(
     world: TableWorld,
     kinds: NDArray[np.int64],
     poses: NDArray[np.float64],
-    twists: NDArray[np.float64] | None = None,
+    twists: NDArray[np.float64] | None,
+    samples: int,
 ) -> Fragments:
     world_from_thing = np.tile(np.eye(4), (len(poses), 1, 1))
     cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     world_from_thing[:, :2, :2] = np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)
     world_from_thing[:, :2, 3] = poses[:, :2]
-    return rasterise(world.meshes, kinds, world.camera_from_world @ world_from_thing, world.camera, twists)
+    return rasterise(
+        world.meshes, kinds, world.camera_from_world @ world_from_thing, world.camera, twists, samples
+    )
 
 
 def _layers(
     world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64], seen: Fragments
 ) -> tuple[Layers, NDArray[np.float64]]:
-    owner = np.repeat(np.arange(len(kinds)), np.diff(seen.start))
+    """And the mean normals (P, 3) of the pixels' samples, shorter where these differ."""
+    count = np.diff(seen.first)
+    owner = np.repeat(np.repeat(np.arange(len(kinds)), np.diff(seen.start)), count)
     face = world.first_faces[kinds[owner]] + seen.face
     rotation, origin = world.camera_from_world[:3, :3], world.camera_from_world[:3, 3]
-    row, column = np.divmod(seen.source, world.camera.width)
-    points = (world.camera.rays(column, row) * seen.depth_m[:, None] - origin) @ rotation
+    points = (world.camera.rays(seen.column, seen.row) * seen.sample_depth_m[:, None] - origin) @ rotation
     points[:, :2] -= poses[owner, :2]
     cosine, sine = np.cos(poses[owner, 2]), np.sin(poses[owner, 2])
     level, slope = world.face_normals
     normals = level[face] + np.einsum("pij,pj->pi", slope[face], _turned(points, cosine, -sine))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = _turned(normals, cosine, sine)
+    normals, tint = _turned(normals, cosine, sine), world.face_tints[face]
     shade = world.light.shade(normals)
-    return Layers(seen.start, seen.pixel, seen.depth_m, shade, face, seen.fill, kinds), normals
+    if len(count) and count.max() > 1:
+        normals, tint, shade = (
+            (np.add.reduceat(one, seen.first[:-1], axis=0).T / count).T for one in (normals, tint, shade)
+        )
+    return Layers(seen.start, seen.pixel, seen.depth_m, shade, tint, seen.fill, kinds), normals
 
 
 def _turned(

@@ -15,12 +15,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.lattice import YAWS, Lattice, candidates
+from scene.colour.lattice import OF_EACH_KIND, YAWS, Lattice, candidates
 from scene.colour.light import LampShares
 from scene.colour.posterior import ColourImage, Scene, colour_image, log_posterior, log_prior
-from scene.colour.refinement import TURNED, Refined, refine
+from scene.colour.refinement import TURNED, Refined, refine, shaken
 from scene.colour.rendering import render
-from scene.colour.surroundings import Surroundings
+from scene.colour.surroundings import Surroundings, parted
 from scene.colour.weighing import FoundScene, Posed, Weighed, laplace_gains, weighed_scene
 from scene.colour.world import Light, TableWorld
 
@@ -38,8 +38,9 @@ WORTH_NATS = 1.0
 """... or moves tried, again after a gain of so much alone."""
 EXPLAINED_NATS = 30.0
 """Excess of a scene below which moves are not tried: what a thing more costs by its prior."""
-MERGED_TRIED = 2
-"""Best replacements of two things by one beside which another one is tried."""
+ALTERNATIVES = 4
+"""Kinds that are tried in place of a thing, or of two, and another thing beside each: that a thing of one
+kind explains most does not tell that it is one of the two that are there."""
 MERGED_M = 0.12
 """Two things nearer than this may be one: the length of the largest of a table's usual things."""
 DOUBTFUL_NATS = 20.0
@@ -114,15 +115,38 @@ class _Table:
             sets += [first[:1]]
         return [
             (
-                Scene(
-                    np.concatenate([base.scene.kinds, kinds[some]]),
-                    np.concatenate([base.scene.poses, refined.poses[some]]),
+                parted(
+                    self.world,
+                    Scene(
+                        np.concatenate([base.scene.kinds, kinds[some]]),
+                        np.concatenate([base.scene.poses, refined.poses[some]]),
+                    ),
                 ),
                 np.concatenate([base.covariance, refined.covariance[some]]),
             )
             for some in sets
             if some
         ]
+
+    def of_each_kind(self, base: Weighed) -> list[Weighed]:
+        """The best scenes with one thing more, one of each kind, where most is unexplained; best first."""
+        around = Surroundings.of(self.world, self.image, [base.scene])
+        wanted = OF_EACH_KIND * len(self.world.kinds)
+        states = candidates(self.lattice, around, 1, wanted).states
+        if not len(states) or len(base.scene) == self.world.most:
+            return []
+        kinds, images = self.lattice.kinds[states], np.zeros(len(states), np.int64)
+        refined = refine(self.world, around, kinds, self.lattice.poses[states], images, kinds, 1)
+        every = self.weigh(
+            [
+                (
+                    base.scene.joined(int(kinds[which]), refined.poses[one]),
+                    np.concatenate([base.covariance, refined.covariance[one : one + 1]]),
+                )
+                for one, which in enumerate(refined.which)
+            ]
+        )
+        return sorted(every, key=_evidence, reverse=True)[:ALTERNATIVES]
 
     def settled(self, weighed: Weighed) -> Weighed:
         """All things refined at once, each among the others as they are, as long as that is worth it."""
@@ -139,8 +163,25 @@ class _Table:
         )
         kinds, poses = weighed.scene.kinds, weighed.scene.poses
         own = refine(self.world, around, kinds, poses, np.arange(things), np.arange(things), 1, ())
-        (one,) = self.weigh([(Scene(kinds, own.poses), own.covariance)])
+        if len(own.which) < things:  # one is worth less than nothing where it is
+            return weighed
+        (one,) = self.weigh([(parted(self.world, Scene(kinds, own.poses)), own.covariance)])
         return max(weighed, one, key=_evidence)
+
+    def shaken(self, weighed: Weighed) -> Weighed:
+        """All things at the best of a few poses nearby, as long as that is worth it."""
+        kinds, things = weighed.scene.kinds, len(weighed.scene)
+        for _ in range(SETTLED if things else 0):
+            rests = [weighed.scene.without(one) for one in range(things)]
+            around = Surroundings.of(self.world, self.image, rests)
+            poses = shaken(self.world, around, kinds, weighed.scene.poses, weighed.covariance)
+            if (poses == weighed.scene.poses).all():
+                break
+            (one,) = self.weigh([(parted(self.world, Scene(kinds, poses)), weighed.covariance)])
+            before, weighed = weighed, max(weighed, self.settled(one), key=_evidence)
+            if weighed.log_evidence < before.log_evidence + WORTH_NATS:
+                break
+        return weighed
 
     def turned(self, weighed: Weighed, one: int) -> list[Weighed]:
         """One thing turned in place: the best of many yaws, refined."""
@@ -186,19 +227,20 @@ class _Table:
         bases = self.lessened(weighed)
         for one in suspects:
             yield from self.turned(weighed, one)
-            replaced = self.added(bases[one])
+            replaced = self.of_each_kind(bases[one])
             yield from replaced
             yield bases[one]
-            yield from self.added(max(replaced, key=_evidence)) if replaced else ()
+            for other in replaced:
+                yield from self.added(other)
         for pair in combinations(range(len(weighed.scene)), 2):
             apart = np.subtract(*weighed.scene.poses[list(pair), :2])
             if np.linalg.norm(apart) < MERGED_M and not suspects.isdisjoint(pair):
                 rest = weighed.scene.without(*pair), np.delete(weighed.covariance, pair, axis=0)
                 (base,) = self.weigh([rest])
-                merged = sorted(self.added(base), key=_evidence, reverse=True)
+                merged = self.of_each_kind(base)
                 yield from merged
-                for one in merged[:MERGED_TRIED]:
-                    yield from self.added(one)
+                for other in merged:
+                    yield from self.added(other)
 
     def suspects(self, weighed: Weighed) -> set[int]:
         """Things in whose pixels something is unexplained."""
@@ -280,6 +322,7 @@ class Searcher:
             before, best = best, table.mended(best)
             if best is before:
                 break
+        best = table.shaken(best)
         table.lessened(best)
         return table.summed(best)
 

@@ -10,10 +10,20 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from scene.colour.density import ColourNoise, Fit, Segments, laplace_evidence, log_density, sums
-from scene.colour.posterior import ColourImage, Scene, boxes_overlap, seen_together, segments_of
+from scene.colour.posterior import (
+    OVERLAP_M,
+    ColourImage,
+    Scene,
+    boxes_overlap,
+    overlap_depths,
+    seen_together,
+    segments_of,
+)
 from scene.colour.rendering import Layers, Neighbours, render
 from scene.colour.world import TableWorld
 
+ALMOST = 0.9
+"""Share of the overlap that is allowed to which things are moved apart."""
 TOGETHER_PX = 3
 """Pixels along each side of a block ..."""
 STRANGE_NATS = 20.0
@@ -103,7 +113,7 @@ class Explained:
         view = seen_together(world, layers, scenes)
         segments = segments_of(world, image, view)
         _, albedo = laplace_evidence(segments, world.noise)
-        own = view.share[:, None] * layers.lit(world, image.colour.shape[1]) * albedo[layers.owner]
+        own = view.share[:, None] * layers.lit(image.colour.shape[1]) * albedo[layers.owner]
         self.rendered[view.place] = view.table[:, None] * image.table_colour
         np.add.at(self.rendered, view.place, own)
         order = np.argsort(-layers.depth_m, kind="stable")  # the nearest is written last
@@ -116,6 +126,28 @@ class Explained:
         density = log_density(segments.colour, self.rendered[place], world.noise, spread)
         self.log_density[place] = density.sum(axis=1)
         self.expected[place] = _expected(spread, world.noise).sum(axis=1)
+
+
+def pushed_out(
+    world: TableWorld, rest: Scene, kinds: NDArray[np.int64], poses: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Poses (B, 3) of things moved out of the rest, the shortest way, as far as the overlap rule wants it."""
+    poses = poses.copy()
+    for kind, pose in zip(rest.kinds, rest.poses, strict=True):
+        others = np.full(len(kinds), kind), np.broadcast_to(pose, poses.shape)
+        depth, way = overlap_depths(world, kinds, poses, *others)
+        poses[:, :2] += way * np.maximum(depth - ALMOST * OVERLAP_M, 0.0)[:, None]
+    poses[:, :2] = np.clip(poses[:, :2], -world.half_m, world.half_m)
+    return poses
+
+
+def parted(world: TableWorld, scene: Scene) -> Scene:
+    """Each thing moved out of those before it."""
+    poses = scene.poses.copy()
+    for one in range(1, len(scene)):
+        before, mine = Scene(scene.kinds[:one], poses[:one]), slice(one, one + 1)
+        poses[mine] = pushed_out(world, before, scene.kinds[mine], poses[mine])
+    return Scene(scene.kinds, poses)
 
 
 def _expected(spread: NDArray[np.float64], noise: ColourNoise) -> NDArray[np.float64]:
@@ -149,7 +181,7 @@ class Placed:
         free = np.where(hidden, 1 - pixels.fill[place], 1.0)[:, None]
         front = np.where(hidden[:, None], pixels.front[place], 0.0)
         behind, fill = pixels.rendered[place] - front, layers.fill[:, None]
-        lit = layers.lit(world, colour.shape[1])
+        lit = layers.lit(colour.shape[1])
         segments = Segments(
             start=layers.start,
             colour=colour[layers.pixel],
@@ -169,11 +201,15 @@ class Placed:
 
 
 def forbidden(
-    world: TableWorld, rest: Scene, kinds: NDArray[np.int64], poses: NDArray[np.float64]
+    world: TableWorld,
+    rest: Scene,
+    kinds: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    overlap_m: float = OVERLAP_M,
 ) -> NDArray[np.bool_]:
-    """Which things (B,) would stand off the square or overlap the rest."""
+    """Which things (B,) would stand off the square or overlap the rest by more than so much."""
     outside = np.asarray((np.abs(poses[:, :2]) > world.half_m).any(axis=1))
     for kind, pose in zip(rest.kinds, rest.poses, strict=True):
         others = np.full(len(kinds), kind), np.broadcast_to(pose, poses.shape)
-        outside |= boxes_overlap(world, kinds, poses, *others)
+        outside |= boxes_overlap(world, kinds, poses, *others, overlap_m)
     return outside

@@ -17,7 +17,7 @@ from recordings.settings import check_finite, check_within
 from recordings.types import CameraIntrinsics
 from scene.colour.density import ColourNoise
 from scene.objects.symmetry import spin_line
-from shapes.rendering.rasterising import Mesh, MeshSet
+from shapes.rendering.meshes import Mesh, MeshSet
 from shapes.rendering.smooth_normals import normal_fields, smooth_normals
 
 SURFACE_POINTS = 4000
@@ -177,13 +177,18 @@ class TableWorld:
         return MeshSet.of([kind.mesh for kind in self.kinds])
 
     @cached_property
+    def reaches_m(self) -> NDArray[np.float64]:
+        """(K,) how far each kind's box reaches from its origin."""
+        return np.array([float(np.linalg.norm(np.abs(one.middle_m) + one.half_m)) for one in self.kinds])
+
+    @cached_property
     def spins(self) -> NDArray[np.bool_]:
         """(K,) whether the yaw says nothing, of each kind."""
         return np.array([kind.turns == 0 for kind in self.kinds])
 
     @cached_property
-    def _face_rgb(self) -> NDArray[np.float64]:
-        """(F, 3) of all kinds' triangles in turn, 1 where nothing is known; (F, 1) if nothing is of any."""
+    def face_tints(self) -> NDArray[np.float64]:
+        """Light (F, 3) that all kinds' triangles return, 1 where unknown; (F, 1) if it is of all."""
         if not self.is_coloured.any():
             return np.ones((sum(len(kind.faces) for kind in self.kinds), 1))
         colours = [np.ones((len(one.faces), 3)) if one.colours is None else one.colours for one in self.kinds]
@@ -199,10 +204,6 @@ class TableWorld:
     def first_faces(self) -> NDArray[np.int64]:
         """Number (K,) of each kind's first triangle, counted through all kinds."""
         return np.cumsum([0, *(len(kind.faces) for kind in self.kinds)])[:-1]
-
-    def face_colours(self, channels: int) -> NDArray[np.float64]:
-        """Light (F, C) that triangles of all kinds return, one kind after the other; a grey image's mean."""
-        return self._face_rgb.mean(axis=1, keepdims=True) if channels == 1 else self._face_rgb
 
 
 def _axis(mesh: trimesh.Trimesh) -> NDArray[np.float64]:

@@ -2,8 +2,8 @@
 
 The triangles that face the camera are bounded by silhouette edges. By Green's theorem the area that these
 triangles cover in a pixel is a sum over the pieces of edges in it and to the left of it (signed area
-accumulation, as in the rasterisation of fonts). What lies double, where a mesh covers itself, is measured at
-samples of the pixels that edges pass through, and taken from that.
+accumulation, as in the rasterisation of fonts). What lies double, where a mesh covers itself, is measured
+along a few lines through the pixels that edges pass, and taken from that.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics
 
-MIDDLE = np.array([0.5, 0.5])
-"""Of a pixel, from its upper left corner."""
-SAMPLES = (np.stack(np.meshgrid(np.arange(4), np.arange(4)), axis=-1).reshape(-1, 2) + 0.5) / 4
-"""At which a pixel is looked at for what lies double."""
+LINES = (np.arange(4) + 0.5) / 4
+"""Heights in a pixel at which it is looked at for what lies double."""
+LEFT = 1e-9
+"""Pixels by which lines begin to the left of a pixel: pieces may stand on its edge."""
 BESIDE = 1e-3
 """Pixels from an edge at which it is asked whether anything lies beside it."""
 
@@ -130,24 +130,25 @@ class Pieces:
         lengthwise = (self.start[rows], self.shift[rows], self.sign[rows], self.sweep[rows])
         return Pieces(self.place[rows], *lengthwise)
 
-    def crossed(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Change (Q, N) of the winding number on the way from the pixel's middle to points (Q or 1, N, 2)."""
+    def crossed(self, known: float, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Change (Q, N) of the winding number on the way from (known, known) to points (Q or 1, N, 2)."""
         start, shift = self.start[:, None], self.shift[:, None]
-        before, after = (_cross(shift, one - start) > 0 for one in (MIDDLE, points))
-        way = points - MIDDLE
-        passes = (_cross(way, start - MIDDLE) > 0) != (_cross(way, start + shift - MIDDLE) > 0)
+        before, after = (_cross(shift, one - start) > 0 for one in (known, points))
+        way = points - known
+        passes = (_cross(way, start - known) > 0) != (_cross(way, start + shift - known) > 0)
         return self.sign[:, None] * passes * (before.astype(np.int8) - after)
 
 
 def covered_areas(
-    outlines: Outlines, windows: Windows, windings: NDArray[np.int64]
+    outlines: Outlines, windows: Windows, windings: NDArray[np.int64], known: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shares of all windows' pixels that are filled, (len(windows),), and their rates of change (..., K).
 
     Args:
         outlines: of the renderings.
         windows: that hold them.
-        windings: (len(windows),) how many triangles cover each pixel's middle.
+        windings: (len(windows),) how many triangles cover each pixel's point (known, known), ...
+        known: ... from its upper left corner.
     """
     pieces, count = Pieces.within(outlines, windows), len(windows)
     step = pieces.sign * pieces.shift[:, 1]
@@ -161,7 +162,7 @@ def covered_areas(
     if is_double.any():
         rows = np.flatnonzero(is_double[pieces.place // (windows.height * windows.width)])
         rows = rows[np.argsort(pieces.place[rows], kind="stable")]
-        place, lies_double, is_hidden = _double(pieces.of(rows), windings)
+        place, lies_double, is_hidden = _double(pieces.of(rows), windings, known)
         area[place] -= lies_double
         sweep = sweep.copy()
         sweep[rows[is_hidden]] = 0.0
@@ -173,30 +174,60 @@ def covered_areas(
 
 
 def _double(
-    pieces: Pieces, windings: NDArray[np.int64]
+    pieces: Pieces, windings: NDArray[np.int64], known: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
     """Where a mesh covers itself: pixels (U,), areas (U,) that count double, hidden pieces (Q,).
 
     Args:
         pieces: pixel by pixel.
         windings: as `covered_areas` has them.
+        known: likewise.
     """
     is_first = np.append(True, pieces.place[1:] != pieces.place[:-1])[: len(pieces.place)]
     first = np.flatnonzero(is_first)
     if not len(first):
         return first, np.zeros(0), np.zeros(0, np.bool_)
     place, count = pieces.place[first], np.diff(np.append(first, len(is_first)))
-    crossed = np.add.reduceat(pieces.crossed(SAMPLES[None]), first)
-    lies_double = np.maximum(windings[place][:, None] + crossed - 1, 0.0).mean(axis=1)
+    pixel = np.cumsum(is_first) - 1
+    left = np.column_stack([np.full(len(LINES), -LEFT), LINES])
+    winding = windings[place][:, None] + np.add.reduceat(pieces.crossed(known, left[None]), first)
+    lies_double = _double_lengths(pieces, pixel, np.asarray(winding, np.float64)).mean(axis=1)
     outwards = pieces.sign[:, None] * np.column_stack([-pieces.shift[:, 1], pieces.shift[:, 0]])
     length = np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-12)
     outside = pieces.start + pieces.shift / 2 + BESIDE * outwards / length
-    pixel = np.cumsum(is_first) - 1
     mine = np.repeat(np.arange(len(pixel)), count[pixel])
     rank = np.arange(len(mine)) - np.repeat(np.cumsum(count[pixel]) - count[pixel], count[pixel])
-    changes = pieces.of(first[pixel[mine]] + rank).crossed(outside[mine][:, None])[:, 0]
+    changes = pieces.of(first[pixel[mine]] + rank).crossed(known, outside[mine][:, None])[:, 0]
     winding = windings[pieces.place] + np.bincount(mine, changes, minlength=len(pixel))
     return place, lies_double, winding > 0.5
+
+
+def _double_lengths(
+    pieces: Pieces, pixel: NDArray[np.int64], winding: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Lengths (U, L) along lines through pixels that lie double; pieces are of these pixels (Q,).
+
+    Args:
+        pieces: of edges.
+        pixel: (Q,) rows of `winding`.
+        winding: (U, L) numbers at the lines' left ends.
+    """
+    top, fall = pieces.start[:, 1:], pieces.shift[:, 1:]
+    one, line = np.nonzero((top > LINES) != (top + fall > LINES))
+    along = (LINES[line] - top[one, 0]) / fall[one, 0]
+    right = 1 - (pieces.start[one, 0] + along * pieces.shift[one, 0])
+    group = pixel[one] * len(LINES) + line
+    order = np.lexsort((-right, group))
+    group, right = group[order], right[order]
+    step = (pieces.sign * np.sign(pieces.shift[:, 1]))[one][order]
+    total = np.cumsum(step)
+    begins = np.append(True, group[1:] != group[:-1])[: len(group)]
+    before_group = np.repeat((total - step)[begins], np.diff(np.append(np.flatnonzero(begins), len(group))))
+    after = winding.ravel()[group] + total - before_group
+    gained = np.maximum(after - 1, 0.0) - np.maximum(after - step - 1, 0.0)
+    length = np.maximum(winding.ravel() - 1, 0.0)
+    length += np.bincount(group, gained * right, minlength=winding.size)
+    return length.reshape(winding.shape)
 
 
 def _cross(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,14 +6,13 @@ each pixel's square that is filled; cost grows with covered pixels, not with the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import CameraIntrinsics
+from shapes.rendering.meshes import MeshSet
 from shapes.rendering.outlines import Outlines, Windows, covered_areas
 
 NEAREST_M = 1e-3
@@ -25,106 +24,34 @@ NEIGHBOURS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
-    """Closed triangles.
-
-    Attributes:
-        vertices_m: (V, 3).
-        faces: (F, 3), counter-clockwise from outside.
-    """
-
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
-
-    @cached_property
-    def normals(self) -> NDArray[np.float64]:
-        """Normals (F, 3) to the outside, twice as long as the triangles are large."""
-        corner = self.vertices_m[self.faces]
-        return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-
-    @cached_property
-    def offsets(self) -> NDArray[np.float64]:
-        """Of the triangles' planes (F,): n . x."""
-        return (self.normals * self.vertices_m[self.faces[:, 0]]).sum(axis=1)
-
-    @cached_property
-    def edges(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Vertices (E, 2), and the triangles (E, 2) that run along them and against; F for none."""
-        _, first, same = np.unique(self.vertices_m, axis=0, return_index=True, return_inverse=True)
-        faces = first[same.ravel()][self.faces]
-        ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        against = (ends[:, 0] > ends[:, 1]).astype(np.int64)
-        key = np.sort(ends, axis=1) @ np.array([len(self.vertices_m), 1])
-        pairs = np.stack([key, _ranks(2 * key + against)], axis=1)
-        unique, number = np.unique(pairs, axis=0, return_inverse=True)
-        triangles = np.full((len(unique), 2), len(faces))
-        triangles[number.ravel(), against] = np.repeat(np.arange(len(faces)), 3)
-        return np.stack(np.divmod(unique[:, 0], len(self.vertices_m)), axis=1), triangles
-
-
-@dataclass(frozen=True, eq=False)
-class MeshSet:
-    """Meshes (M,) in arrays of one shape, so that any of them are rendered together.
-
-    Attributes:
-        vertices_m: (M, V, 3).
-        faces: (M, F, 3).
-        normals: (M, F, 3); 0 of triangles that fill up.
-        offsets: (M, F) of their planes.
-        ends: (M, E, 2) vertices of edges.
-        sides: (M, E, 2) triangles along and against them; F where there is none.
-    """
-
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    normals: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    ends: NDArray[np.int64]
-    sides: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, meshes: Sequence[Mesh]) -> MeshSet:
-        """Fill up."""
-        most = max(len(mesh.faces) for mesh in meshes)
-        sides = [np.where(mesh.edges[1] == len(mesh.faces), most, mesh.edges[1]) for mesh in meshes]
-        return cls(
-            vertices_m=_filled_up([mesh.vertices_m for mesh in meshes], 0.0),
-            faces=_filled_up([mesh.faces for mesh in meshes], 0),
-            normals=_filled_up([mesh.normals for mesh in meshes], 0.0),
-            offsets=_filled_up([mesh.offsets for mesh in meshes], 0.0),
-            ends=_filled_up([mesh.edges[0] for mesh in meshes], 0),
-            sides=_filled_up(sides, most),
-        )
-
-
-def _filled_up(arrays: Sequence[NDArray], value: float) -> NDArray:
-    filled = np.full((len(arrays), max(map(len, arrays)), *arrays[0].shape[1:]), value, arrays[0].dtype)
-    for row, array in zip(filled, arrays, strict=True):
-        row[: len(array)] = array
-    return filled
-
-
-@dataclass(frozen=True, eq=False)
 class Fragments:
     """Pixels covered by each of B renderings; those of rendering b are rows `start[b]` to `start[b + 1]`.
+
+    What is seen of pixel p are samples `first[p]` to `first[p + 1]`; where none meets it a neighbour's.
 
     Attributes:
         start: (B + 1,) int64.
         pixel: (P,) int64, row * width + column, ascending within a rendering.
-        depth_m: (P,) float32 along the optical axis.
-        face: (P,) int64 triangle that is seen.
-        source: (P,) int64 the pixel at whose centre it is seen: itself, or one beside it.
+        depth_m: (P,) along the optical axis, harmonic mean of the samples.
         fill: (P,) share of the pixel's square that is covered.
         fill_change: (P, K) its rate of change under each of K motions.
+        first: (P + 1,).
+        column: (H,) of the samples, in pixels.
+        row: (H,).
+        sample_depth_m: (H,).
+        face: (H,) triangle that is seen.
     """
 
     start: NDArray[np.int64]
     pixel: NDArray[np.int64]
-    depth_m: NDArray[np.float32]
-    face: NDArray[np.int64]
-    source: NDArray[np.int64]
+    depth_m: NDArray[np.float64]
     fill: NDArray[np.float64]
     fill_change: NDArray[np.float64]
+    first: NDArray[np.int64]
+    column: NDArray[np.float64]
+    row: NDArray[np.float64]
+    sample_depth_m: NDArray[np.float64]
+    face: NDArray[np.int64]
 
 
 def rasterise(
@@ -133,6 +60,7 @@ def rasterise(
     camera_from_object: NDArray[np.float64],
     camera: CameraIntrinsics,
     twists: NDArray[np.float64] | None = None,
+    samples: int = 1,
 ) -> Fragments:
     """What is seen of closed meshes at B poses, each alone.
 
@@ -142,6 +70,7 @@ def rasterise(
         camera_from_object: (B, 4, 4) rigid.
         camera: of the image.
         twists: (B, K, 6) motions of each, velocity of the camera's origin and angular velocity.
+        samples: along each side of a pixel.
     """
     twists = np.zeros((len(which), 0, 6)) if twists is None else twists
     rotation, origin = camera_from_object[:, :3, :3], camera_from_object[:, None, :3, 3]
@@ -157,12 +86,16 @@ def rasterise(
         facing[:, :-1] &= (inverse[thing, meshes.faces[which]] < 1 / NEAREST_M).all(axis=2)
     rendering, face = np.nonzero(facing)
     corner = projected[rendering[:, None], meshes.faces[which[rendering], face]]
-    triangle, column, row, inverse_there = _covered(corner, camera)
+    corner[..., :2] = (corner[..., :2] + 0.5) * samples - 0.5
+    triangle, column, row, inverse_there = _covered(corner, camera.width * samples, camera.height * samples)
     outlines = _outlines(meshes, which, facing, points, projected, twists, camera)
     windows = Windows.of(outlines, len(which), camera)
-    place = windows.places(rendering[triangle], column, row)
-    areas = covered_areas(outlines, windows, np.bincount(place, minlength=len(windows)))
-    return _nearest(windows, place, face[triangle], inverse_there, *areas, camera.width)
+    fine = Windows(windows.first * samples, windows.width * samples, windows.height * samples)
+    place = fine.places(rendering[triangle], column, row)
+    windings = np.bincount(place, minlength=len(fine)).reshape(-1, fine.height, fine.width)
+    windings = windings[:, ::samples, ::samples].ravel()
+    fill, change = covered_areas(outlines, windows, windings, 0.5 / samples)
+    return _nearest(windows, fine, place, face[triangle], inverse_there, fill, change, camera.width)
 
 
 def _facing(
@@ -223,13 +156,13 @@ def image_velocities(
 
 
 def _covered(
-    corner: NDArray[np.float64], camera: CameraIntrinsics
+    corner: NDArray[np.float64], width: int, height: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Triangle, column, row and inverse depth of every pixel centre within one of the triangles (T, 3, 3)."""
     x, y = corner[:, :, 0], corner[:, :, 1]
     total = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (y[:, 1] - y[:, 0]) * (x[:, 2] - x[:, 0])
     low = np.maximum(np.ceil(corner[..., :2].min(axis=1)), 0).astype(np.int32)
-    high = np.minimum(np.floor(corner[..., :2].max(axis=1)), [camera.width - 1, camera.height - 1])
+    high = np.minimum(np.floor(corner[..., :2].max(axis=1)), [width - 1, height - 1])
     size = np.maximum(high.astype(np.int32) - low + 1, 0)
     size[total == 0] = 0  # seen on edge
     count = size.prod(axis=1)
@@ -261,6 +194,7 @@ def _planes(corner: NDArray[np.float64], total: NDArray[np.float64]) -> list[lis
 
 def _nearest(
     windows: Windows,
+    fine: Windows,
     place: NDArray[np.int64],
     face: NDArray[np.int64],
     inverse: NDArray[np.float64],
@@ -268,29 +202,57 @@ def _nearest(
     change: NDArray[np.float64],
     image_width: int,
 ) -> Fragments:
-    """Of all triangles over a pixel the nearest; pixels at an outline take their neighbour's."""
-    nearest = np.zeros(len(fill))
+    """Of all triangles over a sample the nearest, pixel by pixel.
+
+    Args:
+        windows: of the renderings.
+        fine: the same, of samples.
+        place: (H,) samples, through all fine windows, under triangles.
+        face: (H,) these triangles.
+        inverse: (H,) of their depths.
+        fill: (len(windows),).
+        change: (len(windows), K).
+        image_width: in pixels.
+    """
+    samples = fine.width // windows.width
+    nearest, shown = np.zeros(len(fine)), np.zeros(len(fine), np.int64)
     np.maximum.at(nearest, place, inverse)
     front = np.flatnonzero(inverse == nearest[place])
-    shown = np.zeros(len(fill), np.int64)
     shown[place[front]] = face[front]
-    filled = np.flatnonzero((fill > LEAST_FILL) | (nearest > 0))
-    is_bare = nearest[filled] == 0
-    source = filled.copy()
-    source[is_bare] = _lenders(windows, filled[is_bare], nearest)
-    lent = nearest[source] > 0
-    filled, source = filled[lent], source[lent]
-    start = np.searchsorted(filled, np.arange(len(windows.first) + 1) * (windows.height * windows.width))
-    depth = (1.0 / nearest[source]).astype(np.float32)
-    fill = np.maximum(fill[filled], LEAST_FILL)
-    pixel, source_pixel = (
-        row * image_width + column for column, row in map(windows.pixels, (filled, source))
+    met = np.flatnonzero(nearest)
+    line, column = np.divmod(met, fine.width)
+    pixel = line // samples * windows.width + column // samples
+    if samples > 1:
+        order = np.argsort(pixel, kind="stable")
+        met, pixel = met[order], pixel[order]
+    count = np.bincount(pixel, minlength=len(windows))
+    filled = np.flatnonzero((fill > LEAST_FILL) | (count > 0))
+    source, is_bare = filled.copy(), count[filled] == 0
+    source[is_bare] = _lenders(windows, filled[is_bare], count)
+    filled, source = (one[count[source] > 0] for one in (filled, source))
+    seen = count[source]
+    first = np.append(0, np.cumsum(seen))
+    rank = np.arange(first[-1]) - np.repeat(first[:-1], seen)
+    met = met[np.repeat((np.cumsum(count) - count)[source], seen) + rank]
+    column, row = fine.pixels(met)
+    depth = 1 / nearest[met]
+    own_column, own_row = windows.pixels(filled)
+    return Fragments(
+        start=np.searchsorted(filled, np.arange(len(windows.first) + 1) * (windows.height * windows.width)),
+        pixel=own_row * image_width + own_column,
+        depth_m=seen / np.add.reduceat(nearest[met], first[:-1]) if len(seen) else np.zeros(0),
+        fill=np.maximum(fill[filled], LEAST_FILL),
+        fill_change=change[filled],
+        first=first,
+        column=(column + 0.5) / samples - 0.5,
+        row=(row + 0.5) / samples - 0.5,
+        sample_depth_m=depth,
+        face=shown[met],
     )
-    return Fragments(start, pixel, depth, shown[source], source_pixel, fill, change[filled])
 
 
-def _lenders(windows: Windows, bare: NDArray[np.int64], nearest: NDArray[np.float64]) -> NDArray[np.int64]:
-    """A neighbour of each of these pixels that is covered; the pixel itself where none is."""
+def _lenders(windows: Windows, bare: NDArray[np.int64], count: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A neighbour of each of these pixels in which something is met; the pixel itself where none has."""
     line, column = np.divmod(bare, windows.width)
     row = line % windows.height
     lender = bare.copy()
@@ -298,15 +260,5 @@ def _lenders(windows: Windows, bare: NDArray[np.int64], nearest: NDArray[np.floa
         inside = (row + down >= 0) & (row + down < windows.height)
         inside &= (column + right >= 0) & (column + right < windows.width)
         other = np.where(inside, bare + down * windows.width + right, bare)
-        lender = np.where(nearest[other] > 0, other, lender)
+        lender = np.where(count[other] > 0, other, lender)
     return lender
-
-
-def _ranks(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many equal keys stand before each."""
-    order = np.argsort(keys, kind="stable")
-    place = np.arange(len(keys))
-    first = np.append(True, np.diff(keys[order]) != 0)
-    ranks = np.empty(len(keys), np.int64)
-    ranks[order] = place - np.maximum.accumulate(np.where(first, place, 0))
-    return ranks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.rendering.rasterising import Mesh
+from shapes.rendering.meshes import Mesh
 
 CREASE = np.cos(np.radians(40.0))
 """Cosine between triangles from which they are one smooth surface: a ball of 400 triangles bends by 20

@@ -64,7 +64,8 @@ def _scene(lattice: Lattice, states: tuple[int, ...]) -> Scene:
 def test_no_scene_of_a_lattice_is_more_probable_than_what_is_found(seed: int, things: int) -> None:
     """All scenes of up to two of 64 states are summed over; the search moves off the lattice."""
     rng = np.random.default_rng(seed)
-    lattice = Lattice.of(WORLD, spacing_m=0.07, yaws=6)
+    coarse = Lattice.of(WORLD, spacing_m=0.07, yaws=6)
+    lattice = Lattice.rendered(WORLD, coarse.kinds, coarse.poses, coarse.groups)
     truth = Scene(np.arange(things), np.array([[-0.06, 0.03, 0.4], [0.05, -0.02, 0.0]])[:things])
     image = picture(rng, truth)
     every = lattice_posterior(image, lattice)

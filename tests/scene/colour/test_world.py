@@ -6,7 +6,7 @@ import trimesh
 
 from pipeline.synthesis.air import air_meshes, air_world, photograph
 from scene.colour.posterior import Scene, seen_together
-from scene.colour.rendering import render
+from scene.colour.rendering import SAMPLES, render
 from scene.colour.world import Kind
 
 
@@ -42,7 +42,7 @@ def test_renderings_are_what_embree_sees(seed: int) -> None:
         yaw = np.where(world.spins[kinds], 0.0, rng.uniform(0, 6, 2))  # round things are rendered so
         scene = Scene(kinds, np.column_stack([[-0.05, 0.06], rng.uniform(-0.05, 0.05, 2), yaw]))
         albedo = np.array([[0.9, 0.6, 0.3], [0.2, 0.7, 1.0]])
-        picture, _ = photograph(world, scene, albedo, subsamples=1)
+        picture, _ = photograph(world, scene, albedo, subsamples=SAMPLES)
         layers = render(world, scene.kinds, scene.poses)
         view = seen_together(world, layers)
         whole = view.share > 0.999

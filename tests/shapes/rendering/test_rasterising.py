@@ -6,7 +6,8 @@ import pytest
 import trimesh
 
 from recordings.types import CameraIntrinsics
-from shapes.rendering.rasterising import Fragments, Mesh, MeshSet, rasterise
+from shapes.rendering.meshes import Mesh, MeshSet
+from shapes.rendering.rasterising import Fragments, rasterise
 
 CAMERA = CameraIntrinsics(width=60, height=40, fx=70, fy=65, cx=28.3, cy=21.1)
 
@@ -54,7 +55,7 @@ def test_pixels_depths_and_triangles_are_embrees(seed: int) -> None:
         hits = cast(mesh, pose)
         expected = hits["t_hit"].ravel()
         rows = np.arange(found.start[number], found.start[number + 1])
-        rows = rows[found.source[rows] == found.pixel[rows]]
+        rows = rows[found.row[rows] * 60 + found.column[rows] == found.pixel[rows]]
         depth = np.full(expected.shape, np.inf)
         depth[found.pixel[rows]] = found.depth_m[rows]
         both = np.isfinite(depth) & np.isfinite(expected)
@@ -86,7 +87,7 @@ def test_areas_are_those_of_256_rays_a_pixel(
 ) -> None:
     """95% and all pixels: within what so many rays tell, 1/32 and twice that at a corner.
 
-    Of a pipe, which covers itself, within what 16 samples tell.
+    Of a pipe, which covers itself, within what four lines through a pixel tell.
     """
     poses = random_poses(np.random.default_rng(seed), 8)
     found = rasterise(mesh_set(mesh), np.zeros(8, np.int64), poses, CAMERA)
