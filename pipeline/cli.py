@@ -22,6 +22,7 @@ COMMANDS = (
     "info",
     "import",
     "synth",
+    "calibrate",
     "slam",
     "learn",
     "parse",

@@ -120,6 +120,7 @@ def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **
     from shapes.learning.distillation import learn_shape
 
     _prepare()
+    config = LearnConfig(**settings).with_noise(recording.sensor and recording.sensor.noise)
     posed = tracked_frames(trajectory)
     stamps = set(posed.times_ns.tolist())
     return learn_shape(
@@ -128,7 +129,7 @@ def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **
         recording.intrinsics,
         posed.trajectories,
         posed.log_weights,
-        LearnConfig(**settings).for_tracked_poses,
+        config.for_tracked_poses,
     )
 
 
@@ -155,6 +156,7 @@ def parse(
     """
     import numpy as np
 
+    from pipeline.calibration.images import profile_of
     from pipeline.shape_folder import chosen, load_surfaces
     from pipeline.stages.parse import drawn_shapes, frames_to_parse, relative_poses
     from pipeline.surfaces import Surfaces
@@ -176,15 +178,17 @@ def parse(
         for (name, one), drawn in zip(surfaces.by_name.items(), draws, strict=True)
     ]
     numbers, frames = zip(*frames_to_parse(recording, config.frames), strict=True)
+    sensor = profile_of(recording, recording.statistics().frames)
     return parse_scene(
         stage_key(seed, "parse"),
         frames,
         numbers,
         poses,
         recording.intrinsics,
-        DepthNoise(),
+        sensor.noise or DepthNoise(),
         objects,
         config,
+        unknown=sensor.unknown,
     )
 
 

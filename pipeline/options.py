@@ -170,14 +170,33 @@ def recording_options(command: Command) -> Command:
         said = {name: kwargs.pop(name) for name in READING}
         return command(*args, source=RecordingSource(path=rec, said=said), **kwargs)
 
+    return _decorated(with_source, [click.argument("rec", type=click.Path(path_type=Path)), *_reading()])
+
+
+def several_recordings_options(command: Command) -> Command:
+    """Give a command arguments REC... and the options of reading them as one argument `sources`."""
+
+    @functools.wraps(command)
+    def with_sources(*args: Any, recs: tuple[Path, ...], **kwargs: Any) -> Any:
+        said = {name: kwargs.pop(name) for name in READING}
+        return command(*args, sources=[RecordingSource(path=one, said=said) for one in recs], **kwargs)
+
+    argument = click.argument(
+        "recs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="REC..."
+    )
+    return _decorated(with_sources, [argument, *_reading()])
+
+
+def _reading() -> list[Any]:
+    """The options of reading a recording."""
+
     def metres(flag: str, name: str, help_: str) -> Any:
         return click.option(flag, name, type=float, metavar="METRES", help=help_)
 
     def seconds(flag: str, name: str, help_: str) -> Any:
         return click.option(flag, name, type=float, metavar="SECONDS", help=help_)
 
-    options = [
-        click.argument("rec", type=click.Path(path_type=Path)),
+    return [
         click.option("--depth-topic", metavar="TOPIC", help="The depth, where a recording has several."),
         click.option("--intrinsics", type=Intrinsics(), help="Camera in pixels, over the recorded one."),
         metres("--depth-scale", "depth_scale_m", "A stored 1: as a rule 0.001 for integers, 1 for floats."),
@@ -193,13 +212,12 @@ def recording_options(command: Command) -> Command:
             "--sensor",
             type=click.Path(path_type=Path),
             metavar="FILE.toml",
-            help="Sensor profile (a run's sensor.toml) by which depths are corrected.",
+            help="Profile of the sensor, from `calibrate` or a run: noise, distortion, unknown layer.",
         ),
         seconds("--start", "start_s", "From here on, after the first frame."),
         seconds("--end", "end_s", "Up to here, after the first frame."),
         click.option("--every", type=int, metavar="N", help="Every N-th frame."),
     ]
-    return _decorated(with_source, options)
 
 
 def run_options(command: Command) -> Command:

@@ -19,7 +19,8 @@
     parse.presence = 0.5       # settings of the stages, for this recording alone
 
 A recording may also have the settings of reading: depth_topic, every, start_s and so on. Each recording's
-run stands in RUN/recordings/STEM; what was learned is gathered in RUN/shapes.
+run stands in RUN/recordings/STEM; what was learned is gathered in RUN/shapes. `sensor` and `mask` name files
+relative to the project file too, in a recording or, for all of them, above all tables.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ FILE_NAME = r"\w[\w.-]{0,99}"
 
 Stage = Literal["slam", "learn", "parse"]
 STAGES = ("slam", "learn", "parse")
+FILES = ("mask", "sensor")
+"""Settings of reading that name files."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +121,8 @@ def read_project(path: Path) -> Project:
     entries = content.pop("recording", [])
     if not isinstance(entries, list) or not entries:
         raise ConfigError(f"{path} has no [[recording]]: each needs a path and a stage")
-    recordings, mistakes = _recordings(path, entries)
+    for_all = {name: content.pop(name) for name in FILES if isinstance(content.get(name), str)}
+    recordings, mistakes = _recordings(path, entries, for_all)
     settings: Mapping[str, Mapping[str, Any]] = {}
     try:
         settings = checked_sections(content, path)
@@ -147,13 +151,18 @@ def read_project(path: Path) -> Project:
     )
 
 
-def _recordings(path: Path, entries: list[Any]) -> tuple[list[ProjectRecording], list[str]]:
-    """The recordings that the entries name, a pattern as many as it matches; and what is not understood."""
+def _recordings(
+    path: Path, entries: list[Any], for_all: Mapping[str, str]
+) -> tuple[list[ProjectRecording], list[str]]:
+    """The recordings that the entries name, a pattern as many as it matches; and what is not understood.
+
+    `for_all` holds where an entry says nothing.
+    """
     found: list[ProjectRecording] = []
     mistakes: list[str] = []
     for number, entry in enumerate(entries, start=1):
         try:
-            one = _recording(path, number, entry)
+            one = _recording(path, number, {**for_all, **entry} if isinstance(entry, Mapping) else entry)
             found += _matching(path.parent, one)
         except ConfigError as error:
             mistakes.append(str(error))
@@ -172,11 +181,18 @@ def _matching(folder: Path, recording: ProjectRecording) -> list[ProjectRecordin
     return [replace(recording, path=match) for match in matches]
 
 
+def _beside(path: Path, reading: Mapping[str, Any]) -> dict[str, str]:
+    """The files among the settings of reading, relative to the project file."""
+    named = {name: reading[name] for name in FILES if isinstance(reading.get(name), str)}
+    return {name: str(path.parent / value) for name, value in named.items()}
+
+
 def _recording(path: Path, number: int, entry: Mapping[str, Any]) -> ProjectRecording:
     where = f"{path}, recording {number}"
     if not isinstance(entry, Mapping):
         raise ConfigError(f"{where} is no table; write [[recording]] above its lines")
     reading = {name: value for name, value in entry.items() if name in READING}
+    reading |= _beside(path, reading)
     settings = {name: value for name, value in entry.items() if name in STAGES}
     own = {name: value for name, value in entry.items() if name not in (*READING, *STAGES)}
     recording = build(ProjectRecording, {**own, "reading": reading, "settings": settings}, where)

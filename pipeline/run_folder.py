@@ -165,7 +165,7 @@ class RunFolder:
     def records(self) -> dict[str, StageRecord]:
         """Records by stage, in the order of the work; without those made from a stage that is another now."""
         shapes = sorted((self.path / "stages" / "learn").glob("*.json"))
-        names = ["slam", "room", *(f"learn/{path.stem}" for path in shapes), "objects", "parse"]
+        names = ["sensor", "slam", "room", *(f"learn/{path.stem}" for path in shapes), "objects", "parse"]
         found = {name: record for name in names if (record := self.record(name))}
         return {
             name: record
@@ -180,7 +180,9 @@ class RunFolder:
         return canonical_hash({"place": str(self.path.resolve()), **made_from})[:8]
 
     def value_path(self, name: str) -> Path:
-        """Where a stage's value is kept."""
+        """Where a stage's value is kept; the run's own sensor.toml is what all stages know together."""
+        if name == "sensor":
+            return self.path / "stages" / "sensor.toml"
         kind, _, shape = name.partition("/")
         return self.path / "shapes" / f"{shape}.npz" if kind == "learn" else self.path / f"{kind}.npz"
 

@@ -50,6 +50,7 @@ class Session:
         self.recording = recording
         self._recording_hash = recording_hash
         self.warnings: list[str] = []
+        self._statistics: DepthStatistics | None = None
 
     def key(self, stage: Stage) -> jax.Array:
         """The key of a stage."""
@@ -96,11 +97,15 @@ class Session:
         return committed
 
     def look(self) -> DepthStatistics:
-        """What the recording's depths and stamps look like; says what about them can hardly be right."""
-        statistics = self.recording.statistics()
-        for sentence in statistics.warnings(self.recording.size):
+        """What the recording's depths and stamps look like; says what about them can hardly be right.
+
+        It is read once, and told with the stage that asked first.
+        """
+        if self._statistics is None:
+            self._statistics = self.recording.statistics()
+        for sentence in self._statistics.warnings(self.recording.size):
             self.warn(sentence)
-        return statistics
+        return self._statistics
 
     def warn(self, sentence: str) -> None:
         """Say once what the user should know of the recording; it is kept with the stage that is at work."""

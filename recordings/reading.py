@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +194,13 @@ class McapRecording:
 
     def __iter__(self) -> Iterator[Frame]:
         """Every frame once, in the order of stamps."""
+        return self._frames(None)
+
+    def chosen(self, numbers: Collection[int]) -> Iterator[Frame]:
+        """The frames of these numbers; the others are not decoded, and count even if they could not be."""
+        return self._frames(numbers)
+
+    def _frames(self, wanted: Collection[int] | None) -> Iterator[Frame]:
         losses: Counter[str] = Counter()
         count = 0
 
@@ -205,7 +212,9 @@ class McapRecording:
         colours = NearestInTime(self._colour_messages(lose))
         self._follow_camera()
         messages = in_order_of_stamps(self._depth_messages(lose), leave_out=lambda _: lose(_OUT_OF_ORDER))
-        for stamp_ns, message in selected(messages, self.options):
+        for number, (stamp_ns, message) in enumerate(selected(messages, self.options)):
+            if wanted is not None and number not in wanted:
+                continue
             try:
                 depth_m = self._corrected(self._depth.depth(message, stamp_ns))
             except UndecodableMessage as error:
@@ -214,7 +223,7 @@ class McapRecording:
             count += 1
             rgb, known = self._rgb(colours.at(stamp_ns), depth_m, stamp_ns, lose)
             yield Frame(time_ns=stamp_ns, depth_m=depth_m, rgb=rgb, rgb_known=known)
-        self._length = count
+        self._length = count if wanted is None else self._length
 
     def statistics(self) -> DepthStatistics:
         """What depths and stamps look like: all messages are read, the first and four an octave decoded."""

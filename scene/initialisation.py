@@ -18,6 +18,7 @@ from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.execution import compile_in_background
 from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.objects.scene_object import SceneObject
 from scene.observation.frame_data import SceneData
 from scene.search.assignment import choose
@@ -36,6 +37,7 @@ def initialise(
     renderer: ObjectRenderer,
     noise: DepthNoise,
     config: ParseConfig,
+    learned: UnknownWeights | None = None,
 ) -> Initialisation:
     """Search for the scene in one frame.
 
@@ -46,10 +48,11 @@ def initialise(
         renderer: of the same objects.
         noise: of the sensor.
         config: settings.
+        learned: how well pixels foretell each other; None learns it from this frame.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     poses = config.pool * (config.rounds + 1) + 1 + RIVALS
-    pools = PosePools.of(data, objects, renderer, noise, config, poses)
+    pools = PosePools.of(data, objects, renderer, noise, config, poses, learned)
     search_round = SearchRound.of(pools, rng)
     *keys, last_key, again_key = jax.random.split(key, config.rounds + 3)
     scene = np.full(len(objects), pools.absent)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from recordings.sensor_profile import UnknownTable
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
@@ -18,6 +19,7 @@ from scene.hidden.pose_priors import PlacedObject, Support
 from scene.initialisation import initialise
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.mcmc.chain_model import carrying
 from scene.mcmc.colour_turns import SeenColours, with_drawn_turns
 from scene.mcmc.sampling import sample_posterior
@@ -52,6 +54,7 @@ def parse_scene(
     objects: Sequence[SceneObject],
     config: ParseConfig,
     progress: Callable[[int, int], None] | None = None,
+    unknown: UnknownTable | None = None,
 ) -> SceneResult:
     """Parse the scene that the frames show: it is judged by all of them.
 
@@ -68,20 +71,25 @@ def parse_scene(
         objects: what to look for.
         config: settings.
         progress: called with blocks of moves done and in all.
+        unknown: how well pixels foretell each other, of the sensor's profile; None learns it from the frames.
 
     Raises:
-        ValueError: the first frame shows nothing to parse.
+        ValueError: the first frame shows nothing to parse, or the profile does not know such pixels.
     """
     seed_key, search_key, refine_key, chain_key, again_key, hidden_key = jax.random.split(key, 6)
     seed = int(jax.random.randint(seed_key, (), 0, 2**31 - 1))
     views = _views(frames, first_camera_from_camera, intrinsics, seed, config)
     renderer = ObjectRenderer.of(objects)
     noise = replace(noise, outlier_probability=config.outlier_probability)
+    windows = [view.window for view in views]
+    if unknown is not None:
+        learned = UnknownWeights.of(unknown, windows[0].stride / intrinsics.fx)
+    else:
+        learned = UnknownWeights.learned([one.depth_m for one in windows], noise)
     number, start = _best_start(
-        (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config
+        (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config, learned
     )
     data, first_from_searched = views[number], first_camera_from_camera[number]
-    windows = [view.window for view in views]
     densities = [
         PixelDensity.of(
             window.depth_m,
@@ -89,6 +97,7 @@ def parse_scene(
             noise,
             config.model_error_m,
             window.stride,
+            learned,
         )
         for view, window in zip(views, windows, strict=True)
     ]
@@ -186,13 +195,14 @@ def _best_start(
     renderer: ObjectRenderer,
     noise: DepthNoise,
     config: ParseConfig,
+    learned: UnknownWeights,
 ) -> tuple[int, Initialisation]:
     """Which view was searched, and what was found in it that agrees best with all of them."""
-    start = initialise(keys[0], views[0], objects, renderer, noise, config)
+    start = initialise(keys[0], views[0], objects, renderer, noise, config, learned)
     if len(views) == 1:
         return 0, start
     other = _most_new(views, first_camera_from_camera)
-    again = initialise(keys[1], views[other], objects, renderer, noise, config)
+    again = initialise(keys[1], views[other], objects, renderer, noise, config, learned)
     agreement = partial(_agreement, renderer, views, first_camera_from_camera)
     if agreement(again, first_camera_from_camera[other]) > agreement(start, np.eye(4)):
         return other, again

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS, SensorProfile
+from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, DistortionField
+from recordings.sensor_profile import SensorProfile
 from recordings.types import CameraIntrinsics
 from shapes.archive import load_fields, save_fields
 from shapes.geometry.pose_sets import cluster
@@ -41,7 +42,7 @@ class SlamResult:
             first.
         explained: (T,) share of the returns that lay on the map's surface.
         disparity_per_m: (rows, columns) the sensor's distortion field at the nodes of
-            `recordings.sensor_profile`, 1/m: mean, where several maps are left in the likeliest.
+            `recordings.distortion_field`, 1/m: mean, where several maps are left in the likeliest.
         disparity_sd_per_m: alike, standard deviations.
         camera: (6,) width, height, fx, fy, cx, cy of the images that the field is of, pixels.
     """
@@ -91,9 +92,8 @@ class SlamResult:
         """
         width, height, fx, fy, cx, cy = self.camera.tolist()
         camera = CameraIntrinsics(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy)
-        return SensorProfile(
-            intrinsics=camera, disparity_per_m=self.disparity_per_m, sd_per_m=self.disparity_sd_per_m
-        )
+        distortion = DistortionField(disparity_per_m=self.disparity_per_m, sd_per_m=self.disparity_sd_per_m)
+        return SensorProfile(intrinsics=camera, distortion=distortion)
 
     @property
     def trajectories(self) -> NDArray[np.float64]:

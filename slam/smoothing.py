@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS
+from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS
 from recordings.types import CameraIntrinsics
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY, cluster, mean_and_covariance

@@ -9,7 +9,8 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS, PRIOR_SD_PER_M, SensorProfile
+from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, PRIOR_SD_PER_M
+from recordings.sensor_profile import SensorProfile
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
@@ -58,7 +59,8 @@ def track(
         intrinsics: of the recording; frames of another size are taken as resized.
         config: settings.
         on_frame: called after every frame.
-        sensor: by which the frames have been corrected; what it leaves open is all that is unknown then.
+        sensor: what is known of it: its noise, and the distortion by which the frames have been corrected, of
+            which only what it leaves open is unknown then.
         pages: where keyframes and frames go that are not asked for, so that memory hardly grows; None keeps
             them in memory.
         checkpoint: how far a tracker of the same frames, key, settings and pages came that was ended early.
@@ -68,6 +70,8 @@ def track(
         ValueError: there is no frame, or none that a map can begin with.
     """
     pages = pages or PageFile()
+    if sensor is not None and config.noise is None:
+        config = replace(config, noise=sensor.noise)
     state: FilterState | None = checkpoint.state if checkpoint else None
     history = checkpoint.history if checkpoint else History(pages=pages)
     details: list[Paged[KeyframeDetail]] = list(checkpoint.details) if checkpoint else []
@@ -118,13 +122,14 @@ def track(
         details = [pages.hold(detail.value.with_plane_segments(full_detail_noise)) for detail in details]
     state = choose_map(look_key, state, config, details, full_detail_noise, prior)
     sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
-    if sensor is not None:
-        sd, scales = sensor.sd_per_m, (1.0,)
+    field = sensor.distortion if sensor else None
+    if field is not None:
+        sd, scales = field.sd_per_m, (1.0,)
     state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, sd, prior, scales)
     result = smoothed(history, state, placed, intrinsics)
-    if sensor is None:
+    if field is None:
         return result
-    return replace(result, disparity_per_m=sensor.disparity_per_m + result.disparity_per_m)
+    return replace(result, disparity_per_m=field.disparity_per_m + result.disparity_per_m)
 
 
 def _can_be_mapped(view: CanvasView) -> bool:

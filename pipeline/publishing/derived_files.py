@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from pipeline.publishing.summary import summary_of, timing_of
 from pipeline.publishing.trajectory_files import path_texts
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
+from pipeline.stored_profile import StoredProfile
 from pipeline.views.rrd import write_rrd
 
 OPTIONAL = ("trajectory.tum", "trajectory.kitti", "lost.txt", "sensor.toml", "poses.csv")
@@ -35,10 +35,8 @@ def write_derived_files(run: RunFolder) -> list[Path]:
     texts = {"config.toml": tomli_w.dumps(settings)}
     if values.slam is not None:
         texts |= path_texts(values.slam)
-        with suppress(
-            ValueError, OverflowError
-        ):  # a field of numbers that no sensor has is not worth keeping
-            texts["sensor.toml"] = tomli_w.dumps(values.slam.sensor.table())
+    if values.profile is not None:
+        texts["sensor.toml"] = StoredProfile(values.profile).text
     if values.scene is not None:
         texts["poses.csv"] = bop_lines(values)
     for name in set(OPTIONAL) - set(texts):

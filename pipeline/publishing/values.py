@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
@@ -14,7 +15,9 @@ from pipeline.errors import PipelineError
 from pipeline.publishing.finite import drawable_path, drawable_scene
 from pipeline.room import RoomView
 from pipeline.run_folder import RunFolder
+from pipeline.stored_profile import StoredProfile
 from pipeline.surfaces import Surfaces
+from recordings.sensor_profile import SensorProfile
 from scene.result import SceneResult
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
@@ -31,6 +34,7 @@ class RunValues:
     """What a run knows so far.
 
     Attributes:
+        sensor: what is known of the sensor, but for what `slam` learnt of its distortion.
         slam: the camera's trajectory.
         room: what was seen along it.
         shapes: learned shapes by name.
@@ -44,7 +48,19 @@ class RunValues:
     shapes: dict[str, ShapePrior]
     surfaces: Surfaces | None = None
     scene: SceneResult | None = None
+    sensor: StoredProfile | None = None
     warnings: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    @property
+    def profile(self) -> SensorProfile | None:
+        """All that is known of the sensor; None where the run knows nothing, or numbers of no sensor."""
+        tracked = None
+        if self.slam is not None:
+            with suppress(ValueError, OverflowError):
+                tracked = self.slam.sensor
+        if self.sensor is None or tracked is None:
+            return tracked if self.sensor is None else self.sensor.profile
+        return replace(self.sensor.profile, distortion=tracked.distortion)
 
     @property
     def reference_from_parsed(self) -> NDArray[np.float64]:
@@ -138,6 +154,7 @@ class RunValues:
             shapes={name: shape for name, shape in shapes.items() if shape is not None},
             surfaces=_read(Surfaces.load, files.get("objects.npz")),
             scene=_read(SceneResult.load, files.get("parse.npz")),
+            sensor=_read(StoredProfile.load, files.get("stages/sensor.toml")),
         )
 
     @property

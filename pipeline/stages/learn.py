@@ -57,6 +57,7 @@ def learn_stage(
         PipelineError: there is no object to learn, or there are no recorded poses.
     """
     config = session.common.settings.section("learn", LearnConfig, options)
+    config = config.with_noise(session.recording.sensor and session.recording.sensor.noise)
     if recorded_poses:
         poses = _recorded(session)
         return session.stage(

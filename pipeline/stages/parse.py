@@ -16,6 +16,7 @@ from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.colour_input import check_colours, coloured
 from pipeline.stages.room import view_stage
+from pipeline.stages.sensor import sensor_stage
 from pipeline.stages.slam import slam_stage
 from pipeline.surfaces import Surfaces
 from recordings.types import DepthNoise, Frame
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from pipeline.meshes import Units
     from recordings.reading import McapRecording
+    from recordings.sensor_profile import SensorProfile
     from scene.result import SceneResult
 
 SOURCES = (
@@ -68,6 +70,7 @@ def parse_stage(
             f"--exact {missing[0]}: no such shape; there are {', '.join(surfaces.value.by_name)}"
         )
     trajectory = slam_stage(session) if len(config.frames) > 1 and not alone else None
+    sensor = None if alone else sensor_stage(session)
 
     def compute() -> SceneResult:
         if alone:
@@ -78,9 +81,10 @@ def parse_stage(
         poses = np.eye(4)[None]
         if trajectory is not None:
             poses = relative_poses(trajectory.value.mean, config.frames)
-        return _parse(session, shapes, surfaces.value, poses, config)
+        assert sensor is not None
+        return _parse(session, shapes, surfaces.value, poses, sensor.value.profile, config)
 
-    uses = [surfaces] if trajectory is None else [surfaces, trajectory]
+    uses = [surfaces, *(one for one in (trajectory, sensor) if one is not None)]
     scene = session.stage("parse", _load, compute, {"parse": config}, uses=uses, sources=SOURCES)
     if session.run.record("slam") is None:
         view_stage(session, scene)
@@ -94,7 +98,12 @@ def _load(path: Path) -> SceneResult:
 
 
 def _parse(
-    session: Session, shapes: Path, surfaces: Surfaces, poses: NDArray[np.float64], config: ParseConfig
+    session: Session,
+    shapes: Path,
+    surfaces: Surfaces,
+    poses: NDArray[np.float64],
+    sensor: SensorProfile,
+    config: ParseConfig,
 ) -> SceneResult:
     from scene.objects.scene_object import scene_object
     from scene.parsing import parse_scene
@@ -122,10 +131,11 @@ def _parse(
                 numbers,
                 poses,
                 session.recording.intrinsics,
-                DepthNoise(),
+                sensor.noise or DepthNoise(),
                 objects,
                 config,
                 progress,
+                unknown=sensor.unknown,
             )
         except ValueError as error:
             raise PipelineError(f"{session.source.path}: {error}") from error

@@ -13,6 +13,7 @@ from pipeline.memory import give_back_free_memory
 from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.room import room_stage
+from pipeline.stages.sensor import sensor_stage
 from slam.config import SlamConfig
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> Co
         "slam", _load, lambda: _track(session, config), {"slam": config}, sources=SOURCES
     )
     room_stage(session, trajectory)
+    sensor_stage(session)
     return trajectory
 
 

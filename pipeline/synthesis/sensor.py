@@ -12,7 +12,7 @@ from scipy.ndimage import minimum_filter
 
 from pipeline.synthesis.sensor_errors import clustered, correlated_normals
 from pipeline.synthesis.world import View
-from recordings.sensor_profile import LARGEST_PER_M, NODE_COLUMNS, NODE_ROWS, pixel_weights
+from recordings.distortion_field import LARGEST_PER_M, NODE_COLUMNS, NODE_ROWS, pixel_weights
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.depth_noise import sample
 
@@ -37,7 +37,7 @@ class DepthSensor:
             has one.
         scale_error: standard deviation of the factor by which a camera's depths are too long.
         distortion_per_m: standard deviation, at the nodes, of the field d by which a camera's inverse depths
-            err alike in all its images (`recordings.sensor_profile`).
+            err alike in all its images (`recordings.distortion_field`).
         dark_level: a surface darker than this share of white returns badly.
         dark_none_probability: share of such a surface that does not return, in blots.
         shine_deg: a surface met within this angle of its normal may shine.

@@ -153,8 +153,9 @@ class PixelDensity:
         noise: DepthNoise,
         shape_sigma_m: float,
         stride: int,
+        learned: UnknownWeights | None = None,
     ) -> PixelDensity:
-        """The density of every `stride`-th pixel (H, W) of an image, from which the unknown's is learned.
+        """The density of every `stride`-th pixel (H, W) of an image.
 
         Args:
             depth_m: of these pixels.
@@ -162,8 +163,9 @@ class PixelDensity:
             noise: of the sensor.
             shape_sigma_m: error of objects' surfaces.
             stride: pixels of the image from one of these to the next.
+            learned: how well they foretell each other; None learns it from these pixels.
         """
-        learned = UnknownWeights.learned(depth_m, noise)
+        learned = learned or UnknownWeights.learned([depth_m], noise)
         numbers = noise, shape_sigma_m, min(1.0, EDGE_PX / stride), learned
         with jax.enable_x64(False):
             return _of_image(depth_m, rest_m, *jax.tree.map(np.float32, numbers))

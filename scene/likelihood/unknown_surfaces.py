@@ -7,13 +7,15 @@ In raster order every pixel has the mixture
 over predictions m_k from the measured pixels to the left and above: the plane through those near by that lie
 on one surface with the left one or with that above, and these two alone. The remaining weight is that of a
 surface that begins here. On a plane inverse depth is linear in the pixel's place, so that planes are fitted
-in inverse depth. Weights and the scales s_k are learned from the image itself by expectation maximisation:
-they are those of its sensor, at the distance from one compared pixel to the next (docs/model.md).
+in inverse depth. Weights and the scales s_k are those of the sensor, at the distance from one compared pixel
+to the next: they come with its profile, or are learned from images by expectation maximisation
+(docs/model.md).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -22,6 +24,7 @@ import numpy as np
 from jax.lax import erf
 from numpy.typing import NDArray
 
+from recordings.sensor_profile import UNKNOWN_KINDS, UNKNOWN_PARTS, UnknownTable
 from recordings.types import NO_RETURN, DepthNoise
 from scene.likelihood.causal_planes import fitted, shifted, shifts, wide_slopes
 from shapes.depth_noise import standard_deviation
@@ -35,6 +38,8 @@ FARTHEST_M = 20.0
 FIRST_SCALES = (1.2, 1.2, 4.0, 4.0, 12.0)
 """Of the predictions, in standard deviations of the sensor, before they are learned."""
 ITERATIONS = 20
+MOST_PIXELS = 200_000
+"""From which weights are learned: of more every n-th will do, they are some sixty numbers."""
 LEAST_WEIGHT, LEAST_SCALE = 1e-3, 0.3
 """A mixture that is learned keeps so much of each part: an image of one wall knows no edge."""
 NO_EDGE, EDGES = 0, 5
@@ -48,6 +53,7 @@ LIKE_ALL = 20.0
 """Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
 PREDICTIONS = (0, 1, 4), (2,), (3,)
 """Those that look at the pixels to the left and above, at the left one alone, at that above alone."""
+assert (KINDS, len(FIRST_SCALES) + 1) == (UNKNOWN_KINDS, UNKNOWN_PARTS)  # of sensor profiles
 
 
 @jax.tree_util.register_dataclass
@@ -66,26 +72,30 @@ class UnknownWeights:
     reach_m: jax.Array | float = REACH_M
 
     @classmethod
-    def learned(cls, depth_m: NDArray[np.float32], noise: DepthNoise) -> UnknownWeights:
-        """Those under which an image (H, W) is most probable, by expectation maximisation.
+    def of(cls, table: UnknownTable, pitch_rad: float) -> UnknownWeights:
+        """Those of a sensor's profile for pixels so far apart.
 
-        Of an edge's course only as far as the image has edges: else what is learned of all pixels counts.
+        Raises:
+            ValueError: the profile does not know pixels so far apart.
         """
-        image = jnp.asarray(depth_m)
-        predictions = _predictions(image, noise)
-        kinds = np.asarray(_kinds(image, *predictions, noise))
-        means_m, known = (np.asarray(part, np.float64) for part in predictions)
-        told = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (known > 0).any(axis=0)
-        there, sensor_m = known[:, told] > 0, np.asarray(standard_deviation(noise, means_m))[:, told]
-        errors = (depth_m - means_m)[:, told] / sensor_m
-        of_kind = np.eye(KINDS)[kinds[told]]
-        possible = np.concatenate([there, np.ones((1, told.sum()))])
+        weights, scales = (jax.device_put(part.astype(np.float32)) for part in table.at(pitch_rad))
+        return cls(weights, scales, jax.device_put(np.float32(table.reach_m)))
+
+    @classmethod
+    def learned(cls, images_m: Sequence[NDArray[np.float32]], noise: DepthNoise) -> UnknownWeights:
+        """Those under which images (H, W) of one sensor are most probable, by expectation maximisation.
+
+        Of an edge's course only as far as the images have edges: else what is learned of all pixels counts.
+        """
+        there, errors, sensor_m, of_kind = _foretold(images_m, noise)
+        count = errors.shape[1]
+        possible = np.concatenate([there, np.ones((1, count))])
         scales = np.array(FIRST_SCALES)
         weights = np.full((KINDS, len(scales) + 1), 1 / (len(scales) + 1))
-        for _ in range(ITERATIONS if told.any() else 0):
+        for _ in range(ITERATIONS if count else 0):
             wide = scales[:, None]
             parts = there * np.exp(-0.5 * (errors / wide) ** 2) / (np.sqrt(2 * np.pi) * wide * sensor_m)
-            joint = (of_kind @ weights).T * np.concatenate([parts, np.full((1, told.sum()), 1 / REACH_M)])
+            joint = (of_kind @ weights).T * np.concatenate([parts, np.full((1, count), 1 / REACH_M)])
             shares = joint / joint.sum(axis=0)
             anywhere = shares.sum(axis=1) / possible.sum(axis=1).clip(1)
             anywhere = np.maximum(anywhere, LEAST_WEIGHT)
@@ -96,6 +106,27 @@ class UnknownWeights:
             squares = (shares[:-1] * errors**2).sum(axis=1) / shares[:-1].sum(axis=1).clip(1e-9)
             scales = np.sqrt(squares).clip(LEAST_SCALE)
         return cls(*(jax.device_put(part.astype(np.float32)) for part in (weights, scales)))
+
+
+def _foretold(images_m: Sequence[NDArray[np.float32]], noise: DepthNoise) -> tuple[NDArray[np.float64], ...]:
+    """How the measured pixels (n,) of all images are foretold.
+
+    Returns:
+        Which predictions there are (K, n); their errors in standard deviations of the sensor (K, n); these in
+        metres (K, n); which weights count (n, KINDS).
+    """
+    parts = []
+    step = -(-sum(image.size for image in images_m) // MOST_PIXELS)
+    for depth_m in images_m:
+        *predictions, kinds = _foreseen(depth_m, noise)
+        means_m, known = (np.asarray(part, np.float64) for part in predictions)
+        told = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (known > 0).any(axis=0)
+        told &= (np.arange(told.size) % step == 0).reshape(told.shape)
+        sensor_m = np.asarray(standard_deviation(noise, means_m))[:, told]
+        errors = (depth_m - means_m)[:, told] / sensor_m
+        parts.append((known[:, told], errors, sensor_m, np.eye(KINDS)[np.asarray(kinds)[told]].T))
+    there, errors, sensor_m, of_kind = (np.concatenate(leaves, axis=1) for leaves in zip(*parts, strict=True))
+    return there, errors, sensor_m, of_kind.T
 
 
 @jax.tree_util.register_dataclass
@@ -185,6 +216,13 @@ def surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
     """
     large = (jnp.abs(error_m) > SURPRISE * sensor_m).astype(error_m.dtype)
     return (shifted(large, 0, 1) > 0) | (shifted(large, 1, 0) > 0)
+
+
+@jax.jit
+def _foreseen(depth_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """`_predictions` of an image (H, W), and its `_kinds`."""
+    means_m, known = _predictions(depth_m, noise)
+    return means_m, known, _kinds(depth_m, means_m, known, noise)
 
 
 def _predictions(depth_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:

@@ -38,13 +38,24 @@ class PixelWindow:
         return image[np.ix_(self.rows, self.columns)]
 
 
+def stride_of(intrinsics: CameraIntrinsics) -> int:
+    """Pixels of an image from one compared pixel to the next."""
+    return max(1, round(intrinsics.fx * PITCH_RAD))
+
+
+def compared(shape: tuple[int, ...], stride: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of an image of a shape (H, W) on which scenes are compared."""
+    height, width = shape
+    return np.arange(height % stride // 2, height, stride), np.arange(width % stride // 2, width, stride)
+
+
 def window_of(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics) -> PixelWindow:
     """The pixels of an image (H, W) on which scenes are compared.
 
     Which ones they are is the camera's alone: what is told of a thing does not depend on what else is seen.
     """
-    stride = max(1, round(intrinsics.fx * PITCH_RAD))
-    rows, columns = (np.arange(size % stride // 2, size, stride) for size in depth_m.shape)
+    stride = stride_of(intrinsics)
+    rows, columns = compared(depth_m.shape, stride)
     camera = Camera(
         *(
             jax.device_put(np.float32(value))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.model.presence import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
@@ -55,10 +56,11 @@ class PosePools:
         noise: DepthNoise,
         config: ParseConfig,
         size: int,
+        learned: UnknownWeights | None = None,
     ) -> PosePools:
-        """Pools of `size` poses out of sight."""
+        """Pools of `size` poses out of sight; pixels foretell each other as `learned`, or as here."""
         log_odds = log_prior_odds(config.presence)
-        pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds)
+        pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds, learned)
         return cls(
             data=data,
             objects=objects,

@@ -13,6 +13,7 @@ from recordings.types import DepthNoise
 from scene.execution import map_parallel
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import support_depth
 from scene.search.assignment import PoseLayers
@@ -51,6 +52,7 @@ class ComparedPixels:
         noise: DepthNoise,
         surface_sigma_m: float,
         log_odds: float,
+        learned: UnknownWeights | None = None,
     ) -> ComparedPixels:
         """Pixels of a frame.
 
@@ -59,6 +61,7 @@ class ComparedPixels:
             noise: of the sensor.
             surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
             log_odds: of an object in one pose against its absence, before the image is seen.
+            learned: how well pixels foretell each other; None learns it from this frame.
         """
         near = data.window_foreground.ravel()
         places = np.flatnonzero(near)
@@ -66,7 +69,7 @@ class ComparedPixels:
         weight = (np.arange(size) < len(places)).astype(np.float32)
         window = data.window
         rest_m = support_depth(data.supports, window, data.intrinsics)
-        density = PixelDensity.of(window.depth_m, rest_m, noise, surface_sigma_m, window.stride)
+        density = PixelDensity.of(window.depth_m, rest_m, noise, surface_sigma_m, window.stride, learned)
         numbers = (
             np.float32(log_odds),
             ~near,

@@ -87,6 +87,10 @@ class LearnConfig:
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
+    def with_noise(self, noise: DepthNoise | None) -> LearnConfig:
+        """The same for a sensor that is known, unless another noise was set."""
+        return self if noise is None or self.noise != DepthNoise() else replace(self, noise=noise)
+
     @property
     def for_tracked_poses(self) -> LearnConfig:
         """The same where the poses come from tracking and not from elsewhere."""

@@ -1,6 +1,6 @@
 """The sensor's static distortion field, 1/z_measured = 1/z + d(u, v), on a canvas: linear in its nodes.
 
-The nodes are those of `recordings.sensor_profile`. A priori they are independent with known standard
+The nodes are those of `recordings.distortion_field`. A priori they are independent with known standard
 deviations, given that their mean is zero: d = `node_factor` @ unit Gaussian coordinates.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
-from recordings.sensor_profile import NODE_COLUMNS, NODE_ROWS, pixel_weights
+from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, pixel_weights
 from slam.keyframes.depth_view import CanvasView, framing
 
 NODES = NODE_ROWS * NODE_COLUMNS

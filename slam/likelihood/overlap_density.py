@@ -22,7 +22,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from recordings.sensor_profile import NODE_ROWS
+from recordings.distortion_field import NODE_ROWS
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.camera import Camera, project

@@ -91,7 +91,8 @@ def test_the_run_folder_holds_what_other_programs_rely_on(
     assert lines[0] == "1.000000000" + " 0.000000000" * 6 + " 1.000000000"
     assert len((run / "trajectory.kitti").read_text().split()) == 6 * 12
     profile = read_sensor_profile(run / "sensor.toml", true_trajectory.sensor.intrinsics)
-    np.testing.assert_array_equal(profile.sd_per_m, true_trajectory.disparity_sd_per_m)
+    assert profile.distortion is not None
+    np.testing.assert_array_equal(profile.distortion.sd_per_m, true_trajectory.disparity_sd_per_m)
     settings = tomllib.loads((run / "config.toml").read_text())
     assert settings["slam"]["particles"] == 3
     again = Settings.read(run / "config.toml", ())

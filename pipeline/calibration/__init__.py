@@ -1,0 +1,1 @@
+"""What recordings tell of their sensor: `images` of one camera, `field` of a moving one, `calibrate` all."""

@@ -1,0 +1,74 @@
+"""`voxscene calibrate`: what a depth sensor's own recordings tell of its noise and distortion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from pipeline.damage import report_damage
+from pipeline.options import Common, RecordingSource, common_options, several_recordings_options
+
+FRAMES = 48
+"""Of each recording: four times as many as a run looks at."""
+
+
+@click.command(name="calibrate")
+@click.option(
+    "-o",
+    "--output",
+    "sensor_path",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="SENSOR.toml",
+    help="The profile, for --sensor.",
+)
+@click.option(
+    "--frames",
+    type=click.IntRange(min=1, max=1000),
+    default=FRAMES,
+    show_default=True,
+    help="Of each recording, evenly spread, from which noise and the unknown layer are learnt.",
+)
+@click.option(
+    "--field/--no-field",
+    default=True,
+    help="Track the camera, where it moves, for the sensor's distortion; minutes for hundreds of frames.",
+)
+@several_recordings_options
+@common_options("recording", "slam")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    common: Common,
+    sources: Sequence[RecordingSource],
+    sensor_path: Path,
+    frames: int,
+    field: bool,
+) -> None:
+    """Learn the sensor that took REC (one or more of the same camera), without any truth.
+
+    Noise over depth, missing returns, how far errors are alike, how well pixels foretell each other, and,
+    where the camera moves, the static distortion. Objects in view do no harm if there are smooth parts.
+    """
+    from pipeline.calibration.calibrate import calibrate
+    from pipeline.calibration.told import document_of, lines_of, warnings_of
+    from pipeline.errors import PipelineError
+    from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+    from pipeline.quiet_stdout import stdout_to_stderr
+    from pipeline.stored_profile import StoredProfile
+    from recordings.reading import open_recording
+
+    if not sensor_path.parent.is_dir():
+        raise PipelineError(f"cannot write {sensor_path}: there is no folder {sensor_path.parent}")
+    keep_compiled_kernels()
+    trace_without_pauses()
+    opened = [(one.path, open_recording(one.path, one.read_options(common.settings))) for one in sources]
+    with stdout_to_stderr():
+        found = calibrate(opened, common, frames, field=field)
+    StoredProfile(found.profile).save(sensor_path)
+    common.report(document_of(found), lines_of(found, str(sensor_path)))
+    for sentence in warnings_of(found):
+        click.echo(f"voxscene: {sentence}", err=True)
+    ctx.exit(max(report_damage(path, one) for (path, _), one in zip(opened, found.damage, strict=True)))
