@@ -47,7 +47,7 @@ def command(
     frames: int,
     field: bool,
 ) -> None:
-    """Learn the sensor that took REC (one or more of the same camera), without any truth.
+    """Learn the sensor from its recordings, without any truth.
 
     Noise over depth, missing returns, how far errors are alike, how well pixels foretell each other, and,
     where the camera moves, the static distortion. Objects in view do no harm if there are smooth parts.
