@@ -71,15 +71,14 @@ def calibrate(
     Raises:
         PipelineError: a recording has no depth, or images of another camera or size.
     """
-    first = recordings[0][1].intrinsics
-    images = SensorImages.for_others(first)
-    moving = []
+    first_path, first = recordings[0]
     for path, recording in recordings:
-        if recording.intrinsics != first:
+        if recording.intrinsics != first.intrinsics:
             raise PipelineError(
-                f"{path} has images of another camera or size than {recordings[0][0]}; calibrate them apart"
+                f"{path} has images of another camera or size than {first_path}; calibrate them apart"
             )
-        moving.append(_look_at(path, recording, images, common, frames))
+    images = SensorImages.for_others(first.intrinsics)
+    moving = [_look_at(path, recording, images, common, frames) for path, recording in recordings]
     with common.progress("calibrate", "") as progress:
         progress.phase("fitting noise and the unknown layer")
         estimate = images.noise()

@@ -62,6 +62,8 @@ def command(
 
     if not sensor_path.parent.is_dir():
         raise PipelineError(f"cannot write {sensor_path}: there is no folder {sensor_path.parent}")
+    if sensor_path.is_dir():
+        raise PipelineError(f"cannot write {sensor_path}: it is a folder, name a file in it")
     keep_compiled_kernels()
     trace_without_pauses()
     opened = [(one.path, open_recording(one.path, one.read_options(common.settings))) for one in sources]

@@ -124,6 +124,7 @@ def test_mistakes_are_told_in_one_line(profile: Path, tmp_path: Path) -> None:
         (("calibrate", tmp_path / "empty.mcap", *out), "no depth"),
         (("calibrate", tmp_path / "none.mcap", *out), "none.mcap"),
         (("calibrate", one, "-o", tmp_path / "no" / "sensor.toml"), "no folder"),
+        (("calibrate", one, "-o", tmp_path), "it is a folder"),
         ((*slam, cut), "no sensor profile"),
         ((*slam, negative), "sigma_base_m must lie within"),
         ((*slam, tmp_path / "none.toml"), "cannot read the sensor profile"),
