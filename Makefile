@@ -10,7 +10,7 @@ demo: venv
 	$(BIN)/voxscene demo --out demo
 
 test: venv
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 2
 
 lint: venv
 	$(BIN)/ruff check .

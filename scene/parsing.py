@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
@@ -17,6 +18,7 @@ from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
 from scene.initialisation import initialise
+from scene.likelihood.colour_layers import ColourLayers, ComparedColours
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
@@ -31,7 +33,6 @@ from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import frame_data, scene_data, support_depth
 from scene.presence.inference import presence_in_scene
 from scene.result import SceneResult
-from scene.search.colour_layers import ColourLayers
 from scene.search.importance_sampling import refine
 from scene.search.search_result import Initialisation
 from scene.summary import summarise
@@ -110,11 +111,15 @@ def parse_scene(
     world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
     poses = np.stack([np.linalg.inv(world_from_first @ pose) for pose in first_camera_from_camera])
+    colours = None
+    if data.rgb is not None:
+        colours = ColourLayers.of(data, objects, densities[number], config.gamma)
     with jax.enable_x64(True):
         chains = sample_posterior(
             chain_key,
             views,
             densities,
+            colours and _compared(colours, chosen, number, config),
             poses,
             world_from_camera,
             data.supports,
@@ -125,11 +130,10 @@ def parse_scene(
             progress,
         )
     rng = np.random.default_rng(seed)
-    colours, nats = None, np.zeros(len(objects))
-    if data.rgb is not None:
-        colours = ColourLayers.of(data, objects, densities[number], config.gamma)
+    nats = np.zeros(len(objects))
+    if colours is not None:
         best = their_start.poses[found.present]
-        seen = SeenColours(data, colours, renderer, objects, found.indices, best)
+        seen = SeenColours(data, colours, renderer, objects, found.indices, best, config.colour_weight)
         nats[found.indices] = seen.log_factors()
         turned = with_drawn_turns(rng, seen, world_from_camera, chains.samples)
         chains = replace(chains, samples=turned)
@@ -164,6 +168,13 @@ def parse_scene(
         np.asarray(frame_indices),
     )
     return scene.in_camera(first_from_searched)
+
+
+def _compared(
+    colours: ColourLayers, objects: Sequence[SceneObject], frame: int, config: ParseConfig
+) -> ComparedColours:
+    """Colours of a frame as the chains over these objects take them."""
+    return ComparedColours(colours.of_objects(objects), jnp.float32(config.colour_weight), frame)
 
 
 def _views(

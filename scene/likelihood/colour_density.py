@@ -23,7 +23,8 @@ product over the pixels that its objects cover (docs/model.md, section L3).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -92,6 +93,16 @@ class ColourDensity:
         arrays = [jax.device_put(part) for part in (colours, known, *numbers)]
         return cls(*arrays, log_unknown=_log_unknown(*arrays))
 
+    def cut(self, first: tuple[jax.Array, jax.Array], shape: tuple[int, ...]) -> ColourDensity:
+        """Of a crop (h, w) from a row and a column on."""
+
+        def crop(image: jax.Array) -> jax.Array:
+            start = (*first, *[jnp.int32(0)] * (image.ndim - 2))
+            return jax.lax.dynamic_slice(image, start, (*shape, *image.shape[2:]))
+
+        images = crop(self.observed), crop(self.known), crop(self.log_unknown)
+        return replace(self, observed=images[0], known=images[1], log_unknown=images[2])
+
     def log_factor(self, model: jax.Array, shows: jax.Array, gain_sd: jax.Array) -> jax.Array:
         """Log of the factor (H, W) over u that an object's layer brings, 0 beside it.
 
@@ -111,7 +122,7 @@ class ColourDensity:
         a = OUTLIERS * anything + (1 - OUTLIERS) * surface
         u = jnp.exp(self.log_unknown)
         share = shows * _right(a / (a + u), shows)
-        return _unless_all_wrong(jnp.where(shows > 0, jnp.log1p(share * (a / u - 1)), 0.0))
+        return _unless_all_wrong(jnp.where(shows > 0, jnp.log(1 + share * (a / u - 1)), 0.0))
 
 
 def window_colours(
@@ -180,18 +191,20 @@ def _continued(
 
     Those before count by what they are worth, `there` (H, W).
     """
-    worth = jnp.repeat(jnp.stack([_shifted(there, *by) for by in BEFORE]), 2, axis=0)
-    shares = weights[:-1, None, None] * worth
-    before = [_shifted(values, *by) for by in BEFORE for _ in range(2)]
-    parts = [share * _normal(values, *one) for share, *one in zip(shares, before, scales, strict=True)]
-    return jnp.sum(jnp.stack(parts), axis=0), 1 - jnp.sum(shares, axis=0)
+    continued, left = jnp.zeros(there.shape), jnp.ones(there.shape)
+    every = _before(jnp.concatenate([values, there[..., None]], axis=-1))
+    for before, narrow in zip(every, range(0, len(scales), 2), strict=True):
+        for part in (narrow, narrow + 1):
+            share = weights[part] * before[..., 3]
+            continued += share * _normal(values, before[..., :3], scales[part])
+            left -= share
+    return continued, left
 
 
 def _right(agrees: jax.Array, shows: jax.Array) -> jax.Array:
     """Probability (H, W) that an object's colours are right, by whether those before that show it agree."""
-    counts, sums = (
-        jnp.sum(jnp.stack([_shifted(part, *by) for by in BEFORE]), axis=0) for part in (shows, shows * agrees)
-    )
+    every = _before(jnp.stack([shows, shows * agrees], axis=-1))
+    counts, sums = (functools.reduce(jnp.add, [before[..., part] for before in every]) for part in (0, 1))
     before, told = sums / jnp.maximum(counts, 1e-3), jnp.minimum(counts, 1.0)
     return told * (CHANGES + (1 - 2 * CHANGES) * before) + (1 - told) * (1 - WRONG)
 
@@ -205,16 +218,19 @@ def _unless_all_wrong(log_factors: jax.Array) -> jax.Array:
 
 def _gain(residual: jax.Array, shows: jax.Array, gain_sd: jax.Array) -> tuple[jax.Array, jax.Array]:
     """What is foretold of residuals (H, W, 3) by all those before: mean and standard deviation (H, W, 3)."""
-    noise = jnp.asarray(SURFACE_SD)[None] ** 2
-    weights = shows.reshape(-1, 1) / noise
+    noise, prior = (one[None, None] for one in (jnp.asarray(SURFACE_SD) ** 2, gain_sd**-2.0))
+    weights = shows[..., None] / noise
+    told, sums = jnp.split(_sums_before(jnp.concatenate([weights, weights * residual], axis=-1)), 2, axis=-1)
+    precision = prior + told
+    return sums / precision, jnp.sqrt(noise + 1 / precision)
 
-    def before(rows: jax.Array) -> jax.Array:
-        return jnp.cumsum(rows, axis=0) - rows
 
-    precision = gain_sd[None] ** -2.0 + before(weights)
-    mean = before(weights * residual.reshape(-1, 3)) / precision
-    sigma = jnp.sqrt(noise + 1 / precision)
-    return mean.reshape(residual.shape), sigma.reshape(residual.shape)
+def _sums_before(values: jax.Array) -> jax.Array:
+    """Of values (H, W, C) over all pixels before each, row by row."""
+    height, width, _ = values.shape
+    along = jnp.einsum("ij,hjc->hic", jnp.tril(jnp.ones((width, width), values.dtype), -1), values)
+    rows = jnp.tril(jnp.ones((height, height), values.dtype), -1) @ jnp.sum(values, axis=1)
+    return along + rows[:, None]
 
 
 def _shifted(image: ArrayLike, down: int, across: int) -> jax.Array:
@@ -227,8 +243,23 @@ def _shifted(image: ArrayLike, down: int, across: int) -> jax.Array:
     return wide[:height, right : right + width]
 
 
+def _before(image: jax.Array) -> list[jax.Array]:
+    """For every pixel (H, W, C) those of `BEFORE`, 0 beyond the border.
+
+    By products with matrices: what is shifted is computed once then, and not for every neighbour.
+    """
+    height, width, _ = image.shape
+    rows = {down: jnp.eye(height, k=-down, dtype=image.dtype) for down, _ in BEFORE}
+    columns = {across: jnp.eye(width, k=-across, dtype=image.dtype) for _, across in BEFORE}
+    above = {down: jnp.einsum("ij,jwc->iwc", rows[down], image) if down else image for down in rows}
+    return [
+        jnp.einsum("ij,hjc->hic", columns[across], above[down]) if across else above[down]
+        for down, across in BEFORE
+    ]
+
+
 def _normal(value: jax.Array, mean: jax.Array, sigma: jax.Array) -> jax.Array:
     """Density (H, W) of three components (H, W, 3); mean and sigma alike, or (3,)."""
-    mean, sigma = (jnp.broadcast_to(one, value.shape) for one in (mean, sigma))
-    exponent = jnp.sum(-0.5 * ((value - mean) / sigma) ** 2, axis=-1)
-    return jnp.exp(exponent) / jnp.prod(sigma * jnp.sqrt(2 * jnp.pi), axis=-1)
+    squares = [((value[..., one] - mean[..., one]) / sigma[..., one]) ** 2 for one in range(3)]
+    scale = sigma[..., 0] * sigma[..., 1] * sigma[..., 2] * (2 * np.pi) ** 1.5
+    return jnp.exp(-0.5 * (squares[0] + squares[1] + squares[2])) / scale

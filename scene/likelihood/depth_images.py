@@ -20,6 +20,7 @@ from jax.custom_batching import custom_vmap
 from numpy.typing import NDArray
 
 from scene.likelihood import shape_draws
+from scene.likelihood.colour_layers import ComparedColours
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
@@ -56,6 +57,7 @@ class DepthLikelihood:
         cameras: leaves (F,), of the windows.
         camera_from_world: (F, 7).
         density: of the frames, leaves (F, ...).
+        colours: of one of the frames; None where depth is compared alone.
         rest_m: (X, TILE_PIXELS) depth of the supports in the tiles of all frames, +inf beside them; 0 beyond
             the image, where nothing counts.
         log_rest: (X, TILE_PIXELS) log density where no object is.
@@ -70,6 +72,7 @@ class DepthLikelihood:
     cameras: Camera
     camera_from_world: jax.Array
     density: PixelDensity
+    colours: ComparedColours | None
     rest_m: jax.Array
     log_rest: jax.Array
     fresh_share: jax.Array
@@ -88,6 +91,7 @@ class DepthLikelihood:
         *,
         objects: int,
         draws: int = 1,
+        colours: ComparedColours | None = None,
     ) -> DepthLikelihood:
         """The likelihood of the frames `views` from poses (F, 4, 4).
 
@@ -98,6 +102,7 @@ class DepthLikelihood:
             renderer: of all known shapes.
             objects: N.
             draws: R.
+            colours: of one of the frames, where they are compared.
         """
         windows = [view.window for view in views]
         density = jax.tree.map(lambda *leaves: np.stack(leaves), *densities)
@@ -107,6 +112,7 @@ class DepthLikelihood:
             cameras=jax.tree.map(lambda *leaves: np.stack(leaves), *[one.camera for one in windows]),
             camera_from_world=jax.vmap(pose_of)(jnp.asarray(camera_from_world)),
             density=density,
+            colours=colours,
             rest_m=to_tiles(density.image.rest_m, 0.0),
             log_rest=to_tiles(density.log_rest, 0.0),
             fresh_share=jnp.ones(()),
@@ -230,12 +236,16 @@ class DepthLikelihood:
         turns = -(-number // TILES_TOGETHER)
         return jax.lax.fori_loop(0, turns, some, shown.log_tiles.ravel()).reshape(count, draws, tiles)
 
-    def shown(self, layers_m: jax.Array, frames: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def shown(
+        self, layers_m: jax.Array, frames: jax.Array, objects: jax.Array, poses: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         """Depth (n, H, W) at which layers (n, H, W) of frames (n,) hide others; log density of their pixels.
 
-        They reach to the pixels beside an object, which its outline may be shifted to.
+        They reach to the pixels beside an object, which its outline may be shifted to. Objects (n,) stand at
+        poses (n, 7) camera_from_box.
         """
-        log_density, depth_m = object_densities(self.density, layers_m, frames)
+        beside = None if self.colours is None else self.colours.beside(frames, objects, poses)
+        log_density, depth_m = object_densities(self.density, layers_m, frames, beside)
         return depth_m, log_density
 
     def _log_density(
@@ -301,11 +311,12 @@ def _layers(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> tup
     index = jnp.broadcast_to(shapes[..., None], posed_shape)
     frame = jnp.broadcast_to(jnp.arange(frames, dtype=jnp.int32), posed_shape).ravel()
     poses = jnp.broadcast_to(poses[..., None, :, :, :], (*posed_shape, 7))
+    objects = (index.ravel() % images.objects).astype(jnp.int32)
     with jax.enable_x64(False):  # the engine works in float32 and int32
         posed = images.renderer.posed(index.ravel(), poses.reshape(-1, 7), frame)
         library, cameras, size = images.renderer.library, images.cameras, (images.height, images.width)
         layers_m = from_tiles(render_tiles(library, posed, cameras, *size), *size)
-        depth_m, log_density = images.shown(layers_m, frame)
+        depth_m, log_density = images.shown(layers_m, frame, objects, poses.reshape(-1, 7))
         tiles = to_tiles(depth_m, jnp.inf), to_tiles(log_density, 0.0)
     depth_m, log_density = (part.reshape(*shapes.shape, -1, TILE_PIXELS) for part in tiles)
     return depth_m, log_density

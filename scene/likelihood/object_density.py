@@ -7,6 +7,7 @@ computed together: alone, starting each operation would take longer than its pix
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -25,13 +26,20 @@ PIXELS_TOGETHER = 2**14
 Layers = tuple[jax.Array, jax.Array]
 
 
-def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Array) -> Layers:
+Seen = Callable[[jax.Array, jax.Array, jax.Array, jax.Array, PixelDensity], jax.Array]
+"""Log factor (h, w) in a crop: number of a layer, first row and column, the layer and the density there."""
+
+
+def object_densities(
+    density: PixelDensity, layers_m: jax.Array, frames: jax.Array, beside: Seen | None = None
+) -> Layers:
     """What `PixelDensity.of_object` gives where depths are finite; elsewhere a log density of 0.
 
     Args:
         density: of F images, leaves (F, ...).
         layers_m: (n, H, W) depth of objects, each alone, +inf beside it.
         frames: (n,) int32 in which image each is seen.
+        beside: what else tells of the pixels that an object covers; None for nothing.
     """
     count, height, width = layers_m.shape
     covered = jnp.isfinite(layers_m)
@@ -47,7 +55,7 @@ def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Arr
         order, mine = sort_chosen_first(way == number)
         starts = jnp.minimum(top, height - rows), jnp.minimum(left, width - columns)
         places = order, starts[0][order], starts[1][order]
-        shown = _of_size(density, layers_m, frames, places, mine, (rows, columns), shown)
+        shown = _of_size(density, layers_m, frames, beside, places, mine, (rows, columns), shown)
     return shown[0][:-1], shown[1][:-1]
 
 
@@ -63,6 +71,7 @@ def _of_size(
     density: PixelDensity,
     layers_m: jax.Array,
     frames: jax.Array,
+    beside: Seen | None,
     places: tuple[jax.Array, jax.Array, jax.Array],
     count: jax.Array,
     crop: tuple[int, int],
@@ -74,6 +83,7 @@ def _of_size(
         density: of all images.
         layers_m: (n, H, W).
         frames: (n,).
+        beside: as `object_densities` has it.
         places: number of a layer, first row and first column of its crop, (n,) each.
         count: of layers whose crops have this size.
         crop: rows and columns.
@@ -92,7 +102,10 @@ def _of_size(
         image = jax.tree.map(lambda leaf: cut(leaf, frame), density.image)
         sensor = replace(density, image=None, log_rest=None)
         mine = replace(jax.tree.map(lambda leaf: leaf[frame], sensor), image=image)
-        log_density, depth_m = mine.of_object(cut(layers_m, which))
+        layer_m = cut(layers_m, which)
+        log_density, depth_m = mine.of_object(layer_m)
+        if beside is not None:
+            log_density += jnp.where(jnp.isfinite(layer_m), beside(which, row, column, layer_m, mine), 0.0)
         log_density = jnp.where(jnp.isfinite(depth_m), log_density, 0.0)
         return log_density.astype(layers_m.dtype), depth_m.astype(layers_m.dtype)
 

@@ -81,7 +81,13 @@ class CloudLikelihood(DepthLikelihood):
             half_width=max(_half_width(view, radius_m) for view in views),
         )
 
-    def shown(self, layers_m: jax.Array, frames: jax.Array) -> tuple[jax.Array, jax.Array]:  # noqa: ARG002
+    def shown(
+        self,
+        layers_m: jax.Array,
+        frames: jax.Array,  # noqa: ARG002
+        objects: jax.Array,  # noqa: ARG002
+        poses: jax.Array,  # noqa: ARG002
+    ) -> tuple[jax.Array, jax.Array]:
         """The layers as they are: clouds have no pixels beside outlines."""
         return layers_m, jnp.zeros_like(layers_m)
 

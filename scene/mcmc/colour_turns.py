@@ -2,8 +2,7 @@
 
 A can's spin, or which way round a box lies: shape and depth are the same after each of these turns, so that
 given everything else of a sample they are independent of the depth images, and a draw from their conditional
-is a Gibbs step on the posterior with colours. Where depth may tell such turns, as of most real boxes, the
-chains' samples are drawn again by what colours say of the turn that they took.
+is a Gibbs step on the posterior with colours, which the chains have as their target.
 """
 
 from __future__ import annotations
@@ -13,15 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
+from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.mcmc.samples import Samples
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
 from scene.objects.symmetry import turns_about
 from scene.observation.frame_data import SceneData
-from scene.search.colour_layers import ColourLayers
 from shapes.geometry.poses import matrices_of, poses_of
 
 FINER = 5
@@ -42,6 +40,7 @@ class SeenColours:
         objects: these.
         numbers: (F,) which of them are found.
         poses: (F, 7) camera_from_box of these.
+        weight: exponent of the colours' factor in what the chains sample.
     """
 
     data: SceneData
@@ -50,6 +49,7 @@ class SeenColours:
     objects: Sequence[SceneObject]
     numbers: NDArray[np.integer]
     poses: NDArray[np.floating]
+    weight: float
 
     def log_factors(self) -> NDArray[np.float64]:
         """What the colours of each found object (F,) add to the log density of the image."""
@@ -61,7 +61,7 @@ class SeenColours:
         """Log probabilities (T,) of turns of one of the found objects, each as likely before."""
         number, pose = self.numbers[found : found + 1], self.poses[found : found + 1]
         layer_m = self.renderer.layers(number, pose, self.data.window)[0]
-        sums = self.colours.log_factors_of_turns(int(number[0]), turns, pose[0], layer_m)
+        sums = self.weight * self.colours.log_factors_of_turns(int(number[0]), turns, pose[0], layer_m)
         return sums - np.logaddexp.reduce(sums)
 
 
@@ -76,23 +76,15 @@ def with_drawn_turns(
         world_from_camera: (4, 4) of its frame.
         samples: of chains.
     """
-    log_weights: dict[int, NDArray[np.float64]] = {}
     for slot, number in enumerate(seen.numbers.tolist()):
         one = seen.objects[number]
-        if len(turns := turns_of(one)) == 1 or one.colour is None:
+        if len(turns := turns_of(one)) == 1 or one.colour is None or not one.colour.exact:
             continue
         log_shares = seen.log_shares(slot, turns)
         here = matrices_of(samples.poses[..., slot, :])
         best = world_from_camera @ matrices_of(np.asarray(seen.poses[slot], np.float64))
-        before, same = _turns_taken(best, here, turns)
-        if one.colour.exact:
-            turned = _Turned(here, turns, before, same)
-            samples = _with_drawn_turn(rng, one, slot, log_shares, turned, samples)
-        else:
-            log_weights[slot] = np.where(same, log_shares[before], log_shares[0])
-    for group in _groups(samples, len(seen.numbers)):
-        if weights := [log_weights[slot] for slot in group if slot in log_weights]:
-            samples = _with_resampled(rng, samples, group, np.sum(weights, axis=0))
+        turned = _Turned(here, turns, *_turns_taken(best, here, turns))
+        samples = _with_drawn_turn(rng, one, slot, log_shares, turned, samples)
     return samples
 
 
@@ -128,46 +120,9 @@ def _with_drawn_turn(
         after = after @ _between(rng, one, turned.before.shape)
     poses = samples.poses.copy()
     poses[..., slot, :] = np.where(turned.same[..., None], poses_of(after), poses[..., slot, :])
-    log_posterior = samples.log_posterior + np.where(turned.same, log_shares[drawn], 0.0)
+    gained = log_shares[drawn] - log_shares[turned.before]
+    log_posterior = samples.log_posterior + np.where(turned.same, gained, 0.0)
     return replace(samples, poses=poses, log_posterior=log_posterior)
-
-
-def _groups(samples: Samples, found: int) -> list[list[int]]:
-    """Slots of found objects that touch each other in any sample, directly or by others."""
-    parents = samples.parents.reshape(-1, samples.parents.shape[-1])[:, :found]
-    edges = np.zeros((found, found), np.bool_)
-    for one in range(found):
-        others = np.unique(parents[:, one])
-        edges[one, others[(others >= 0) & (others < found)]] = True
-    count, labels = connected_components(edges, directed=False)
-    return [np.flatnonzero(labels == label).tolist() for label in range(count)]
-
-
-def _with_resampled(
-    rng: np.random.Generator, samples: Samples, slots: Sequence[int], log_weights: NDArray[np.float64]
-) -> Samples:
-    """Samples of a group of objects in proportion to weights (S, chains), the others' left as they are.
-
-    A sample stays with the probability of its weight over the greatest, and else becomes one of all. What
-    touches goes together, so that both sides of a contact are of one scene.
-    """
-    share = np.exp(log_weights.ravel() - log_weights.max())
-    others = rng.choice(len(share), p=share / share.sum(), size=len(share))
-    chosen = np.where(rng.random(len(share)) < share, np.arange(len(share)), others)
-
-    def taken(rows: NDArray) -> NDArray:
-        after = rows.reshape(len(share), *rows.shape[2:]).copy()
-        after[:, slots] = after[chosen][:, slots]
-        return after.reshape(rows.shape)
-
-    return replace(
-        samples,
-        poses=taken(samples.poses),
-        parents=taken(samples.parents),
-        parent_faces=taken(samples.parent_faces),
-        child_faces=taken(samples.child_faces),
-        log_posterior=samples.log_posterior + log_weights.ravel()[chosen].reshape(log_weights.shape),
-    )
 
 
 def turns_of(one: SceneObject) -> NDArray[np.float64]:

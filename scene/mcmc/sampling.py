@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from scene.config import ParseConfig
 from scene.execution import FAST_COMPILE, compile_in_background
+from scene.likelihood.colour_layers import ComparedColours
 from scene.likelihood.depth_images import DepthLikelihood, log_estimates
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
@@ -72,6 +73,7 @@ def sample_posterior(
     key: jax.Array,
     views: Sequence[SceneData],
     densities: Sequence[PixelDensity],
+    colours: ComparedColours | None,
     camera_from_world: NDArray[np.float64],
     world_from_camera: NDArray[np.float64],
     supports: Sequence[SupportPlane],
@@ -87,6 +89,7 @@ def sample_posterior(
         key: random key.
         views: one a frame.
         densities: of their windows.
+        colours: of one of the frames, where they are compared.
         camera_from_world: (F, 4, 4) of the frames; the world is the frame of the first support, the table.
         world_from_camera: (4, 4) of the frame that was searched.
         supports: in that frame's camera; those that carry nothing of the best scene are left out.
@@ -96,7 +99,7 @@ def sample_posterior(
         config: settings.
         progress: called with blocks of moves done and in all.
     """
-    likelihood = _likelihood(views, densities, camera_from_world, objects, config)
+    likelihood = _likelihood(views, densities, colours, camera_from_world, objects, config)
     starts = refined.means[start.found, :, 4:].reshape(-1, 3)
     starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
     table = supports[0] if supports else None
@@ -123,6 +126,7 @@ def sample_posterior(
 def _likelihood(
     views: Sequence[SceneData],
     densities: Sequence[PixelDensity],
+    colours: ComparedColours | None,
     camera_from_world: NDArray[np.float64],
     objects: Sequence[SceneObject],
     config: ParseConfig,
@@ -134,6 +138,7 @@ def _likelihood(
         ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
         objects=len(objects),
         draws=max(config.shape_samples, 1),
+        colours=colours,
     )
     if config.likelihood == "depth":
         return images

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
+from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
@@ -19,7 +20,6 @@ from scene.observation.frame_data import SceneData
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_layers
 from scene.presence.toggling import Candidates, SlotLayers
-from scene.search.colour_layers import ColourLayers
 from shapes.geometry.poses import matrices_of, poses_of
 
 BATCH = 64

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces
+from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.mcmc.chain_model import half_sizes, slabs_under
@@ -26,7 +27,6 @@ from scene.presence.posterior import Presence, presence_posterior
 from scene.presence.size_prior import SizePrior
 from scene.presence.solid_proposals import proposed_solids
 from scene.presence.solids import SolidFits
-from scene.search.colour_layers import ColourLayers
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
+from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.model.presence import LOG_SPINS, log_prior_odds
@@ -18,7 +19,6 @@ from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
 from scene.search.assignment import PoseLayers
-from scene.search.colour_layers import ColourLayers
 from scene.search.pixel_sample import ComparedPixels
 from scene.search.support_prior import Gravity, log_not_buried
 

@@ -34,27 +34,14 @@ def same(one: SlamResult, other: SlamResult) -> bool:
     )
 
 
-CONFIG = SlamConfig(particles=16)
-SEED = 7
-
-
-@pytest.fixture(scope="module")
-def frames() -> list[Frame]:
-    """Seven of them."""
-    return walk_after_a_blank(7, SEED)
-
-
-@pytest.fixture(scope="module")
-def whole(frames: list[Frame]) -> SlamResult:
-    """What a tracker finds in them that nobody disturbs."""
-    return track(jax.random.key(SEED), frames, box_room.INTRINSICS, CONFIG)
-
-
 @pytest.mark.parametrize("killed_after", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_killed_tracker_ends_with_the_same_bytes(
-    tmp_path: Path, frames: list[Frame], whole: SlamResult, killed_after: int
+    key: jax.Array, seed: int, tmp_path: Path, killed_after: int
 ) -> None:
     """Through a file; frames before the checkpoint are not tracked again."""
+    frames = walk_after_a_blank(7, seed)
+    config = SlamConfig(particles=16)
+    whole = track(jax.random.clone(key), frames, box_room.INTRINSICS, config)
     pages = PageFile()
 
     def kill(checkpoint: Checkpoint) -> None:
@@ -63,13 +50,13 @@ def test_a_killed_tracker_ends_with_the_same_bytes(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        track(jax.random.key(SEED), frames, box_room.INTRINSICS, CONFIG, pages=pages, on_checkpoint=kill)
+        track(jax.random.clone(key), frames, box_room.INTRINSICS, config, pages=pages, on_checkpoint=kill)
     seen: list[int] = []
     resumed = track(
-        jax.random.key(SEED),
+        jax.random.clone(key),
         frames,
         box_room.INTRINSICS,
-        CONFIG,
+        config,
         on_frame=lambda info: seen.append(info.keyframes),
         pages=pages,
         checkpoint=Checkpoint.load(tmp_path / "checkpoint", pages),
@@ -80,16 +67,17 @@ def test_a_killed_tracker_ends_with_the_same_bytes(
 
 
 def test_what_leaves_memory_changes_nothing(
-    monkeypatch: pytest.MonkeyPatch, frames: list[Frame], whole: SlamResult
+    key: jax.Array, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With room for one keyframe, and blocks of three frames, the same bytes."""
+    frames, config = walk_after_a_blank(7, seed), SlamConfig(particles=16)
+    whole = track(jax.random.clone(key), frames, box_room.INTRINSICS, config)
     pages = PageFile()
     for kind in (SurfelImage, KeyframeDetail):
         monkeypatch.setattr(kind, "ROOM", 1)
     monkeypatch.setattr(history, "FRAMES_AT_ONCE", 3)
 
-    again = track(jax.random.key(SEED), frames, box_room.INTRINSICS, CONFIG, pages=pages)
-    assert same(again, whole)
+    assert same(track(jax.random.clone(key), frames, box_room.INTRINSICS, config, pages=pages), whole)
     assert pages.size > 0
 
 
@@ -100,7 +88,7 @@ def test_a_checkpoint_without_its_pages_is_refused(key: jax.Array, seed: int, tm
     def keep(checkpoint: Checkpoint) -> None:
         checkpoint.save(tmp_path / "checkpoint")
 
-    track(key, frames, box_room.INTRINSICS, CONFIG, pages=pages, on_checkpoint=keep)
+    track(key, frames, box_room.INTRINSICS, SlamConfig(particles=16), pages=pages, on_checkpoint=keep)
 
     with pytest.raises(ValueError, match="pages"):
         Checkpoint.load(tmp_path / "checkpoint", PageFile())

@@ -11,7 +11,10 @@ import trimesh
 from scipy.spatial import KDTree
 
 from recordings.types import DepthNoise
+from scene.likelihood.colour_density import ColourDensity
+from scene.likelihood.colour_layers import ColourLayers, ColourTables, ComparedColours
 from scene.likelihood.depth_images import DepthLikelihood
+from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.point_clouds import POINT_WEIGHT, CloudLikelihood, CloudNoise, window_half_width
@@ -63,6 +66,7 @@ def images(
         renderer=ObjectRenderer.of(shapes),
         cameras=camera,
         camera_from_world=jnp.asarray([[1.0, 0, 0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0.05, 0, 0]]),
+        colours=None,
         density=density,
         rest_m=to_tiles(density.image.rest_m, 0.0),
         log_rest=to_tiles(density.log_rest, 0.0),
@@ -212,6 +216,7 @@ def test_the_likelihood_of_frames_is_their_product(
             both,
             cameras=jax.tree.map(lambda leaf: leaf[one], both.cameras),
             camera_from_world=both.camera_from_world[one],
+            colours=None,
             density=jax.tree.map(lambda leaf: leaf[one], both.density),
             rest_m=both.rest_m[mine],
             log_rest=both.log_rest[mine],
@@ -264,3 +269,55 @@ def test_the_estimate_over_shapes_is_unbiased(
     twice = offered(likelihood, candidate_keys(jax.random.clone(offer_key), 3), scene, there, current)
     np.testing.assert_array_equal(once.log_likelihood, twice.log_likelihood)
     assert float(once.log_likelihood[2]) == float(current.log_likelihood)
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.5])
+def test_colours_are_one_more_factor(
+    seed: int, boxes: list[SceneObject], poses: jax.Array, weight: float
+) -> None:
+    """Of one frame: of the pixels that show an object, its factor in the whole window, to a power.
+
+    Tiles are kept in single precision: 0.01 nats.
+    """
+    rng = np.random.default_rng(seed)
+    painted = [
+        one.coloured(mesh.vertices, mesh.faces, rng.integers(20, 230, (8, 3)).astype(np.uint8), 2.2)
+        for one, mesh in zip(
+            boxes, (trimesh.creation.box(2 * one.half_extents_m) for one in boxes), strict=True
+        )
+    ]
+    observed_m = rng.normal(0.55, 0.05, (2, HEIGHT, WIDTH)).astype(np.float32)
+    plain = images(boxes, observed_m)
+    frame = 1
+    with jax.enable_x64(False):  # as a parse has them
+        colours = ColourLayers(
+            density=ColourDensity.of(
+                rng.normal(-1, 0.5, (HEIGHT, WIDTH, 3)), rng.random((HEIGHT, WIDTH)) < 0.9
+            ),
+            depth_density=jax.tree.map(lambda leaf: leaf[frame], plain.density),
+            tables=ColourTables.of(painted),
+            camera=jax.tree.map(lambda leaf: leaf[frame], plain.cameras),
+        )
+        compared = ComparedColours(colours, jnp.float32(weight), frame)
+    with jax.enable_x64(True):
+        scene = floating_scene(poses, jnp.array([True, True]))
+        values = [
+            float(started(one, jax.random.key(1), scene).log_likelihood)
+            for one in (plain, replace(plain, colours=compared))
+        ]
+        layers_m = layers(plain, scene, frame)
+        in_camera = np.array(poses)
+        in_camera[:, 4] += 0.05
+        with jax.enable_x64(False):
+            layers_m = layers_m.astype(np.float32)
+            factors = np.asarray(colours.log_factors(np.arange(2), in_camera, layers_m))
+            frames = jnp.full(2, frame, jnp.int32)
+            density = jax.tree.map(jnp.asarray, plain.density)
+            _, depth_m = object_densities(density, jnp.asarray(layers_m), frames)
+    depth_m = np.asarray(depth_m)
+    nearest = depth_m.argmin(axis=0)
+    own = np.take_along_axis(np.where(np.isfinite(layers_m), factors, 0.0), nearest[None], axis=0)[0]
+    expected = weight * own[(depth_m.min(axis=0) < BACKGROUND_M)].sum()
+
+    assert abs(expected) > 1
+    assert values[1] - values[0] == pytest.approx(expected, abs=0.01)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from recordings.types import CameraIntrinsics
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import ObjectLibrary, join, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views, ray_cast
@@ -22,73 +21,38 @@ MESHES = {
 }
 
 
-THIN_M = 0.00175
-"""Voxels of the bowl, whose wall is 2 mm."""
-VIEWS = 100
-"""Rendered at once, always as many: each number of views, or another library, has a kernel of its own."""
+@pytest.fixture(scope="module", params=MESHES)
+def mesh_and_library(request: pytest.FixtureRequest) -> tuple[trimesh.Trimesh, ObjectLibrary]:
+    """A mesh and its voxels."""
+    mesh = MESHES[request.param]
+    return mesh, library_of_mesh(mesh.vertices, mesh.faces)
 
 
-def bowl() -> trimesh.Trimesh:
-    """With a wall of 2 mm."""
-    arc = np.linspace(0.0, 1.4, 24)
-    outer, inner = (
-        np.stack([radius * np.sin(arc), -radius * np.cos(arc)], axis=1) for radius in (0.08, 0.078)
-    )
-    return trimesh.creation.revolve(np.concatenate([outer, inner[::-1]]), sections=96)
+def render(library: ObjectLibrary, poses: np.ndarray) -> np.ndarray:
+    """Layers of the test camera."""
+    layers = render_layers(library, posed(poses), cameras(), INTRINSICS.height, INTRINSICS.width)
+    return np.asarray(layers)
 
 
-ALL = {**MESHES, "bowl": bowl(), "block": trimesh.creation.box((0.5, 0.5, 0.5))}
-
-
-def voxels(name: str) -> ObjectLibrary:
-    """Of one of the meshes."""
-    mesh = ALL[name]
-    return library_of_mesh(mesh.vertices, mesh.faces, THIN_M if name == "bowl" else None)
-
-
-@pytest.fixture(scope="module")
-def library() -> ObjectLibrary:
-    """All meshes, in their order."""
-    return join([voxels(name) for name in ALL])
-
-
-def render(
-    library: ObjectLibrary,
-    index: int,
-    poses: np.ndarray,
-    intrinsics: CameraIntrinsics = INTRINSICS,
-    scales: np.ndarray | None = None,
-) -> np.ndarray:
-    """Layers of one object of a library."""
-    hypotheses = posed(np.resize(poses, (VIEWS, 4, 4)), index)
-    if scales is not None:
-        hypotheses = replace(hypotheses, scale=jnp.asarray(np.resize(scales, (VIEWS, 3)), jnp.float32))
-    layers = render_layers(library, hypotheses, cameras(intrinsics), intrinsics.height, intrinsics.width)
-    return np.asarray(layers)[: len(poses)]
-
-
-def index_of(name: str) -> int:
-    """In the library."""
-    return list(ALL).index(name)
-
-
-@pytest.mark.parametrize("name", MESHES)
-def test_rendering_agrees_with_ray_casting(library: ObjectLibrary, name: str, seed: int) -> None:
+def test_rendering_agrees_with_ray_casting(
+    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary], seed: int
+) -> None:
     """100 views, close-ups and grazing ones included: silhouette IoU >= 0.98, median error < 0.2 pitch."""
-    poses = random_views(np.random.default_rng(seed), MESHES[name], 100)
-    expected = ray_cast(MESHES[name], poses)
+    mesh, library = mesh_and_library
+    poses = random_views(np.random.default_rng(seed), mesh, 100)
+    expected = ray_cast(mesh, poses)
 
-    actual = render(library, index_of(name), poses)
+    actual = render(library, poses)
 
     hit, truth = np.isfinite(actual), np.isfinite(expected)
     overlap = (hit & truth).sum(axis=(1, 2)) / (hit | truth).sum(axis=(1, 2))
     assert overlap.mean() >= 0.98, f"mean IoU {overlap.mean():.4f}, least {overlap.min():.4f}"
     for depth, reference in zip(actual, expected, strict=True):
         both = np.isfinite(depth) & np.isfinite(reference)
-        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[index_of(name)])
+        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[0])
 
 
-def test_scaled_objects_are_those_of_scaled_meshes(library: ObjectLibrary, seed: int) -> None:
+def test_scaled_objects_are_those_of_scaled_meshes(seed: int) -> None:
     """A cup larger and smaller along its own axes: 20 views, met as well as the mesh itself is."""
     mesh = MESHES["cup"]
     rng = np.random.default_rng(seed)
@@ -96,74 +60,86 @@ def test_scaled_objects_are_those_of_scaled_meshes(library: ObjectLibrary, seed:
     larger = [mesh.copy().apply_transform(np.diag(np.append(scale, 1.0))) for scale in scales]
     expected = np.concatenate([ray_cast(one, pose[None]) for one, pose in zip(larger, poses, strict=True)])
 
-    actual = render(library, index_of("cup"), poses, scales=scales)
+    library = library_of_mesh(mesh.vertices, mesh.faces)
+    given = replace(posed(poses), scale=jnp.asarray(scales, jnp.float32))
+    actual = np.asarray(render_layers(library, given, cameras(), INTRINSICS.height, INTRINSICS.width))
 
     hit, truth = np.isfinite(actual), np.isfinite(expected)
     overlap = (hit & truth).sum(axis=(1, 2)) / (hit | truth).sum(axis=(1, 2))
     assert overlap.mean() >= 0.98, f"mean IoU {overlap.mean():.4f}, least {overlap.min():.4f}"
     for depth, reference in zip(actual, expected, strict=True):
         both = np.isfinite(depth) & np.isfinite(reference)
-        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * 1.2 * float(
-            library.pitch_m[index_of("cup")]
-        )
+        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * 1.2 * float(library.pitch_m[0])
 
 
-def test_rays_do_not_leap_over_thin_walls(library: ObjectLibrary, seed: int) -> None:
+def test_rays_do_not_leap_over_thin_walls(seed: int) -> None:
     """A bowl with a wall of 2 mm in voxels of 1.75 mm: of 100 views, less than 4% of its pixels are missed.
 
     Without going back 8% and more are.
     """
-    poses = random_views(np.random.default_rng(seed), ALL["bowl"], 100)
+    arc = np.linspace(0.0, 1.4, 24)
+    outer, inner = (
+        np.stack([radius * np.sin(arc), -radius * np.cos(arc)], axis=1) for radius in (0.08, 0.078)
+    )
+    mesh = trimesh.creation.revolve(np.concatenate([outer, inner[::-1]]), sections=96)
+    library = library_of_mesh(mesh.vertices, mesh.faces, 0.00175)
+    poses = random_views(np.random.default_rng(seed), mesh, 100)
 
-    hit = np.isfinite(render(library, index_of("bowl"), poses))
-    truth = np.isfinite(ray_cast(ALL["bowl"], poses))
+    hit, truth = np.isfinite(render(library, poses)), np.isfinite(ray_cast(mesh, poses))
 
     missed = (truth & ~hit).sum() / truth.sum()
     assert missed < 0.04, f"{missed:.1%} of the bowl's pixels are missed"
 
 
-@pytest.mark.parametrize("name", MESHES)
 def test_what_is_rendered_does_not_depend_on_where_rays_begin(
-    library: ObjectLibrary, name: str, seed: int
+    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary], seed: int
 ) -> None:
     """A camera whose tiles begin one pixel further on sees the same: rays skip other lengths of free space.
 
     At most 5 of 10,000 pixels differ by more than 1 mm, where a leap ends behind a sliver of the solid. Rays
     that stopped near the first plane that they came to differed in 14 and 16 of them (cup, ring).
     """
-    poses = random_views(np.random.default_rng(seed), MESHES[name], 20)
-    aside = replace(INTRINSICS, cx=INTRINSICS.cx + 1, cy=INTRINSICS.cy + 1)
+    mesh, library = mesh_and_library
+    poses = random_views(np.random.default_rng(seed), mesh, 20)
+    height, width = INTRINSICS.height + 1, INTRINSICS.width + 1
+    aside = replace(INTRINSICS, cx=INTRINSICS.cx + 1, cy=INTRINSICS.cy + 1, width=width, height=height)
 
-    here = render(library, index_of(name), poses)[:, :-1, :-1]
-    there = render(library, index_of(name), poses, aside)[:, 1:, 1:]
+    here = render(library, poses)
+    there = np.asarray(render_layers(library, posed(poses), cameras(aside), height, width))[:, 1:, 1:]
 
     away = np.abs(np.where(np.isfinite(here), here, 10.0) - np.where(np.isfinite(there), there, 10.0))
     assert (away > 0.001).sum() < 1e-3 * np.isfinite(here).sum()
 
 
-@pytest.mark.parametrize("name", MESHES)
-def test_what_the_camera_cannot_see_renders_as_nothing(library: ObjectLibrary, name: str) -> None:
+def test_what_the_camera_cannot_see_renders_as_nothing(
+    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary],
+) -> None:
     """Behind the camera, beside the image, or at a pose that is not a number."""
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, :3, 3] = [[0, 0, -1], [5, 0, 1], [np.nan, 0, 1]]
 
-    assert np.isinf(render(library, index_of(name), poses)).all()
+    assert np.isinf(render(mesh_and_library[1], poses)).all()
 
 
-def test_an_object_larger_than_the_image_fills_it(library: ObjectLibrary) -> None:
+def test_an_object_larger_than_the_image_fills_it() -> None:
     """A face half a metre wide, 6 cm away, at its exact depth in every pixel."""
+    mesh = trimesh.creation.box((0.5, 0.5, 0.5))
+    library = library_of_mesh(mesh.vertices, mesh.faces)
     pose = np.eye(4)[None].copy()
     pose[0, 2, 3] = 0.31
 
-    depth = render(library, index_of("block"), pose)
+    depth = render(library, pose)
 
-    np.testing.assert_allclose(depth, 0.06, atol=0.2 * float(library.pitch_m[index_of("block")]))
+    np.testing.assert_allclose(depth, 0.06, atol=0.2 * float(library.pitch_m[0]))
 
 
-def test_objects_of_a_library_render_as_alone(library: ObjectLibrary, seed: int) -> None:
+def test_objects_of_a_library_render_as_alone() -> None:
     """Joining moves tables, not shapes."""
-    poses = random_views(np.random.default_rng(seed), ALL["ring"], 10)
+    libraries = [library_of_mesh(MESHES[name].vertices, MESHES[name].faces, 0.003) for name in ("box", "can")]
+    library = join(libraries)
+    pose = np.eye(4)[None].copy()
+    pose[:, 2, 3] = 0.5
 
-    together = render(library, index_of("ring"), poses)
-
-    np.testing.assert_array_equal(together, render(voxels("ring"), 0, poses))
+    for index, alone in enumerate(libraries):
+        together = render_layers(library, posed(pose, index), cameras(), 96, 128)
+        np.testing.assert_array_equal(together, render(alone, pose))

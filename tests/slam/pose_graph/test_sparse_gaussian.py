@@ -163,9 +163,8 @@ def test_a_shared_offset_is_told_and_tempering_would_not(seed):
     x, first, second = np.meshgrid(
         np.linspace(-0.05, 0.05, 401), *2 * [np.linspace(-5, 5, 121)], indexing="ij"
     )
-    log_density = -0.5 * (first**2 + second**2)
-    for gap, slope, (one, other) in zip(gaps, slopes, factor.T, strict=True):  # all at once is a gigabyte
-        log_density -= 0.5 * ((gap + slope * x + one * first + other * second) / sigma) ** 2
+    residual = gaps + slopes * x[..., None] + first[..., None] * factor[0] + second[..., None] * factor[1]
+    log_density = -0.5 * ((residual / sigma) ** 2).sum(-1) - 0.5 * (first**2 + second**2)
     mass = np.exp(log_density - log_density.max()).sum((1, 2))
     places = x[:, 0, 0]
     mean = (mass @ places) / mass.sum()

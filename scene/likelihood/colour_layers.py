@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import FAST_COMPILE
 from scene.likelihood.colour_density import ANY_SD, GAIN_SD, SURFACE_SD, ColourDensity, window_colours
+from scene.likelihood.object_density import Seen
 from scene.likelihood.pixel_density import PixelDensity
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
@@ -65,8 +67,11 @@ class ColourTables:
 
     def at(self, one: jax.Array, points_m: jax.Array) -> jax.Array:
         """Colours (..., 3) of points (..., 3) in an object's box frame."""
-        cell = jnp.floor((points_m - self.origin_m[one]) / self.pitch_m[one]).astype(jnp.int32)
-        x, y, z = jnp.moveaxis(jnp.clip(cell, 0, self.size[one] - 1), -1, 0)
+        origin_m, last = (
+            jnp.broadcast_to(part, points_m.shape) for part in (self.origin_m[one], self.size[one] - 1)
+        )
+        cell = jnp.floor((points_m - origin_m) / self.pitch_m[one]).astype(jnp.int32)
+        x, y, z = jnp.moveaxis(jnp.clip(cell, 0, last), -1, 0)
         return self.values[self.first[one] + (x * self.size[one][1] + y) * self.size[one][2] + z]
 
 
@@ -101,6 +106,10 @@ class ColourLayers:
         density = ColourDensity.of(*window_colours(data.rgb, data.rgb_known, data.window, gamma))
         return cls(density, depth_density, ColourTables.of(objects), data.window.camera)
 
+    def of_objects(self, objects: Sequence[SceneObject]) -> ColourLayers:
+        """The same frame, with other objects."""
+        return replace(self, tables=ColourTables.of(objects))
+
     def log_factors(
         self, numbers: NDArray[np.integer], poses: NDArray[np.floating], depth_m: NDArray[np.float32]
     ) -> jax.Array:
@@ -113,6 +122,28 @@ class ColourLayers:
         """
         cameras_from_box = matrices_of(np.asarray(poses, np.float64)).astype(np.float32)
         return _log_factors(self, np.asarray(numbers, np.int32), cameras_from_box, depth_m)
+
+    def in_crop(
+        self,
+        one: jax.Array,
+        camera_from_box: jax.Array,
+        first: tuple[jax.Array, jax.Array],
+        layer_m: jax.Array,
+        depth_density: PixelDensity,
+    ) -> jax.Array:
+        """Logs (h, w) of what object `one` brings in a crop that holds it, a pixel beside it and all.
+
+        Args:
+            one: number of the object.
+            camera_from_box: (4, 4).
+            first: row and column of the crop.
+            layer_m: (h, w) its depth there.
+            depth_density: of the crop.
+        """
+        camera = replace(self.camera, cx=self.camera.cx - first[1], cy=self.camera.cy - first[0])
+        model = self.tables.at(one, _in_box(camera, camera_from_box, layer_m))
+        density = self.density.cut(first, layer_m.shape)
+        return density.log_factor(model, depth_density.shown_by(layer_m), self.tables.gain_sd[one])
 
     def turned(
         self,
@@ -154,6 +185,35 @@ class ColourLayers:
         """
         cameras_from_box = (matrices_of(np.asarray(pose, np.float64)) @ turns).astype(np.float32)
         return np.asarray(_sums_of_turns(self, np.int32(one), cameras_from_box, layer_m), np.float64)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ComparedColours:
+    """Colours as one more factor of the density of depth images.
+
+    Attributes:
+        layers: of one of the frames, and of the objects.
+        weight: exponent of the factor.
+        frame: number of the frame.
+    """
+
+    layers: ColourLayers
+    weight: jax.Array
+    frame: int = field(metadata={"static": True})
+
+    def beside(self, frames: jax.Array, objects: jax.Array, poses: jax.Array) -> Seen:
+        """What the colours tell of objects (n,) in frames (n,) at poses (n, 7) camera_from_box."""
+        cameras_from_box = jax.vmap(lambda pose: jaxlie.SE3(pose).as_matrix())(poses)
+
+        def factor(
+            which: jax.Array, row: jax.Array, column: jax.Array, layer_m: jax.Array, density: PixelDensity
+        ) -> jax.Array:
+            camera_from_box = cameras_from_box[which]
+            factors = self.layers.in_crop(objects[which], camera_from_box, (row, column), layer_m, density)
+            return jnp.where(frames[which] == self.frame, self.weight * factors, 0.0)
+
+        return factor
 
 
 def _in_box(camera: Camera, camera_from_box: jax.Array, layer_m: jax.Array) -> jax.Array:
