@@ -12,7 +12,7 @@ from shapes.geometry.rotation_densities import hopf_coordinates, rotation_from_h
 def random_poses(key: jax.Array, count: int) -> jax.Array:
     """Poses (n, 7) within half a metre."""
     rotation_key, position_key = jax.random.split(key)
-    rotations = jax.vmap(uniform_rotation)(jax.random.uniform(rotation_key, (count, 3)))
+    rotations = jax.jit(jax.vmap(uniform_rotation))(jax.random.uniform(rotation_key, (count, 3)))
     return jnp.concatenate([rotations, 0.5 * jax.random.normal(position_key, (count, 3))], axis=1)
 
 
@@ -22,7 +22,7 @@ def test_hopf_chart_inverts(key: jax.Array) -> None:
     near = wxyz.at[:500, 3].set(1e-9)
     wxyz = near / jnp.linalg.norm(near, axis=1, keepdims=True)
 
-    back = jax.vmap(lambda q: rotation_from_hopf(*hopf_coordinates(q)))(wxyz)
+    back = jax.jit(jax.vmap(lambda q: rotation_from_hopf(*hopf_coordinates(q))))(wxyz)
 
     np.testing.assert_allclose(np.abs(jnp.sum(wxyz * back, axis=1)), 1.0, atol=1e-12)
 
@@ -30,9 +30,9 @@ def test_hopf_chart_inverts(key: jax.Array) -> None:
 def test_hopf_chart_carries_the_pole(key: jax.Array) -> None:
     """Eta is where the rotation carries the north pole, and phi = 0 is the shortest way there."""
     wxyz = random_poses(key, 100)[:, :4]
-    eta, _ = jax.vmap(hopf_coordinates)(wxyz)
-    carried = jax.vmap(lambda q: jaxlie.SO3(q).apply(jnp.array([0.0, 0, 1])))(wxyz)
-    shortest = jax.vmap(lambda e: jaxlie.SO3(rotation_from_hopf(e, jnp.zeros(()))).log())(eta)
+    eta, _ = jax.jit(jax.vmap(hopf_coordinates))(wxyz)
+    carried = jax.jit(jax.vmap(lambda q: jaxlie.SO3(q).apply(jnp.array([0.0, 0, 1]))))(wxyz)
+    shortest = jax.jit(jax.vmap(lambda e: jaxlie.SO3(rotation_from_hopf(e, jnp.zeros(()))).log()))(eta)
 
     np.testing.assert_allclose(eta, carried, atol=1e-12)
     np.testing.assert_allclose(jnp.linalg.norm(shortest, axis=1), jnp.arccos(eta[:, 2]), atol=1e-7)
@@ -57,7 +57,7 @@ def test_hopf_chart_has_the_factor_eight(key: jax.Array) -> None:
         angles = jax.jacrev(angle_tangent)(jnp.full(3, 1e-6))
         return jnp.sqrt(jnp.linalg.det(arcs.T @ arcs)), jnp.abs(jnp.linalg.det(angles))
 
-    arcs, angles = jax.vmap(determinants)(random_poses(key, 200)[:, :4])
+    arcs, angles = jax.jit(jax.vmap(determinants))(random_poses(key, 200)[:, :4])
 
     np.testing.assert_allclose(8 * arcs, 1.0, atol=1e-6)
     np.testing.assert_allclose(angles, 1.0, atol=1e-4)  # taken a step of 1e-6 off, where log is smooth
@@ -73,9 +73,9 @@ def test_contact_chart_inverts_for_all_faces(key: jax.Array) -> None:
         boxes = (extents, 2 * extents, pair // 6, pair % 6)
         return pose_from_contact(contact_from_poses(parent, child, *boxes), parent, *boxes)
 
-    back = jax.vmap(there_and_back)(parents, children, faces)
+    back = jax.jit(jax.vmap(there_and_back))(parents, children, faces)
 
-    error = jax.vmap(lambda a, b: (jaxlie.SE3(a).inverse() @ jaxlie.SE3(b)).log())(children, back)
+    error = jax.jit(jax.vmap(lambda a, b: (jaxlie.SE3(a).inverse() @ jaxlie.SE3(b)).log()))(children, back)
     np.testing.assert_allclose(error, 0.0, atol=1e-9)
 
 
@@ -116,7 +116,7 @@ def test_relative_box_agrees_with_the_chart(key: jax.Array) -> None:
         chart = contact_from_poses(parent, child, *boxes)
         return chart, face_contact(relative_box(parent, child), *boxes)
 
-    chart, (on_face, gap_m, eta_z) = jax.vmap(both)(parents, children, jnp.arange(36))
+    chart, (on_face, gap_m, eta_z) = jax.jit(jax.vmap(both))(parents, children, jnp.arange(36))
 
     half_sizes = np.asarray(extents)[contact.FACE_SPANS[np.arange(36) // 6]]
     expected = (np.abs(chart.offset_m[:, :2]) <= half_sizes).all(axis=1)
