@@ -84,7 +84,7 @@ def test_the_pivot_is_integrated_out(key: jax.Array) -> None:
 
     found = np.exp(prior.log_density(poses))
 
-    assert_mean(np.asarray(jax.vmap(density)(pivots)) / found, 1.0, detectable=0.3)
+    assert_mean(np.asarray(jax.jit(jax.vmap(density))(pivots)) / found, 1.0, detectable=0.3)
 
 
 def test_an_orbit_keeps_to_its_circle() -> None:
