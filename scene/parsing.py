@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -24,7 +24,7 @@ from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.mcmc.chain_model import carrying
 from scene.mcmc.colour_turns import SeenColours, with_drawn_turns
-from scene.mcmc.sampling import sample_posterior
+from scene.mcmc.sampling import SampledScenes, sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.depth_view import unproject
@@ -60,7 +60,8 @@ def parse_scene(
     """Parse the scene that the frames show: it is judged by all of them.
 
     It is searched in the first and in the one that shows most of what the first does not, and begins with
-    what agrees better with all.
+    what agrees better with all. Where moves put in an object that the search had rejected, chains run again
+    over the scene that they tell.
 
     Args:
         key: random key.
@@ -102,11 +103,6 @@ def parse_scene(
         )
         for view, window in zip(views, windows, strict=True)
     ]
-    found = FoundObjects.of(start.found)
-    chosen, their_start = found.taken(objects), start.of_slots(found)
-    lines = np.stack([one.spin_line for one in chosen])
-    seen_noise = with_surface_error(noise, config.model_error_m)
-    refined = refine(refine_key, data, renderer, found.placed, their_start, seen_noise, lines)
     camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
     world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
     world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
@@ -114,29 +110,24 @@ def parse_scene(
     colours = None
     if data.rgb is not None:
         colours = ColourLayers.of(data, objects, densities[number], config.gamma)
-    with jax.enable_x64(True):
-        chains = sample_posterior(
-            chain_key,
-            views,
-            densities,
-            colours and _compared(colours, chosen, number, config),
-            poses,
-            world_from_camera,
-            data.supports,
-            chosen,
-            their_start,
-            refined,
-            config,
-            progress,
-        )
+    seen_noise = with_surface_error(noise, config.model_error_m)
     rng = np.random.default_rng(seed)
-    nats = np.zeros(len(objects))
-    if colours is not None:
-        best = their_start.poses[found.present]
-        seen = SeenColours(data, colours, renderer, objects, found.indices, best, config.colour_weight)
-        nats[found.indices] = seen.log_factors()
-        turned = with_drawn_turns(rng, seen, world_from_camera, chains.samples)
-        chains = replace(chains, samples=turned)
+    sampled = partial(
+        _sampled,
+        rng,
+        views,
+        number,
+        densities,
+        poses,
+        world_from_camera,
+        objects,
+        renderer,
+        seen_noise,
+        colours,
+        config,
+        progress,
+    )
+    best = sampled(refine_key, chain_key, start)
     used = carrying(data.supports, objects, start)
     hidden = _hidden(hidden_key, views, poses, used, world_from_camera, objects, start, seen_noise, config)
     presence = presence_in_scene(
@@ -149,18 +140,23 @@ def parse_scene(
         used,
         objects,
         start,
-        found,
-        chains,
+        best.found,
+        best.chains,
         hidden,
         colours and (number, colours),
         config,
     )
+    if (presence.seen & ~start.found).any():
+        in_camera = poses_of(np.linalg.inv(world_from_camera) @ matrices_of(presence.poses))
+        start = start.with_scene(presence.seen, in_camera)
+        refine_key, chain_key = jax.random.split(jax.random.key(int(rng.integers(2**31))))
+        best = sampled(refine_key, chain_key, start)
     scene = summarise(
-        chains,
-        found,
+        best.chains,
+        best.found,
         start,
-        found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0],
-        nats,
+        best.visible_fraction,
+        best.colour_nats,
         hidden,
         presence,
         world_from_camera,
@@ -175,6 +171,71 @@ def _compared(
 ) -> ComparedColours:
     """Colours of a frame as the chains over these objects take them."""
     return ComparedColours(colours.of_objects(objects), jnp.float32(config.colour_weight), frame)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Sampled:
+    """What chains tell of one scene.
+
+    Attributes:
+        found: the objects that they looked at.
+        chains: their samples.
+        visible_fraction: (N,) of all objects.
+        colour_nats: (N,).
+    """
+
+    found: FoundObjects
+    chains: SampledScenes
+    visible_fraction: NDArray[np.float64]
+    colour_nats: NDArray[np.float64]
+
+
+def _sampled(
+    rng: np.random.Generator,
+    views: Sequence[SceneData],
+    searched: int,
+    densities: Sequence[PixelDensity],
+    camera_from_world: NDArray[np.float64],
+    world_from_camera: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    renderer: ObjectRenderer,
+    noise: DepthNoise,
+    colours: ColourLayers | None,
+    config: ParseConfig,
+    progress: Callable[[int, int], None] | None,
+    refine_key: jax.Array,
+    chain_key: jax.Array,
+    start: Initialisation,
+) -> _Sampled:
+    """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
+    data, found = views[searched], FoundObjects.of(start.found)
+    chosen, their_start = found.taken(objects), start.of_slots(found)
+    lines = np.stack([one.spin_line for one in chosen])
+    refined = refine(refine_key, data, renderer, found.placed, their_start, noise, lines)
+    with jax.enable_x64(True):
+        chains = sample_posterior(
+            chain_key,
+            views,
+            densities,
+            colours and _compared(colours, chosen, searched, config),
+            camera_from_world,
+            world_from_camera,
+            data.supports,
+            chosen,
+            their_start,
+            refined,
+            config,
+            progress,
+        )
+    nats = np.zeros(len(objects))
+    if colours is not None:
+        best = their_start.poses[found.present]
+        seen = SeenColours(data, colours, renderer, objects, found.indices, best, config.colour_weight)
+        nats[found.indices] = seen.log_factors()
+        turned = with_drawn_turns(rng, seen, world_from_camera, chains.samples)
+        chains = replace(chains, samples=turned)
+    visible = found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0]
+    return _Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
 
 
 def _views(

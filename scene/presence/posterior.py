@@ -38,10 +38,14 @@ class Presence:
     Attributes:
         probability: (N,).
         standard_error: (N,) of it, from how chains differ, and from the draws of hidden poses.
+        seen: (N,) which are more probably there in sight than not.
+        poses: (N, 7) world_from_box of these, of one chain as far as it has them.
     """
 
     probability: NDArray[np.float64]
     standard_error: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    poses: NDArray[np.float64]
 
 
 DrawCandidates = Callable[[NDArray[np.float64], NDArray[np.bool_]], tuple[NDArray[np.float64], Candidates]]
@@ -68,8 +72,8 @@ def chain_presence(
     poses: NDArray[np.float64],
     drawings: int = DRAWN,
     sweeps: int = SWEEPS,
-) -> NDArray[np.float64]:
-    """Presence (N, 2) by a chain from the empty scene, all and hidden.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Presence (N, 2) by a chain from the empty scene, all and hidden, and its last states, in use or not.
 
     Args:
         rng: random numbers.
@@ -87,7 +91,7 @@ def chain_presence(
         choice, expected = toggle(rng, candidates, choice, sweeps)
         poses = drawn[np.arange(len(poses)), np.maximum(choice, 0)]
         sums += expected
-    return sums[:, :2] / sums[:, 2:]
+    return sums[:, :2] / sums[:, 2:], poses, choice >= 0
 
 
 def presence_posterior(
@@ -122,11 +126,29 @@ def presence_posterior(
         return drawn, candidates_of(rng, frames, priors, *given)
 
     nowhere = np.tile([1.0, *[0.0] * 9], (objects + beside, 1))
-    by_chain = [chain_presence(rng, draw, nowhere)[:objects] for _ in range(chains)]
-    there, unseen = np.moveaxis(np.stack(by_chain), 2, 0)
+    by_chain, states, in_use = zip(*(chain_presence(rng, draw, nowhere) for _ in range(chains)), strict=True)
+    there, unseen = np.moveaxis(np.stack(by_chain)[:, :objects], 2, 0)
     told = there.mean(axis=0)
     of_share = (
         unseen.mean(axis=0) * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
     )
     of_chains = there.std(axis=0, ddof=1) / np.sqrt(chains)
-    return Presence(probability=told, standard_error=np.hypot(of_chains, of_share))
+    seen = (there - unseen).mean(axis=0) >= 0.5
+    return Presence(
+        probability=told,
+        standard_error=np.hypot(of_chains, of_share),
+        seen=seen,
+        poses=_in_one_scene(np.stack(states)[:, :objects, :7], np.stack(in_use)[:, :objects], seen),
+    )
+
+
+def _in_one_scene(
+    poses: NDArray[np.float64], in_use: NDArray[np.bool_], seen: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Poses (N, 7) of the chain that agrees best with what is seen (N,), of C chains (C, N, 7).
+
+    What it lacks is from the next best that has it.
+    """
+    order = np.argsort(-(in_use == seen).sum(axis=1), kind="stable")
+    first = in_use[order].argmax(axis=0)
+    return poses[order][first, np.arange(len(seen))]

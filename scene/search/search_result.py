@@ -48,6 +48,10 @@ class Initialisation:
     log_alone: NDArray[np.float64]
     atoms: BoltzmannAtoms | None = None
 
+    def with_scene(self, found: NDArray[np.bool_], poses: NDArray[np.float64]) -> Initialisation:
+        """The same pools with another best scene: the objects `found` (N,) at poses (N, 7)."""
+        return replace(self, found=found, poses=np.where(found[:, None], poses, self.poses))
+
     def of_slots(self, found: FoundObjects) -> Initialisation:
         """The best scene and its pools of some objects alone, in their slots."""
         return Initialisation(

@@ -44,7 +44,7 @@ def test_moves_tell_what_the_sum_tells(name: str, seed: int) -> None:
             return drawn, Candidates([layers], np.zeros((1, COUNT)), prior, np.full(1, -np.inf))
 
         nowhere = np.eye(4)[None]
-        told = [chain_presence(rng, draw, nowhere, DRAWINGS, 2)[0, 0] for _ in range(CHAINS)]
+        told = [chain_presence(rng, draw, nowhere, DRAWINGS, 2)[0][0, 0] for _ in range(CHAINS)]
 
     error = np.hypot(np.std(told, ddof=1) / np.sqrt(CHAINS), exact.standard_error[0])
     print(f"{name}: moves {np.mean(told):.3f}, exact {exact.presence[0]:.3f}, error {error:.3f}")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scene.model.number_prior import BinomialNumber
-from scene.presence import toggling
+from scene.presence import posterior, toggling
 from scene.presence.forests import ForestPrior
 from scene.presence.posterior import chain_presence
 from scene.presence.toggling import ABSENT, Candidates, SlotLayers, reseated
@@ -132,7 +132,7 @@ def chain_in_strips(
         return strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
 
     nowhere = np.zeros(len(kinds), int)
-    return chain_presence(rng, draw, nowhere, drawings=40, sweeps=2)[:, 0]
+    return chain_presence(rng, draw, nowhere, drawings=40, sweeps=2)[0][:, 0]
 
 
 def seats_in_strips(seed: int, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -191,3 +191,11 @@ def test_presence_is_calibrated_on_worlds_of_its_own(worlds: int, seed: int) -> 
         gap = (truth - presence)[bins == one]
         if len(gap) > 20:
             assert_mean(gap, 0.0, detectable=5 / np.sqrt(len(gap)))
+
+
+def test_poses_are_those_of_the_chain_that_agrees_best() -> None:
+    """Of three chains the second has two of the three that are there; the third alone has the last."""
+    poses = np.arange(12.0).reshape(3, 4, 1) * np.ones(7)
+    in_use = np.array([[1, 0, 0, 0], [1, 1, 0, 0], [1, 0, 1, 1]], bool)
+    told = posterior._in_one_scene(poses, in_use, np.array([True, True, False, True]))
+    np.testing.assert_array_equal(told[[0, 1, 3], 0], [4, 5, 11])
