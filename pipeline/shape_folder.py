@@ -42,6 +42,11 @@ def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSu
     return {path.stem: _learned_surface(path) for path in learned}
 
 
+def holds_learned_shapes(folder: Path) -> bool:
+    """Whether its shapes are learned ones, and no meshes."""
+    return any(_shapes_of(folder).glob("*.npz"))
+
+
 def drawn_surfaces(folder: Path, name: str, key: jax.Array, count: int) -> list[SceneSurface]:
     """Surfaces of as many random draws of a learned shape, in the frame of its surface.
 

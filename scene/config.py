@@ -48,7 +48,8 @@ class ParseConfig:
         proposals: where the search's poses come from before they are refined: templates matched to observed
             `points`, convolution `masks`, or `both`, half and half.
         unknown_solids: whether boxes and cylinders of free size compete with what is asked for when presence
-            is told.
+            is told. The program lets them where shapes are meshes: learned ones are rough by millimetres,
+            and a smooth solid would win.
         exact: one object or two whose presence is computed exactly where they are not found: at rest on a
             support, or without one anywhere in the region.
         rounds: of renewed search on what is left unexplained.

@@ -105,9 +105,11 @@ def _parse(
     sensor: SensorProfile,
     config: ParseConfig,
 ) -> SceneResult:
+    from pipeline.shape_folder import holds_learned_shapes
     from scene.objects.scene_object import scene_object
     from scene.parsing import parse_scene
 
+    config = replace(config, unknown_solids=config.unknown_solids and not holds_learned_shapes(shapes))
     key, draw_key = session.key("parse"), session.key("draws")
     draws = drawn_shapes(shapes, surfaces, draw_key, config)
     with session.common.progress("parse", "blocks") as progress:

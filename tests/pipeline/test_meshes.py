@@ -11,7 +11,7 @@ from trimesh.visual import TextureVisuals
 
 from pipeline.errors import PipelineError
 from pipeline.meshes import load_meshes, vertex_rgb
-from pipeline.shape_folder import load_surfaces
+from pipeline.shape_folder import holds_learned_shapes, load_surfaces
 
 
 def folder(tmp_path: Path, scale: float = 1.0, suffix: str = ".ply") -> Path:
@@ -108,3 +108,10 @@ def test_a_mesh_without_colour_has_none(tmp_path: Path) -> None:
     """The grey that a viewer would paint it in is nobody's measurement."""
     assert vertex_rgb(load_meshes(folder(tmp_path))["box"]) is None
     assert load_surfaces(tmp_path)["box"].rgb is None
+
+
+def test_a_folder_holds_meshes_or_learned_shapes(tmp_path: Path) -> None:
+    """Solids compete with meshes alone: `pipeline.stages.parse`."""
+    assert not holds_learned_shapes(folder(tmp_path))
+    (tmp_path / "box.npz").touch()
+    assert holds_learned_shapes(tmp_path)
