@@ -22,6 +22,7 @@ from scene.presence.solids import (
     LEAST_M,
     SolidFits,
     log_sizes_density,
+    solid_half_sizes,
     tied,
 )
 from scene.presence.state_mixture import StateMixture
@@ -184,7 +185,7 @@ def _log_alone(
     _, gain = frames.shown_solids(states.reshape(-1, 10), np.repeat(rounds, states.shape[1]))
     poses, log_half = states[..., :7], states[..., 7:]
     log_alone = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
-    log_alone += np.log(np.maximum(priors.alone(poses, np.exp(log_half)), LEAST_DENSITY))
+    log_alone += np.log(np.maximum(priors.alone(poses, solid_half_sizes(states)), LEAST_DENSITY))
     return log_alone + np.maximum(log_sizes_density(log_half, rounds[:, None]), np.log(LEAST_DENSITY))
 
 

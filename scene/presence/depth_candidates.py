@@ -18,7 +18,7 @@ from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.frame_data import SceneData
 from scene.presence.pose_priors import PosePriors
-from scene.presence.solids import log_sizes_density, solid_layers
+from scene.presence.solids import log_sizes_density, solid_half_sizes, solid_layers
 from scene.presence.toggling import Candidates, SlotLayers
 from shapes.geometry.poses import matrices_of, poses_of
 
@@ -106,7 +106,7 @@ class PresenceFrames:
         ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             window, count = self.views[frame].window, len(in_camera)
             fill = np.resize(np.arange(count), BATCH * -(-count // BATCH)).reshape(-1, BATCH)
-            given = in_camera.astype(np.float32), np.exp(states[:, 7:]).astype(np.float32), is_round
+            given = in_camera.astype(np.float32), solid_half_sizes(states).astype(np.float32), is_round
 
             def rendered(some: NDArray[np.intp]) -> NDArray[np.float32]:
                 parts = (part[some] for part in given)
@@ -197,8 +197,7 @@ def candidates_of(
     ]
     log_sizes = priors.sizes.log_density(states[:asked, :, 7:], np.arange(asked))
     log_solids = log_sizes_density(states[asked:, :, 7:], is_round[:, None])
-    prior = priors.of(
-        states[..., :7], np.exp(states[..., 7:]), np.concatenate([log_sizes, log_solids]), asked
-    )
+    half_m = np.concatenate([np.exp(states[:asked, :, 7:]), solid_half_sizes(states[asked:])])
+    prior = priors.of(states[..., :7], half_m, np.concatenate([log_sizes, log_solids]), asked)
     log_hidden = np.append(log_hidden, np.full(len(is_round), -np.inf))
     return Candidates(layers, log_offered, prior, log_hidden)

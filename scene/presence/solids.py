@@ -109,6 +109,14 @@ def tied(states: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np
     return states
 
 
+def solid_half_sizes(states: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Half sizes (..., 3) of solids (..., 10), within the bounds of their prior, beyond which it is zero.
+
+    Fits to what explains nothing are wide, and the exponentials of their draws would overflow.
+    """
+    return np.exp(np.clip(states[..., 7:], math.log(LEAST_M), math.log(GREATEST_M)))
+
+
 def log_sizes_density(log_half: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Log density (...) of logs of half sizes (..., 3), of cylinders radius twice and height, with the rate.
 

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scene.presence.solids import SolidFits, solid_layers
+from scene.presence.solids import (
+    GREATEST_M,
+    LEAST_M,
+    SolidFits,
+    log_sizes_density,
+    solid_half_sizes,
+    solid_layers,
+)
 from shapes.geometry.camera import Camera
 from tests.statistical import assert_mean
 
@@ -60,3 +67,11 @@ def test_the_density_is_that_of_the_draws(is_round: bool, seed: int) -> None:
     ratio = np.exp(narrower.log_density(states) - drawn_from.log_density(states))[0]
 
     assert_mean(ratio, 1.0, detectable=0.1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_sizes_without_a_prior_are_seen_at_its_bounds() -> None:
+    """Draws of a fit to nothing may have sizes whose exponentials overflow."""
+    states = np.array([[1.0, 0, 0, 0, 0, 0, 0, 1e4, -1e4, np.log(0.05)]])
+    np.testing.assert_allclose(solid_half_sizes(states), [[GREATEST_M, LEAST_M, 0.05]])
+    assert log_sizes_density(states[:, 7:], np.array([False])) == -np.inf
