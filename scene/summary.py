@@ -80,7 +80,7 @@ def summarise(
         most_probable=poses[int(flat.log_posterior.argmax())],
         presence=presence.probability,
         presence_std=presence.standard_error,
-        hidden_share=hidden.share,
+        hidden_share=np.where(start.found, 0.0, hidden.share),  # moves may have put it in since
         hidden_poses=poses_of(np.linalg.inv(world_from_camera) @ hidden.poses @ box_from_object[:, None]),
         visible_fraction=visible_fraction,
         colour_nats=colour_nats,
