@@ -202,18 +202,24 @@ def eta_density(prior: PosePrior, eta_z: jax.Array) -> jax.Array:
 
 
 def contact_densities(prior: PosePrior, bodies: Bodies, poses: jax.Array, child: jax.Array) -> jax.Array:
-    """Densities (C, f', f) of `child`'s contact parameters, were it on each face of each object.
+    """Densities (C, f', f) of `child`'s contact parameters, were it on each face of each object."""
+    return densities_on(prior, bodies, poses, bodies.half_extents_m[child], poses[child])
+
+
+def densities_on(
+    prior: PosePrior, bodies: Bodies, poses: jax.Array, half_m: jax.Array, pose: jax.Array
+) -> jax.Array:
+    """Densities (C, f', f) of the contact parameters of a box (3,) at a pose (7,) on each face of bodies.
 
     `contact_density` over all pairs of faces at once, as arrays (parent, its axis, its side, child's axis,
     child's side); the barriers keep XLA from recomputing an intermediate for each of the 36 pairs.
     """
     half_extents = bodies.half_extents_m
-    boxes = jax.vmap(relative_box, in_axes=(0, None))(poses, poses[child])
+    boxes = jax.vmap(relative_box, in_axes=(0, None))(poses, pose)
     axes, centres = jax.lax.optimization_barrier((boxes.axes, boxes.centre_m))
     sides = jnp.asarray([-1.0, 1.0], poses.dtype)
     face_centres = (
-        centres[:, :, None, None]
-        + (axes * half_extents[child][None, None])[..., None] * sides[None, None, None]
+        centres[:, :, None, None] + (axes * half_m[None, None])[..., None] * sides[None, None, None]
     )
     beside = (jnp.abs(face_centres) > half_extents[:, :, None, None]).astype(poses.dtype)
     beside_elsewhere = jnp.sum(beside, axis=1, keepdims=True) - beside

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +37,25 @@ class ForestPrior:
 
     def log_density(self, taken: Sequence[tuple[int, int]], hidden: int) -> float:
         """Of slots at candidates (slot, place), and so many others somewhere out of sight."""
-        return float(self._log_forests(*self._weights(taken))) + self._log_number(
-            [slot for slot, _ in taken], hidden
-        )
+        place = tuple(taken), None
+        if place not in self._kept:
+            self._kept[place] = self._log_forests(*self._weights(taken))
+        return float(self._kept[place]) + self._log_number([slot for slot, _ in taken], hidden)
 
     def log_densities(self, taken: Sequence[tuple[int, int]], slot: int, hidden: int) -> NDArray[np.float64]:
         """(K,) the same with one slot more, at each of its candidates."""
+        place = tuple(taken), slot
+        if place not in self._kept:
+            self._kept[place] = self._log_forests_with(taken, slot)
+        return self._kept[place] + self._log_number([slot, *(one for one, _ in taken)], hidden)
+
+    @cached_property
+    def _kept(self) -> dict[tuple[tuple[tuple[int, int], ...], int | None], NDArray[np.float64]]:
+        """Log sums over graphs of what is taken, and with one slot more: moves come to the same again."""
+        return {}
+
+    def _log_forests_with(self, taken: Sequence[tuple[int, int]], slot: int) -> NDArray[np.float64]:
+        """Log sums over graphs (K,) of what is taken and one slot more, at each of its candidates."""
         count = len(taken)
         root, others = self._weights(taken)
         slots, places = (np.array(part, np.intp) for part in zip(*taken, strict=True)) if taken else ([], [])
@@ -53,7 +67,7 @@ class ForestPrior:
         if taken:
             every[:, count, :count] = self.on_others[slot][:, slots, places]
             every[:, :count, count] = self.on_others[slots, places, slot].T
-        return self._log_forests(roots, every) + self._log_number([*slots, slot], hidden)
+        return self._log_forests(roots, every)
 
     def _weights(self, taken: Sequence[tuple[int, int]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """On the root (n,), and of each on each (n, n)."""

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from scene.execution import FAST_COMPILE
 from scene.model.contact import TOP_FACE
-from scene.model.prior import PosePrior, contact_densities, log_floating
+from scene.model.prior import PosePrior, densities_on, log_floating
 from scene.model.scene_graph import Bodies
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.size_prior import SizePrior
@@ -117,8 +117,8 @@ class PosePriors:
         together = PAIRS[0] if count <= PAIRS[0] else PAIRS[1]
         for first in range(0, count, together):
             part = np.resize(np.arange(first, min(first + together, count)), together)
-            with jax.enable_x64(True):
-                found = np.asarray(_on_another(self.prior, faces, half_m[:, part], poses[:, part]))
+            given = jax.tree.map(np.float32, (self.prior, half_m[:, part], poses[:, part]))
+            found = np.asarray(_on_another(given[0], faces, *given[1:]))
             densities[first : first + together] = found[: count - first]
         return np.exp(LOG_CONTACT_JACOBIAN) * densities
 
@@ -135,7 +135,7 @@ def _on_another(prior: PosePrior, faces: jax.Array, half_m: jax.Array, poses: ja
     """
 
     def one(half_m: jax.Array, poses: jax.Array) -> jax.Array:
-        two = Bodies(half_m, jnp.ones(2, bool), jnp.stack([faces, faces]))
-        return jnp.sum(contact_densities(prior, two, poses, jnp.int32(1))[0])
+        carrier = Bodies(half_m[:1], jnp.ones(1, bool), faces[None])
+        return jnp.sum(densities_on(prior, carrier, poses[:1], half_m[1], poses[1]))
 
     return jax.vmap(one, in_axes=1)(half_m, poses)

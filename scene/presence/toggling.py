@@ -27,7 +27,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 
 from scene.presence.forests import ForestPrior
 
@@ -83,6 +83,11 @@ class Candidates:
         return self.log_offered.shape[1]
 
     @cached_property
+    def _kept_gains(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], NDArray[np.float64]]:
+        """Of slots beside what is taken: moves come to the same scenes again and again."""
+        return {}
+
+    @cached_property
     def shared(self) -> dict[tuple[int, int], tuple[NDArray[np.intp], NDArray[np.intp]]]:
         """Of pairs of slots whose candidates share pixels: where these are in either's own pixels."""
         shared = {}
@@ -132,13 +137,18 @@ class Candidates:
 
     def _gains(self, taken: Sequence[tuple[int, int]], slot: int) -> NDArray[np.float64]:
         """(K,) what each candidate adds to the log likelihood of what is taken."""
+        beside = tuple(one for one in taken if (slot, one[0]) in self.shared)
+        if (slot, beside) not in self._kept_gains:
+            self._kept_gains[slot, beside] = self._gains_beside(beside, slot)
+        return self._kept_gains[slot, beside]
+
+    def _gains_beside(self, taken: Sequence[tuple[int, int]], slot: int) -> NDArray[np.float64]:
+        """The same, computed, beside what shares pixels with the slot."""
         mine = self.layers[slot]
         front_m = np.full(len(mine.pixels), np.inf, np.float32)
         gain = np.zeros(len(mine.pixels), np.float32)
         first = np.full(len(mine.pixels), self.slots)
         for other, place in taken:
-            if (slot, other) not in self.shared:
-                continue
             theirs, (here, there) = self.layers[other], self.shared[slot, other]
             nearer = theirs.depth_m[place, there] < front_m[here]  # of equally near ones the first counts
             here, there = here[nearer], there[nearer]
@@ -221,7 +231,7 @@ def reseated(
                 option = _option(candidates, int(present[slot]))
                 if weights[option] == -np.inf:  # as what rests on something that is not yet there
                     return np.array(choice)
-            log_ratio += sign * (logsumexp(weights) - weights[0])  # pi / q of this step
+            log_ratio += sign * (np.logaddexp.reduce(weights) - weights[0])  # pi / q of this step
             scene[slot] = _choice(candidates, option)
         log_ratio += sign * (scene[order] != ABSENT).sum() * np.log(2)
         ends.append(scene)
