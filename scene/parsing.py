@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
@@ -18,9 +17,8 @@ from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
 from scene.initialisation import initialise
-from scene.likelihood.colour_layers import ColourLayers, ComparedColours
+from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.mcmc.chain_model import carrying
 from scene.mcmc.colour_turns import SeenColours, with_drawn_turns
@@ -28,9 +26,8 @@ from scene.mcmc.sampling import SampledScenes, sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.depth_view import unproject
-from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
-from scene.observation.segmentation import frame_data, scene_data, support_depth
+from scene.observation.segmentation import frame_data, scene_data
 from scene.presence.inference import presence_in_scene
 from scene.result import SceneResult
 from scene.search.importance_sampling import refine
@@ -88,66 +85,18 @@ def parse_scene(
         learned = UnknownWeights.of(unknown, windows[0].stride / intrinsics.fx)
     else:
         learned = UnknownWeights.learned([one.depth_m for one in windows], noise)
-    number, start = _best_start(
+    searched, start = _best_start(
         (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config, learned
     )
-    data, first_from_searched = views[number], first_camera_from_camera[number]
-    densities = [
-        PixelDensity.of(
-            window.depth_m,
-            support_depth(view.supports, window, intrinsics),
-            noise,
-            config.model_error_m,
-            window.stride,
-            learned,
-        )
-        for view, window in zip(views, windows, strict=True)
-    ]
-    camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
-    world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
-    world_from_first = world_from_camera @ np.linalg.inv(first_from_searched)
-    poses = np.stack([np.linalg.inv(world_from_first @ pose) for pose in first_camera_from_camera])
-    colours = None
-    if data.rgb is not None:
-        colours = ColourLayers.of(data, objects, densities[number], config.gamma)
-    seen_noise = with_surface_error(noise, config.model_error_m)
+    compared = ComparedFrames.of(views, searched, first_camera_from_camera, objects, noise, learned, config)
     rng = np.random.default_rng(seed)
-    sampled = partial(
-        _sampled,
-        rng,
-        views,
-        number,
-        densities,
-        poses,
-        world_from_camera,
-        objects,
-        renderer,
-        seen_noise,
-        colours,
-        config,
-        progress,
-    )
+    seen_noise = with_surface_error(noise, config.model_error_m)
+    sampled = partial(_sampled, rng, compared, objects, renderer, seen_noise, config, progress)
     best = sampled(refine_key, chain_key, start)
-    used = carrying(data.supports, objects, start)
-    hidden = _hidden(hidden_key, views, poses, used, world_from_camera, objects, start, seen_noise, config)
-    presence = presence_in_scene(
-        rng,
-        views,
-        number,
-        densities,
-        poses,
-        world_from_camera,
-        used,
-        objects,
-        start,
-        best.found,
-        best.chains,
-        hidden,
-        colours and (number, colours),
-        config,
-    )
+    hidden = _hidden(hidden_key, compared, objects, start, seen_noise, config)
+    presence = presence_in_scene(rng, compared, objects, start, best.found, best.chains, hidden, config)
     if (presence.seen & ~start.found).any():
-        in_camera = poses_of(np.linalg.inv(world_from_camera) @ matrices_of(presence.poses))
+        in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera)
         refine_key, chain_key = jax.random.split(jax.random.key(int(rng.integers(2**31))))
         best = sampled(refine_key, chain_key, start)
@@ -159,18 +108,11 @@ def parse_scene(
         best.colour_nats,
         hidden,
         presence,
-        world_from_camera,
+        compared.world_from_camera,
         objects,
         np.asarray(frame_indices),
     )
-    return scene.in_camera(first_from_searched)
-
-
-def _compared(
-    colours: ColourLayers, objects: Sequence[SceneObject], frame: int, config: ParseConfig
-) -> ComparedColours:
-    """Colours of a frame as the chains over these objects take them."""
-    return ComparedColours(colours.of_objects(objects), jnp.float32(config.colour_weight), frame)
+    return scene.in_camera(first_camera_from_camera[searched])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,15 +134,10 @@ class _Sampled:
 
 def _sampled(
     rng: np.random.Generator,
-    views: Sequence[SceneData],
-    searched: int,
-    densities: Sequence[PixelDensity],
-    camera_from_world: NDArray[np.float64],
-    world_from_camera: NDArray[np.float64],
+    compared: ComparedFrames,
     objects: Sequence[SceneObject],
     renderer: ObjectRenderer,
     noise: DepthNoise,
-    colours: ColourLayers | None,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
     refine_key: jax.Array,
@@ -208,31 +145,20 @@ def _sampled(
     start: Initialisation,
 ) -> _Sampled:
     """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
-    data, found = views[searched], FoundObjects.of(start.found)
+    data, found = compared.data, FoundObjects.of(start.found)
     chosen, their_start = found.taken(objects), start.of_slots(found)
     lines = np.stack([one.spin_line for one in chosen])
     refined = refine(refine_key, data, renderer, found.placed, their_start, noise, lines)
     with jax.enable_x64(True):
-        chains = sample_posterior(
-            chain_key,
-            views,
-            densities,
-            colours and _compared(colours, chosen, searched, config),
-            camera_from_world,
-            world_from_camera,
-            data.supports,
-            chosen,
-            their_start,
-            refined,
-            config,
-            progress,
-        )
+        chains = sample_posterior(chain_key, compared, chosen, their_start, refined, config, progress)
     nats = np.zeros(len(objects))
-    if colours is not None:
+    if compared.colours is not None:
         best = their_start.poses[found.present]
-        seen = SeenColours(data, colours, renderer, objects, found.indices, best, config.colour_weight)
+        seen = SeenColours(
+            data, compared.colours, renderer, objects, found.indices, best, config.colour_weight
+        )
         nats[found.indices] = seen.log_factors()
-        turned = with_drawn_turns(rng, seen, world_from_camera, chains.samples)
+        turned = with_drawn_turns(rng, seen, compared.world_from_camera, chains.samples)
         chains = replace(chains, samples=turned)
     visible = found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0]
     return _Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
@@ -283,26 +209,24 @@ def _best_start(
 
 def _hidden(
     key: jax.Array,
-    views: Sequence[SceneData],
-    camera_from_world: NDArray[np.float64],
-    supports: Sequence[SupportPlane],
-    world_from_camera: NDArray[np.float64],
+    compared: ComparedFrames,
     objects: Sequence[SceneObject],
     start: Initialisation,
     noise: DepthNoise,
     config: ParseConfig,
 ) -> HiddenPlaces:
-    """Where the objects that were not found may be; supports and scene are in the searched frame's camera."""
+    """Where the objects that were not found may be; the scene is in the searched frame's camera."""
+    world_from_camera = compared.world_from_camera
     world_from_box = world_from_camera @ matrices_of(start.poses)
     return hidden_places(
         np.random.default_rng(np.asarray(jax.random.key_data(key))),
-        views,
-        camera_from_world,
+        compared.views,
+        compared.camera_from_world,
         [
             Support(world_from_support=world_from_camera @ one.camera_from_table, half_size_m=one.half_size_m)
-            for one in supports
+            for one in carrying(compared.data.supports, objects, start)
         ],
-        camera_from_world[0],
+        compared.camera_from_world[0],
         objects,
         [
             PlacedObject(shape=objects[one], world_from_box=world_from_box[one])

@@ -10,14 +10,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from scene.config import ParseConfig
 from scene.execution import FAST_COMPILE, compile_in_background
-from scene.likelihood.colour_layers import ComparedColours
+from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.depth_images import DepthLikelihood, log_estimates
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.point_clouds import CloudLikelihood
 from scene.mcmc.chain_model import carrying, prior_space, scene_model, slabs_under
 from scene.mcmc.edges import EdgeMove
@@ -30,8 +28,6 @@ from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
 from scene.model.posterior import ChainState, SceneModel, start_chain
 from scene.model.scene_graph import SceneGraph, floating_scene
 from scene.objects.scene_object import SceneObject
-from scene.observation.detection import SupportPlane
-from scene.observation.frame_data import SceneData
 from scene.search.importance_sampling import Refinement
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import compose, pose_of
@@ -71,40 +67,30 @@ class SampledScenes:
 
 def sample_posterior(
     key: jax.Array,
-    views: Sequence[SceneData],
-    densities: Sequence[PixelDensity],
-    colours: ComparedColours | None,
-    camera_from_world: NDArray[np.float64],
-    world_from_camera: NDArray[np.float64],
-    supports: Sequence[SupportPlane],
+    compared: ComparedFrames,
     objects: Sequence[SceneObject],
     start: Initialisation,
     refined: Refinement,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> SampledScenes:
-    """Samples of the scenes that the views show.
+    """Samples of the scenes that the frames show; supports that carry nothing of the best one are left out.
 
     Args:
         key: random key.
-        views: one a frame.
-        densities: of their windows.
-        colours: of one of the frames, where they are compared.
-        camera_from_world: (F, 4, 4) of the frames; the world is the frame of the first support, the table.
-        world_from_camera: (4, 4) of the frame that was searched.
-        supports: in that frame's camera; those that carry nothing of the best scene are left out.
+        compared: the frames.
         objects: that a scene may hold.
         start: the best scene of these objects, in the searched frame's camera.
         refined: Gaussians on their poses.
         config: settings.
         progress: called with blocks of moves done and in all.
     """
-    likelihood = _likelihood(views, densities, colours, camera_from_world, objects, config)
+    likelihood = _likelihood(compared, objects, config)
+    world_from_camera = compared.world_from_camera
     starts = refined.means[start.found, :, 4:].reshape(-1, 3)
     starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
-    table = supports[0] if supports else None
-    supports = carrying(supports, objects, start)
-    space = prior_space(table, starts)
+    supports = carrying(compared.data.supports, objects, start)
+    space = prior_space(compared.data.table, starts)
     model = scene_model(supports, objects, likelihood, space, config)
     world = pose_of(jnp.asarray(world_from_camera))
     slabs = jnp.asarray(slabs_under(supports, world_from_camera))
@@ -124,27 +110,22 @@ def sample_posterior(
 
 
 def _likelihood(
-    views: Sequence[SceneData],
-    densities: Sequence[PixelDensity],
-    colours: ComparedColours | None,
-    camera_from_world: NDArray[np.float64],
-    objects: Sequence[SceneObject],
-    config: ParseConfig,
+    compared: ComparedFrames, objects: Sequence[SceneObject], config: ParseConfig
 ) -> DepthLikelihood:
     images = DepthLikelihood.of(
-        views,
-        densities,
-        camera_from_world,
+        compared.views,
+        compared.densities,
+        compared.camera_from_world,
         ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects),
         objects=len(objects),
         draws=max(config.shape_samples, 1),
-        colours=colours,
+        colours=compared.colours_of(objects),
     )
     if config.likelihood == "depth":
         return images
     return CloudLikelihood.over(
         images,
-        views,
+        compared.views,
         outlier_probability=config.cloud_outlier_probability,
         radius_m=config.cloud_radius_m,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
-from scene.likelihood.colour_layers import ColourLayers
+from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
-from scene.observation.frame_data import SceneData
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_half_sizes, solid_layers
 from scene.presence.toggling import Candidates, SlotLayers
@@ -31,47 +30,19 @@ class PresenceFrames:
     """The frames as presence sees them: all of their windows' pixels count.
 
     Attributes:
-        views: F frames.
-        densities: of their windows.
-        camera_from_world: (F, 4, 4).
+        compared: the frames.
         renderer: of the N objects' shapes, or of S draws of each, draw after draw.
         log_half: (N, 3) logs of half sizes of the objects' boxes.
-        draws: S.
-        colours: of one of the frames and its number, where colours are compared.
-        colour_weight: exponent of their factor.
     """
 
-    views: Sequence[SceneData]
-    densities: Sequence[PixelDensity]
-    camera_from_world: NDArray[np.float64]
+    compared: ComparedFrames
     renderer: ObjectRenderer
     log_half: NDArray[np.float64]
-    draws: int
-    colours: tuple[int, ColourLayers] | None
-    colour_weight: float
 
-    @classmethod
-    def of(
-        cls,
-        views: Sequence[SceneData],
-        densities: Sequence[PixelDensity],
-        camera_from_world: NDArray[np.float64],
-        renderer: ObjectRenderer,
-        log_half: NDArray[np.float64],
-        colours: tuple[int, ColourLayers] | None,
-        colour_weight: float,
-    ) -> PresenceFrames:
-        """The frames and what is drawn in them."""
-        return cls(
-            views=views,
-            densities=densities,
-            camera_from_world=camera_from_world,
-            renderer=renderer,
-            log_half=log_half,
-            draws=len(renderer.library) // len(log_half),
-            colours=colours,
-            colour_weight=colour_weight,
-        )
+    @property
+    def draws(self) -> int:
+        """S."""
+        return len(self.renderer.library) // len(self.log_half)
 
     def shown(
         self, rng: np.random.Generator, slots: NDArray[np.integer], states: NDArray[np.float64]
@@ -86,12 +57,13 @@ class PresenceFrames:
         def in_frame(
             frame: int, in_camera: NDArray[np.float64]
         ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            layers_m = self.renderer.layers(numbers, in_camera, self.views[frame].window, scales)
+            layers_m = self.renderer.layers(numbers, in_camera, self.compared.views[frame].window, scales)
             depth_m, gain = self._weighed(frame, layers_m)
-            if self.colours and self.colours[0] == frame:
-                factors = self.colours[1].log_factors(slots, in_camera, layers_m)
+            colours = self.compared.colours
+            if colours is not None and self.compared.searched == frame:
+                factors = self.compared.colour_weight * colours.log_factors(slots, in_camera, layers_m)
                 shown = np.isfinite(depth_m) & np.isfinite(layers_m)
-                gain = gain + np.where(shown, self.colour_weight * np.asarray(factors), 0)
+                gain = gain + np.where(shown, np.asarray(factors), 0)
             return depth_m, gain
 
         return self._in_all_frames(states[:, :7], in_frame)
@@ -104,7 +76,7 @@ class PresenceFrames:
         def in_frame(
             frame: int, in_camera: NDArray[np.float64]
         ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            window, count = self.views[frame].window, len(in_camera)
+            window, count = self.compared.views[frame].window, len(in_camera)
             fill = np.resize(np.arange(count), BATCH * -(-count // BATCH)).reshape(-1, BATCH)
             given = in_camera.astype(np.float32), solid_half_sizes(states).astype(np.float32), is_round
 
@@ -122,7 +94,7 @@ class PresenceFrames:
         in_frame: Callable[[int, NDArray[np.float64]], tuple[NDArray[np.float32], NDArray[np.float32]]],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         world_from_box, parts = matrices_of(poses), []
-        for frame, camera_from_world in enumerate(self.camera_from_world):
+        for frame, camera_from_world in enumerate(self.compared.camera_from_world):
             parts.append(in_frame(frame, poses_of(camera_from_world @ world_from_box)))
         depth_m, gain = (
             np.concatenate([part.reshape(len(poses), -1) for part in leaves], axis=1)
@@ -144,7 +116,7 @@ class PresenceFrames:
         count = min(BATCH, len(layers_m) - first)
         filled = np.full((BATCH, *layers_m.shape[1:]), np.float32(np.inf))
         filled[:count] = layers_m[first : first + count]
-        shown = _shown(self.densities[frame], filled)
+        shown = _shown(self.compared.densities[frame], filled)
         return np.asarray(shown[0])[:count], np.asarray(shown[1])[:count]
 
 

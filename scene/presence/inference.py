@@ -6,20 +6,16 @@ from collections.abc import Sequence
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces
-from scene.likelihood.colour_layers import ColourLayers
+from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.pixel_density import PixelDensity
-from scene.mcmc.chain_model import half_sizes, slabs_under
+from scene.mcmc.chain_model import carrying, half_sizes, slabs_under
 from scene.mcmc.sampling import SampledScenes
 from scene.model.number_prior import UncertainBinomialNumber
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
-from scene.observation.detection import SupportPlane
-from scene.observation.frame_data import SceneData
 from scene.presence.births import born_near, distinct, sites_of, solids_near
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import PosePriors
@@ -42,42 +38,31 @@ CHAINS = 4
 
 def presence_in_scene(
     rng: np.random.Generator,
-    views: Sequence[SceneData],
-    searched: int,
-    densities: Sequence[PixelDensity],
-    camera_from_world: NDArray[np.float64],
-    world_from_camera: NDArray[np.float64],
-    supports: Sequence[SupportPlane],
+    compared: ComparedFrames,
     objects: Sequence[SceneObject],
     start: Initialisation,
     found: FoundObjects,
     chains: SampledScenes,
     hidden: HiddenPlaces,
-    colours: tuple[int, ColourLayers] | None,
     config: ParseConfig,
 ) -> Presence:
     """Presence of all N objects.
 
     Args:
         rng: random numbers.
-        views: one a frame.
-        searched: number of the frame that was searched.
-        densities: of their windows.
-        camera_from_world: (F, 4, 4).
-        world_from_camera: (4, 4) of the frame that was searched.
-        supports: that carry something, in that frame's camera.
+        compared: the frames.
         objects: all N.
         start: the best scene of the search, and its pools.
         found: which of the objects chains looked at.
         chains: what they left.
         hidden: what is known of objects that were not found.
-        colours: of the searched frame and its number, where colours are compared.
         config: settings.
     """
     draws = ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects)
     sizes = SizePrior.of(objects, config.model_error_m)
-    weight = config.colour_weight
-    frames = PresenceFrames.of(views, densities, camera_from_world, draws, sizes.log_half, colours, weight)
+    frames = PresenceFrames(compared=compared, renderer=draws, log_half=sizes.log_half)
+    world_from_camera = compared.world_from_camera
+    supports = carrying(compared.data.supports, objects, start)
     priors = PosePriors(
         prior=jax.device_get(chains.model.prior),
         sizes=sizes,
@@ -95,6 +80,6 @@ def presence_in_scene(
     mixture = born_near(rng, frames, priors, sites, lines, start.found)
     solids = SolidFits.none()
     if config.unknown_solids:
-        proposed = proposed_solids(views[searched], world_from_camera, MOST_SOLIDS)
+        proposed = proposed_solids(compared.data, world_from_camera, MOST_SOLIDS)
         solids = solids_near(rng, frames, priors, *proposed)
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden)

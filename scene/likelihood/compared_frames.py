@@ -1,0 +1,104 @@
+"""The frames of a scene with the densities by which scenes are compared, in one world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.config import ParseConfig
+from scene.likelihood.colour_layers import ColourLayers, ComparedColours
+from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.unknown_surfaces import UnknownWeights
+from scene.objects.scene_object import SceneObject
+from scene.observation.frame_data import SceneData
+from scene.observation.segmentation import support_depth
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ComparedFrames:
+    """F frames of one scene; the world is the frame of the first support, the table.
+
+    Attributes:
+        views: the frames, prepared.
+        densities: of their windows.
+        camera_from_world: (F, 4, 4).
+        searched: number of the frame that was searched.
+        world_from_camera: (4, 4) of that frame.
+        colours: of that frame and all objects, where they are compared.
+        colour_weight: exponent of their factor.
+    """
+
+    views: Sequence[SceneData]
+    densities: Sequence[PixelDensity]
+    camera_from_world: NDArray[np.float64]
+    searched: int
+    world_from_camera: NDArray[np.float64]
+    colours: ColourLayers | None
+    colour_weight: float
+
+    @classmethod
+    def of(
+        cls,
+        views: Sequence[SceneData],
+        searched: int,
+        first_camera_from_camera: NDArray[np.float64],
+        objects: Sequence[SceneObject],
+        noise: DepthNoise,
+        learned: UnknownWeights,
+        config: ParseConfig,
+    ) -> ComparedFrames:
+        """Those of views.
+
+        Args:
+            views: the frames.
+            searched: number of the one that was searched.
+            first_camera_from_camera: (F, 4, 4) poses relative to the first of them.
+            objects: what is looked for.
+            noise: of the sensor.
+            learned: how well pixels foretell each other.
+            config: settings.
+        """
+        densities = [_density(view, noise, learned, config) for view in views]
+        data = views[searched]
+        camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
+        world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
+        world_from_first = world_from_camera @ np.linalg.inv(first_camera_from_camera[searched])
+        colours = None
+        if data.rgb is not None:
+            colours = ColourLayers.of(data, objects, densities[searched], config.gamma)
+        return cls(
+            views=views,
+            densities=densities,
+            camera_from_world=np.linalg.inv(world_from_first @ first_camera_from_camera),
+            searched=searched,
+            world_from_camera=world_from_camera,
+            colours=colours,
+            colour_weight=config.colour_weight,
+        )
+
+    @property
+    def data(self) -> SceneData:
+        """The frame that was searched."""
+        return self.views[self.searched]
+
+    def colours_of(self, objects: Sequence[SceneObject]) -> ComparedColours | None:
+        """Colours as chains over these objects take them, where they are compared."""
+        if self.colours is None:
+            return None
+        return ComparedColours(
+            self.colours.of_objects(objects), jnp.float32(self.colour_weight), self.searched
+        )
+
+
+def _density(
+    view: SceneData, noise: DepthNoise, learned: UnknownWeights, config: ParseConfig
+) -> PixelDensity:
+    """The density of a view's window."""
+    window = view.window
+    rest_m = support_depth(view.supports, window, view.intrinsics)
+    return PixelDensity.of(window.depth_m, rest_m, noise, config.model_error_m, window.stride, learned)
