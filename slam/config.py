@@ -12,8 +12,11 @@ Motion = Literal["free", "orbit"]
 
 ProposalSource = Literal["enumerate", "kiss", "both"]
 
+LEAST_PROBABILITY = 0.01
+"""Search effort: less than one trajectory of 64 is drawn of a hypothesis that is not as probable as this."""
+
 MOST_PARTICLES = 16384
-"""Each keeps a pose for every keyframe and frame: these take 2 GB in an hour's map."""
+"""Each has a pose for every frame: 4 GB after ten thousand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,12 +24,11 @@ class SlamConfig:
     """Settings of the filter; the defaults hold for hand-held cameras, orbits and sparse views.
 
     Attributes:
-        particles: K.
+        particles: K, trajectories that are drawn in the end.
         motion: prior over the camera's motion.
         orbit_radius_m: distance from the first camera to the orbit's pivot on its optical axis; None
             takes the depth at the image centre, loosely.
         proposal: where candidate poses come from.
-        ess_threshold: particles are drawn anew under this share of K.
         keyframes_compared: M, keyframes that each frame is compared with.
         noise: the sensor; None calibrates its sigma on the recording.
         effective_pixel_share: tempering exponent of the image density; None calibrates it.
@@ -41,7 +43,6 @@ class SlamConfig:
     motion: Motion = "free"
     orbit_radius_m: float | None = None
     proposal: ProposalSource = "enumerate"
-    ess_threshold: float = 0.5
     keyframes_compared: int = 4
     noise: DepthNoise | None = None
     effective_pixel_share: float | None = None
@@ -56,8 +57,6 @@ class SlamConfig:
             raise ValueError(f"proposal must be enumerate, kiss or both, got {self.proposal!r}")
         if self.orbit_radius_m is not None and not self.orbit_radius_m > 0:
             raise ValueError(f"orbit_radius_m must be positive, got {self.orbit_radius_m}")
-        if not 0 <= self.ess_threshold <= 1:
-            raise ValueError(f"ess_threshold must be within 0..1, got {self.ess_threshold}")
         if not 1 <= self.keyframes_compared <= 16:
             raise ValueError(f"keyframes_compared must be within 1..16, got {self.keyframes_compared}")
         share = self.effective_pixel_share

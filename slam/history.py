@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import jax
@@ -11,15 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.filter.rival_motion import Doubt
-from slam.filter.state import FrameInfo, Ties
+from slam.filter.state import FoundPlaces, FrameInfo, Ties
 from slam.keyframes.pages import Paged, PageFile
 
 FRAMES_AT_ONCE = 256
 """In a block, 1.5 MB: kernels of what follows are compiled for so many."""
 
-_NAMES = [name for name in FrameInfo.__dataclass_fields__ if name not in ("ties", "doubt")]
+_NONE: Any = np.zeros(0)
 _STRUCTURE = jax.tree.structure(
-    FrameInfo(ties=Ties(*[np.zeros(0)] * 3), doubt=Doubt(np.zeros(0), 0.0), **dict.fromkeys(_NAMES, 0))  # type: ignore[arg-type]
+    FrameInfo(
+        places=FoundPlaces(_NONE, _NONE, _NONE, _NONE, Ties(_NONE, _NONE, _NONE), _NONE, _NONE),
+        **dict.fromkeys(("lost", "resampled", "unexpected", "is_keyframe"), False),
+        **dict.fromkeys(("log_evidence", "hypotheses", "explained", "covered"), 0.0),
+        keyframes=0,
+        doubt=Doubt(_NONE, 0.0),
+    )
 )
 """Of any frame's report."""
 
@@ -36,10 +43,10 @@ class FrameBlock:
 
     @classmethod
     def of(cls, infos: Sequence[FrameInfo]) -> FrameBlock:
-        """Those reports; covariances of fewer components than the most are filled up with zeros."""
-        most = max(len(info.component_covariances) for info in infos)
+        """Those reports; of fewer hypotheses than the most, they are filled up with zeros."""
+        most = max(len(info.places.anchors) for info in infos)
         padded = [
-            jax.tree.leaves(replace(info, component_covariances=_filled(info.component_covariances, most)))
+            jax.tree.leaves(replace(info, places=jax.tree.map(partial(_filled, most), info.places)))
             for info in infos
         ]
         return cls(tuple(np.stack(of_all) for of_all in zip(*padded, strict=True)))
@@ -58,8 +65,8 @@ class FrameBlock:
         return FrameBlock(tuple(arrays))
 
 
-def _filled(covariances: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    return np.pad(covariances, ((0, count - len(covariances)), (0, 0), (0, 0)))
+def _filled(count: int, of_hypotheses: NDArray[Any]) -> NDArray[Any]:
+    return np.pad(of_hypotheses, ((0, count - len(of_hypotheses)), *[(0, 0)] * (of_hypotheses.ndim - 1)))
 
 
 @dataclass(kw_only=True)
@@ -88,7 +95,7 @@ class History:
         """One frame more."""
         self.times_ns.append(time_ns)
         self.latest.append(info)
-        self.in_doubt |= info.unexpected or info.components > 1
+        self.in_doubt |= info.unexpected or len(info.places.anchors) > 1
         if len(self.latest) == FRAMES_AT_ONCE:
             self.blocks.append(self.pages.hold(FrameBlock.of(self.latest)))
             self.latest = []
@@ -106,12 +113,15 @@ class History:
             for index in range(frames.stop - frames.start):
                 yield jax.tree.map(lambda leaf, index=index: leaf[index], stacked)
 
-    def lineages(self) -> NDArray[np.int32]:
-        """Which particle (T, K) of each frame the last ones descend from."""
-        ancestors = np.concatenate([infos.ancestors for _, infos in self.stacked()])
-        lineages = np.empty_like(ancestors)
-        lineage = np.arange(ancestors.shape[1])
-        for index in range(len(ancestors) - 1, -1, -1):
-            lineages[index] = lineage
-            lineage = ancestors[index, lineage]
+    def lineages(self, last: NDArray[np.int_]) -> NDArray[np.int32]:
+        """Which hypothesis (T, G) of each frame those of the last one (G,) go on."""
+        lineages = np.empty((len(self), len(last)), np.int32)
+        latest = [FrameBlock.of(self.latest)] if self.latest else []
+        end = len(self)
+        for block in (*latest, *(held.value for held in reversed(self.blocks))):
+            ancestors = block.infos.places.ancestors
+            for index in range(len(ancestors) - 1, -1, -1):
+                end -= 1
+                lineages[end] = last
+                last = ancestors[index, last]
         return lineages

@@ -28,16 +28,16 @@ class SlamResult:
 
     Attributes:
         times_ns: (T,) int64 stamps.
-        draws: (K, T, 7) float32 trajectories of every particle, reference_from_camera, wxyz_xyz.
-        log_weights: (K,) normalised.
+        draws: (K, T, 7) float32 trajectories, equally likely draws, reference_from_camera, wxyz_xyz.
+        log_weights: (K,) normalised, equal.
         mean: (T, 4, 4) float64 marginal posterior mean of every frame, given all frames; where several maps
             are left, that of the likeliest.
         covariance: (T, 6, 6) second moment around the mean, all maps that are left included, in the right
             tangent there: translation in metres, then rotation in radians, both in the camera's own axes.
         degrees_of_freedom: () of the marginals, which are Student-t: heavier tails than a Gaussian's.
-        ess: (T,) effective sample size after each frame.
+        ess: (T,) effective number of hypotheses after each frame.
         log_evidence: (T,) increments; their sum estimates log p(I_1..T) with the image density tempered.
-        resampled: (T,) bool.
+        resampled: (T,) bool, hypotheses were given up, by their weights.
         lost: (T,) bool, no pose agreed with the map, or nothing ties the keyframe that it agreed with to the
             first.
         explained: (T,) share of the returns that lay on the map's surface.

@@ -23,7 +23,7 @@ from slam.keyframes.pages import Paged, PageFile
 from slam.map_hypotheses.mode_jump import are_sparse_views, choose_map
 from slam.odometry import KissOdometry
 from slam.pose_graph.distortion_scale import SCALES
-from slam.pose_graph.overlaps import KeyframeDetail, keyframe_detail
+from slam.pose_graph.overlaps import KeyframeDetail, KeyframeImages, keyframe_detail
 from slam.pose_graph.refinement import refine_keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 from slam.result import SlamResult
@@ -91,8 +91,8 @@ def track(
             continue
         if state is None:
             state, info = init(view, frame.time_ns, config, pages)
-            for number, time_ns in enumerate(waiting):
-                unseen = info_before_map(jax.random.fold_in(key, number), state, config)
+            for time_ns in waiting:
+                unseen = info_before_map(state, config)
                 history.append(time_ns, unseen)
                 if on_frame is not None:
                     on_frame(unseen)
@@ -114,19 +114,19 @@ def track(
             f"no depth frame has a return in more than {LEAST_RETURNS:.0%} of its pixels;"
             " is it the right depth topic, scale and range?"
         )
-    refinement_key = jax.random.fold_in(key, len(history))
-    look_key = jax.random.fold_in(key, len(history) + 1)
+    look_key, refinement_key, draw_key = jax.random.split(jax.random.fold_in(key, len(history)), 3)
     prior: TrajectoryPrior | None = None
     if are_sparse_views(state, len(history), history.in_doubt):
         prior = TrajectoryPrior.of(state, config)
         details = [pages.hold(detail.value.with_plane_segments(full_detail_noise)) for detail in details]
-    state = choose_map(look_key, state, config, details, full_detail_noise, prior)
+    maps = choose_map(look_key, state, config, details, full_detail_noise, prior)
     sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
     field = sensor.distortion if sensor else None
     if field is not None:
         sd, scales = field.sd_per_m, (1.0,)
-    state, placed = refine_keyframes(refinement_key, state, details, full_detail_noise, sd, prior, scales)
-    result = smoothed(history, state, placed, intrinsics)
+    images = KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=full_detail_noise)
+    placed = refine_keyframes(refinement_key, images, maps, config.particles, sd, prior, scales)
+    result = smoothed(draw_key, history, maps, placed, intrinsics)
     if field is None:
         return result
     return replace(result, disparity_per_m=field.disparity_per_m + result.disparity_per_m)

@@ -14,7 +14,7 @@ from pipeline.options import Common, RecordingSource, common_options, recording_
 @click.command(name="slam")
 @run_options
 @click.option("--motion", type=click.Choice(["free", "orbit"]), help="Prior over the camera's motion.")
-@click.option("--particles", type=int, metavar="K", help="Number of particles.")
+@click.option("--particles", type=int, metavar="K", help="Number of trajectories that are drawn.")
 @click.option(
     "--proposal", type=click.Choice(["enumerate", "kiss", "both"]), help="Where candidates come from."
 )

@@ -14,7 +14,6 @@ from recordings.types import Damage
 MAIN_SHARE = 0.9
 """Below this share of the samples, the largest mode does not stand for the posterior."""
 SURE = 0.9
-FEW_PARTICLES = 2.0
 
 
 def warnings_of(values: RunValues, summary: Mapping[str, Any], damage: Damage) -> list[str]:
@@ -53,12 +52,6 @@ def _of_camera(values: RunValues) -> list[str]:
     if len(slam.path_probabilities) > 1:
         shares = ", ".join(f"{share:.0%}" for share in slam.path_probabilities)
         found.append(f"{len(slam.path_probabilities)} paths explain what was seen, with {shares}.")
-    if slam.ess.min() < FEW_PARTICLES:
-        worst = int(np.argmin(slam.ess))
-        found.append(
-            f"One particle carries almost all weight at frame {worst}: the spread there says little "
-            "(more with -s slam.particles=256)."
-        )
     return found
 
 

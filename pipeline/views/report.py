@@ -46,7 +46,7 @@ def _camera(slam: SlamResult, told: Mapping[str, Any]) -> list[str]:
         "",
         f"- {told['frames']} frames over {told['length_m']:.2f} m, {told['lost_frames'] or 'none'} lost",
         *([f"- {spread}"] if spread else []),
-        f"- least effective sample size {slam.ess.min():.1f} of {len(slam.log_weights)} particles",
+        f"- at most {slam.ess.max():.1f} hypotheses at once, {len(slam.log_weights)} trajectories drawn",
         *_paths(slam.path_probabilities),
         "- ellipsoids: 95% regions of positions, of true size; ten times larger as `uncertainty_10x`",
     ]

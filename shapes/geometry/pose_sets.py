@@ -1,48 +1,12 @@
-"""Sets of poses: distance tests, clusters, suppression of duplicates, weighted mean and covariance."""
+"""Sets of poses: distance tests, clusters, suppression of duplicates."""
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.geometry import pose_gaussian
-
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """wxyz_xyz."""
-
-
-def mean_and_covariance(
-    poses: jax.Array,
-    weights: jax.Array,
-    covariances: jax.Array | None = None,
-    central: jax.Array | None = None,
-) -> tuple[jax.Array, jax.Array]:
-    """Mean (7,) and covariance (6, 6) of weighted poses (K, 7), in the chart at the mean.
-
-    With the conditional covariances (K, 6, 6) of the particles, theirs is added (the law of total
-    covariance). The mean is the fixed point of averaging chart coordinates. Where weights of `central`
-    particles (K,) are given, it is theirs, and the covariance the second moment of all around it.
-    """
-    of_mean = weights if central is None else central
-
-    def average(mean: jax.Array, _: None) -> tuple[jax.Array, None]:
-        tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
-        return pose_gaussian.displace(mean, of_mean @ tangents), None
-
-    mean, _ = jax.lax.scan(average, poses[jnp.argmax(of_mean)], None, length=3)
-    tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(mean, poses)
-    between = jnp.einsum("k,ki,kj->ij", weights, tangents, tangents)
-    if covariances is None:
-        return mean, between
-    return mean, between + jnp.einsum("k,kij->ij", weights, covariances)
-
-
-@jax.jit
-def mean_keyframes(poses: jax.Array, weights: jax.Array) -> jax.Array:
-    """Means (N, 7) of keyframe poses (K, N, 7) over weighted particles (K,)."""
-    return jax.vmap(mean_and_covariance, (1, None))(poses, weights)[0]
 
 
 GROUP_SHIFT_M = 0.1
@@ -89,13 +53,6 @@ def cluster(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray
         groups[members] = 0 if count and negligible else count
         count += not (count and negligible)
     return groups
-
-
-@jax.jit
-def spread_around(centre: jax.Array, poses: jax.Array, log_weights: jax.Array) -> jax.Array:
-    """Second moment (6, 6) of weighted poses (K, 7) in the chart at `centre` (7,)."""
-    tangents = jax.vmap(pose_gaussian.coordinates, (None, 0))(centre, poses)
-    return jnp.einsum("k,ki,kj->ij", jnp.exp(log_weights), tangents, tangents)
 
 
 def suppress_similar(

@@ -10,7 +10,7 @@ import jaxlie
 import numpy as np
 
 from slam.filter.rival_motion import Doubt
-from slam.filter.state import CameraParticles, FilterState
+from slam.filter.state import FilterState
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.fusion import fuse
 from slam.keyframes.surfels import surfel_image, with_noise
@@ -26,29 +26,30 @@ KEYFRAME_COVERAGE = 0.75
 """Chosen by hand; as `KEYFRAME_ANGLE_RAD`."""
 
 
-def with_frame(state: FilterState, view: CanvasView, found: list[Registration], doubt: Doubt) -> FilterState:
+def with_frame(state: FilterState, view: CanvasView, best: Registration, doubt: Doubt) -> FilterState:
     """The frame teaches the sensor, and refines its anchor or, seen from elsewhere, becomes a keyframe.
 
-    A new keyframe stands where each particle has the camera. While several places compete, no depth is
-    fused: the surfaces are shared by particles that disagree.
+    A new keyframe stands where each hypothesis has the camera. While several places compete, no depth is
+    fused: the surfaces are shared by hypotheses that disagree.
     """
-    best = found[0]
     anchor = int(best.indices[0])
-    state = replace(with_calibration(state, best), last_found=best.optimum.pose)
+    state = with_calibration(state, best)
     relative, shift, angle = _motion(best.local_map.poses[0], best.optimum.pose)
     far = float(shift) > KEYFRAME_SHIFT * central_depth(view) or float(angle) > KEYFRAME_ANGLE_RAD
     keyframe_map, noise = state.keyframe_map, state.calibration.noise
     if not far and best.covered >= KEYFRAME_COVERAGE:
-        if len(found) > 1:
+        if len(state.population) > 1:
             return state
         refined = fuse(keyframe_map.surface(anchor), view, relative, noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
-    particles: CameraParticles = state.population.particles
-    here = np.asarray(particles.pose)[:, None]
+    grown = tuple(
+        replace(one, keyframe_poses=np.concatenate([one.keyframe_poses, one.pose[None]]))
+        for one in state.population.histories
+    )
     surface = surfel_image(view, noise)
     return replace(
         state,
-        keyframe_poses=np.concatenate([state.keyframe_poses, here], axis=1),
+        population=replace(state.population, histories=grown),
         keyframe_map=keyframe_map.with_keyframe(surface),
         rival=state.rival.with_keyframe(surface, best.optimum.pose, doubt),
         keyframe_times_ns=(*state.keyframe_times_ns, state.times_ns[1]),

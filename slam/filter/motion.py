@@ -242,6 +242,21 @@ def _sample_von_mises_fisher(key: jax.Array, mean: jax.Array, concentration: jax
     return _rotation_between(jnp.asarray([0.0, 0.0, 1.0], mean.dtype), mean) @ local
 
 
+SAMPLED_STEPS = 1024
+"""From which a moment is taken, good to a twentieth."""
+
+
+@jax.jit
+def spread_of_a_step(motion: MotionPrior, pose: jax.Array, pivot: jax.Array) -> jax.Array:
+    """Second moment (6, 6) of a step from rest at a pose (7,), in the chart there."""
+
+    def drawn(key: jax.Array) -> jax.Array:
+        return pose_gaussian.coordinates(pose, motion.sample(key, MotionHistory(pose, pose, pivot)))
+
+    steps = jax.vmap(drawn)(jax.random.split(jax.random.key(0), SAMPLED_STEPS))
+    return steps.T @ steps / SAMPLED_STEPS
+
+
 LONGEST_RATIO = 3.0
 """Intervals over which a velocity is continued; beyond, the motion is unknown. Chosen by hand; gaps in
 recordings."""

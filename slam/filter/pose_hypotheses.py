@@ -1,146 +1,138 @@
-"""Pose hypotheses for the next frame: near each particle group's prediction, or anywhere in the map."""
+"""Where a frame may have been taken in each hypothesis: near its prediction, or anywhere in its map."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-from shapes.geometry.pose_sets import cluster, mean_and_covariance, turns_wide
-from shapes.geometry.poses import matrices_of, single_precision_poses
+from shapes.geometry.pose_sets import turns_wide
+from shapes.geometry.poses import matrices_of, poses_of
 from slam.config import SlamConfig
-from slam.filter import smc
 from slam.filter.motion import LONGEST_RATIO, velocity_ratio
-from slam.filter.state import CameraParticles, FilterState
+from slam.filter.state import FilterState, Hypothesis
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.registration import pose_grids
 from slam.registration.registered import Registration, prune_improbable, suppress_duplicates
-from slam.registration.search import GroupMap, Searcher
+from slam.registration.search import Searcher
+
+PREDICTION_WEIGHT = 0.01
+"""`PixelTerms.held_step`'s hold at a trusted prediction."""
+
+MAX_PLACES = 8
+"""Optima by which one hypothesis branches."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What K particles expect.
+    """What the hypotheses (H,) expect of a frame.
 
     Attributes:
-        poses: (K, 7) reference_from_camera, the last motion going on.
-        groups: (K,) of particles that are in one place.
-        weights: (K,) of the particles, normalised.
-        trusted: whether it is worth keeping where depth tells nothing.
+        poses: (H, 7) reference_from_camera, the last motion going on.
+        trusted: whether they are worth keeping where depth tells nothing.
     """
 
-    poses: jax.Array
-    groups: NDArray[np.int_]
-    weights: NDArray[np.float64]
+    poses: NDArray[np.float32]
     trusted: bool
 
 
 def predict(state: FilterState, time_ns: int) -> Prediction:
     """Of the frame with that stamp."""
-    particles: CameraParticles = state.population.particles
     ratio = velocity_ratio(state.times_ns, time_ns)
-    weights = np.exp(np.asarray(state.population.log_weights, np.float64))
-    return Prediction(
-        poses=_carried_on(particles, ratio),
-        groups=cluster(matrices_of(particles.pose), weights),
-        weights=weights,
-        trusted=0.0 < ratio < LONGEST_RATIO and not state.was_lost,
-    )
+    poses = [
+        np.asarray(_carried_on(one.previous_pose, one.pose, ratio)) for one in state.population.histories
+    ]
+    return Prediction(np.stack(poses), trusted=0.0 < ratio < LONGEST_RATIO and not state.lost_frames)
 
 
 @jax.jit
-def _carried_on(particles: CameraParticles, ratio: float) -> jax.Array:
-    def one(previous: jax.Array, pose: jax.Array) -> jax.Array:
-        return pose_gaussian.displace(pose, ratio * pose_gaussian.coordinates(previous, pose))
-
-    return jax.vmap(one)(particles.previous_pose, particles.pose)
+def _carried_on(previous: jax.Array, pose: jax.Array, ratio: float) -> jax.Array:
+    return pose_gaussian.displace(pose, ratio * pose_gaussian.coordinates(previous, pose))
 
 
-PREDICTION_WEIGHT = 0.01
-"""`PixelTerms.held_step`'s hold at a trusted prediction."""
+@dataclass(frozen=True)
+class Found:
+    """Where a frame may have been taken.
 
-MAX_HYPOTHESES = 8
-"""Optima that become components of one proposal."""
+    Attributes:
+        of_hypotheses: by hypothesis (H,) its places, the best first; empty for all where the frame is lost.
+        best: the best of all; where the frame is lost, what comes nearest to one.
+        unexpected: whether none was found where the camera was expected.
+    """
 
-_mean = jax.jit(mean_and_covariance)
+    of_hypotheses: list[list[Registration]]
+    best: Registration
+    unexpected: bool
+
+    @property
+    def lost(self) -> bool:
+        """Whether there is no place."""
+        return not any(self.of_hypotheses)
 
 
-def find_pose_hypotheses(
+def find_places(
     state: FilterState,
     view: CanvasView,
     prediction: Prediction,
     config: SlamConfig,
     odometry: NDArray[np.float64] | None,
-) -> tuple[list[Registration], bool]:
-    """Optima worth proposing, the best first, and whether none was found where the camera was expected.
-
-    A single one of group -1 stands for a lost camera.
+) -> Found:
+    """The frame's places in every hypothesis.
 
     Where depth tells nothing of a direction, as along a bare wall, a trusted prediction is kept.
 
-    Each group of particles looks near its own prediction. Where none finds a convincing place, or the
+    Each hypothesis looks near its own prediction. Where none finds a convincing place, or the
     camera was lost and predictions mean little, all look where it was last found, and everywhere; after
     a wide step already where none finds an unmistakable one.
     """
-    searcher = Searcher(state.keyframe_map, view, state.calibration.noise, config.keyframes_compared)
-    found = _near_predictions(searcher, state, prediction, config, odometry)
-    convincing = [located for located in found if located.is_accepted]
-    doubtful = not any(located.is_unambiguous for located in found)
-    unexpected = not convincing
-    if unexpected or (doubtful and _step_may_be_wide(state.population)):
-        everyone = _group_map(state, prediction.weights, 0)
+    hypotheses, noise = state.population.histories, state.calibration.noise
+    searchers = [
+        Searcher(state.keyframe_map, one.keyframe_poses, view, noise, config.keyframes_compared)
+        for one in hypotheses
+    ]
+    found: list[list[Registration]] = [[] for _ in hypotheses]
+    if not state.lost_frames:
+        hold = PREDICTION_WEIGHT if prediction.trusted else 0.0
+        for index, (searcher, one) in enumerate(zip(searchers, hypotheses, strict=True)):
+            starts = _starts(one, prediction.poses[index], config, odometry)
+            found[index].append(searcher.near(starts, hold if len(starts) > 1 else 0.0))
+    near = [located for of_one in found for located in of_one]
+    unexpected = not any(located.is_accepted for located in near)
+    doubtful = not any(located.is_unambiguous for located in near)
+    if unexpected or (doubtful and _step_may_be_wide(state.population.heaviest)):
         distances = np.asarray(pose_grids.ORBIT_DISTANCES) * central_depth(view)
-        found.append(searcher.near(everyone, [state.last_found]))
-        found += searcher.anywhere(everyone, state.last_found, distances)
-        convincing = [replace(located, group=0) for located in suppress_duplicates(found)]
-    kept = prune_improbable(convincing, state.calibration.exponent)
-    kept.sort(key=lambda located: -float(located.optimum.log_density))
-    return kept[:MAX_HYPOTHESES] or [replace(found[0], group=-1)], unexpected
+        for of_one, searcher, one in zip(found, searchers, hypotheses, strict=True):
+            of_one.append(searcher.near([one.pose]))
+            of_one += searcher.anywhere(one.pose, distances)
+        convincing = [suppress_duplicates(of_one) for of_one in found]
+    else:
+        convincing = [[located for located in of_one if located.is_accepted] for of_one in found]
+    kept = [prune_improbable(of_one, state.calibration.exponent)[:MAX_PLACES] for of_one in convincing]
+    places = [located for of_one in kept for located in of_one]
+    return Found(kept, max(places, key=lambda one: one.log_density, default=found[0][0]), unexpected)
 
 
-def _near_predictions(
-    searcher: Searcher,
-    state: FilterState,
-    prediction: Prediction,
+def _starts(
+    hypothesis: Hypothesis,
+    predicted: NDArray[np.float32],
     config: SlamConfig,
     odometry: NDArray[np.float64] | None,
-) -> list[Registration]:
-    """The best optimum near each group's prediction; none after a frame that was lost."""
-    particles: CameraParticles = state.population.particles
-    found = []
-    hold = PREDICTION_WEIGHT if prediction.trusted else 0.0
-    for group in range(0 if state.was_lost else prediction.groups.max() + 1):
-        group_map = _group_map(state, np.where(prediction.groups == group, prediction.weights, 0.0), group)
-        last = _mean(particles.pose, group_map.weights)[0]
-        starts = [] if odometry is None else [single_precision_poses(matrices_of(last) @ odometry)]
-        if config.proposal != "kiss" or odometry is None:
-            starts = [_mean(prediction.poses, group_map.weights)[0], last, *starts]
-        found.append(searcher.near(group_map, starts, hold if len(starts) > 1 else 0.0))
-    return found
+) -> list[NDArray[np.float32]]:
+    """Poses (7,) near which a hypothesis looks, the likeliest first."""
+    if odometry is None:
+        return [predicted, hypothesis.pose]
+    carried = poses_of(matrices_of(hypothesis.pose) @ odometry).astype(np.float32)
+    return [carried] if config.proposal == "kiss" else [predicted, hypothesis.pose, carried]
 
 
-def _step_may_be_wide(population: smc.Population) -> bool:
+def _step_may_be_wide(hypothesis: Hypothesis) -> bool:
     """Whether the next step may lead to a place that only looks like it: the last one turned far.
 
     Round an object on a pedestal the last view explains most of the next one, a fifth of a circle on. Of the
-    first step nothing is known.
+    first step nothing is known, nor of one after a frame that was lost.
     """
-    before, after = last_motion(population)
-    return bool(np.array_equal(before, after)) or turns_wide(before, after)
-
-
-def last_motion(population: smc.Population) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Poses (4, 4) of the heaviest particle, in the frame before the last and in the last."""
-    particles: CameraParticles = population.particles
-    heaviest = int(jnp.argmax(population.log_weights))
-    return matrices_of(particles.previous_pose[heaviest]), matrices_of(particles.pose[heaviest])
-
-
-def _group_map(state: FilterState, weights: NDArray[np.float64], group: int) -> GroupMap:
-    share = jnp.asarray(weights / weights.sum(), jnp.float32)
-    heaviest = matrices_of(state.keyframe_poses[int(np.argmax(weights))])
-    return GroupMap(state.keyframe_poses, share, heaviest, group)
+    before, after = hypothesis.previous_pose, hypothesis.pose
+    return bool(np.array_equal(before, after)) or turns_wide(matrices_of(before), matrices_of(after))

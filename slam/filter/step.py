@@ -1,15 +1,15 @@
 """The filter's `step`, one frame further (`slam.filter.init` begins it), and its report of the frame.
 
-A step finds local optima of the frame's density (`slam.filter.pose_hypotheses`), makes them a mixture
-proposal (`slam.filter.proposal`), runs the generic sequential Monte Carlo step (`slam.filter.smc`), and fuses
-the frame into the map or adds it as a keyframe (`slam.filter.map_update`). Reported poses are relative to a
-keyframe, so that later refinement of the keyframe carries them along.
+A step finds where each hypothesis may have the frame (`slam.filter.pose_hypotheses`), takes each place as
+a Gaussian with its evidence (`slam.filter.places`), runs the generic sequential Monte Carlo step
+(`slam.filter.smc`), and fuses the frame into the map or adds it as a keyframe (`slam.filter.map_update`).
+Reported poses are relative to a keyframe, so that later refinement of the keyframe carries them along.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -17,24 +17,37 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import spread_around, turns_wide
-from slam.config import SlamConfig
+from shapes.geometry.pose_sets import turns_wide, within_reach
+from shapes.geometry.poses import matrices_of
+from slam.config import LEAST_PROBABILITY, SlamConfig
 from slam.filter import smc
 from slam.filter.map_update import with_calibration, with_frame
-from slam.filter.motion import MotionHistory, MotionPrior
-from slam.filter.pose_hypotheses import MAX_HYPOTHESES, find_pose_hypotheses, last_motion, predict
-from slam.filter.proposal import Component, Proposed, component_at, propose_all
+from slam.filter.places import Place, place_at
+from slam.filter.pose_hypotheses import Found, find_places, predict
 from slam.filter.rival_motion import CERTAIN, Doubt, doubt_of_frame
-from slam.filter.state import CameraParticles, FilterState, FrameInfo, Ties
+from slam.filter.state import FilterState, FoundPlaces, FrameInfo, Hypothesis, Ties
 from slam.keyframes.depth_view import CanvasView
-from slam.keyframes.keyframe_map import stacked
 from slam.likelihood.distortion import NODES, NodeWeights
 from slam.registration.field_sensitivity import field_sensitivity
 from slam.registration.registered import Registration
 
-COMPONENT_BUCKETS = (1, 2, 4, MAX_HYPOTHESES)
-"""Numbers of mixture components for which kernels are compiled."""
+MOST_HYPOTHESES = 8
+"""Search effort: each looks for every frame."""
+
+
+@dataclass(frozen=True)
+class _Branch:
+    """A hypothesis with one frame more.
+
+    Attributes:
+        hypothesis: it.
+        located: where that is; None where the frame is lost.
+        place: the posterior there.
+    """
+
+    hypothesis: Hypothesis
+    located: Registration | None = None
+    place: Place | None = None
 
 
 def step(
@@ -56,199 +69,145 @@ def step(
         odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used and not degenerate.
     """
     prediction = predict(state, time_ns)
-    found, unexpected = find_pose_hypotheses(state, view, prediction, config, odometry)
-    if state.calibration.frames == 0 and found[0].group >= 0:
-        state = with_calibration(state, found[0])
-        found, unexpected = find_pose_hypotheses(state, view, prediction, config, odometry)
-    components = _components(found, state, prediction.poses)
-    population, info, proposed = _advance(
-        key,
-        state.population,
-        jnp.asarray(state.keyframe_poses[:, np.asarray(components.keyframes)]),
-        prediction.poses,
-        jnp.asarray(prediction.groups, jnp.int32),
-        components,
-        state.motion,
-        state.calibration.noise,
-        state.calibration.exponent,
-        config.ess_threshold,
-    )
-    lost = found[0].group < 0
-    known = len(state.keyframe_map)
+    found = find_places(state, view, prediction, config, odometry)
+    if state.calibration.frames == 0 and not found.lost:
+        state = with_calibration(state, found.best)
+        found = find_places(state, view, prediction, config, odometry)
+    branches, info = _branched(key, state, found, prediction.poses)
     moved = replace(
         state,
-        population=population,
-        keyframe_poses=state.keyframe_poses[np.asarray(info.ancestors)]
-        if info.resampled
-        else state.keyframe_poses,
+        population=smc.Population(tuple(one.hypothesis for one in branches.histories), branches.log_weights),
         times_ns=(state.times_ns[1], time_ns),
-        was_lost=lost,
+        lost_frames=state.lost_frames + 1 if found.lost else 0,
     )
-    doubt = CERTAIN
-    if not lost and config.second_motion:
-        best = found[0]
+    best, doubt = branches.heaviest.located, CERTAIN
+    if best is not None and config.second_motion:
         anchor = int(best.indices[0]), best.local_map.poses[0]
         rival, doubt = doubt_of_frame(state.rival, view, state.calibration, best.optimum.pose, *anchor)
         moved = replace(moved, rival=rival)
-    if not lost:
-        moved = with_frame(moved, view, found, doubt)
-    report = frame_info(moved, known, view, info, proposed, components, found, lost, unexpected, doubt)
-    turned = state.steps_were_wide or turns_wide(*last_motion(population))
-    return replace(moved, steps_were_wide=turned), report
+    if best is not None:
+        moved = with_frame(moved, view, best, doubt)
+    heaviest = moved.population.heaviest
+    turned = turns_wide(matrices_of(heaviest.previous_pose), matrices_of(heaviest.pose))
+    moved = replace(moved, steps_were_wide=state.steps_were_wide or turned)
+    return moved, _frame_info(state, moved, view, branches, info, found, doubt)
 
 
-def _components(found: list[Registration], state: FilterState, predictions: jax.Array) -> Component:
-    """The optima as components, stacked (J, ...), J padded to a bucket with components for nobody."""
-    particles: CameraParticles = state.population.particles
-    heaviest = int(jnp.argmax(state.population.log_weights))
-    history = MotionHistory(particles.pose[heaviest], predictions[heaviest], particles.pivot[heaviest])
-    components = [
-        component_at(
-            located.optimum,
-            located.local_map.poses,
-            jnp.asarray(located.indices, jnp.int32),
-            jnp.asarray(located.group, jnp.int32),
-            history,
-            state.motion,
-            state.calibration.exponent,
-        )
-        for located in found
-    ]
-    room = next(bucket for bucket in COMPONENT_BUCKETS if bucket >= len(components))
-    unused = replace(components[0], group=jnp.asarray(-1, jnp.int32))
-    components += [unused] * (room - len(components))
-    return stacked(*components)
+def _branched(
+    key: jax.Array, state: FilterState, found: Found, predictions: NDArray[np.float32]
+) -> tuple[smc.Population[_Branch], smc.StepInfo]:
+    """Every hypothesis at its places, each with its evidence; where the frame is lost they stay as they are.
 
-
-@partial(jax.jit, static_argnames="ess_threshold")
-def _advance(
-    key: jax.Array,
-    population: smc.Population,
-    compared: jax.Array,
-    predictions: jax.Array,
-    groups: jax.Array,
-    components: Component,
-    motion: MotionPrior,
-    noise: DepthNoise,
-    exponent: float,
-    ess_threshold: float,
-) -> tuple[smc.Population, smc.StepInfo, Proposed]:
-    """The generic step with this frame's proposal; returns the new population and the draws.
-
-    `compared` are poses (K, J, M, 7) of the components' keyframes.
+    Of those that have all keyframes and the frame in one place one goes on.
     """
-    count = len(population.log_weights)
 
-    def propose(
-        key: jax.Array, extended: tuple[CameraParticles, jax.Array, jax.Array, jax.Array]
-    ) -> tuple[tuple[CameraParticles, Proposed], jax.Array]:
-        particles, own, ahead, group = extended
-        history = MotionHistory(particles.pose, ahead, particles.pivot)
-        keys = jax.random.split(key, count)
-        proposed, log_increments = propose_all(keys, own, group, history, components, motion, noise, exponent)
-        moved = replace(particles, pose=proposed.pose, previous_pose=particles.pose)
-        return (moved, proposed), log_increments
+    def branch(index: int, hypothesis: Hypothesis) -> Sequence[tuple[_Branch, float]]:
+        if found.lost:
+            return [(_Branch(replace(hypothesis, previous_pose=hypothesis.pose)), 0.0)]
+        past = state.past_of(hypothesis, predictions[index])
+        children = []
+        for located in found.of_hypotheses[index]:
+            place = place_at(
+                located.optimum, located.local_map, past, state.motion, state.calibration.exponent
+            )
+            moved = replace(hypothesis, pose=place.pose, previous_pose=hypothesis.pose)
+            children.append((_Branch(moved, located, place), place.log_evidence))
+        return children
 
-    extended = smc.Population((population.particles, compared, predictions, groups), population.log_weights)
-    extended, info = smc.step(key, extended, propose, ess_threshold)
-    particles, proposed = extended.particles
-    return smc.Population(particles, extended.log_weights), info, proposed
+    step_key, merge_key = jax.random.split(key)
+    branches, info = smc.step(step_key, state.population, branch, MOST_HYPOTHESES, LEAST_PROBABILITY)
+    if len(branches) == 1:
+        return branches, info
+    branches, kept = smc.merged(
+        merge_key, branches, lambda one, other: _alike(one.hypothesis, other.hypothesis)
+    )
+    return branches, replace(info, ancestors=info.ancestors[kept])
 
 
-def frame_info(
+def _alike(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two have all keyframes and the last frame in one place, so that they go on alike."""
+    first, second = (
+        matrices_of(np.concatenate([each.keyframe_poses, each.pose[None]])) for each in (one, other)
+    )
+    return bool(within_reach(first, second).all())
+
+
+def _frame_info(
+    before: FilterState,
     state: FilterState,
-    known_keyframes: int,
     view: CanvasView,
+    branches: smc.Population[_Branch],
     info: smc.StepInfo,
-    proposed: Proposed,
-    components: Component,
-    found: list[Registration],
-    lost: bool,
-    unexpected: bool,
+    found: Found,
     doubt: Doubt,
 ) -> FrameInfo:
-    """Of a frame after its step.
-
-    Args:
-        state: after it.
-        known_keyframes: number of keyframes before it.
-        view: the frame.
-        info: of the generic step.
-        proposed: the draws.
-        components: of the proposal.
-        found: optima, as by `slam.filter.pose_hypotheses.find_pose_hypotheses`.
-        lost: whether there was none.
-        unexpected: whether none was found where the camera was expected.
-        doubt: what a second motion leaves open.
-    """
-    anchor = int(found[0].indices[0])
-    anchors = jnp.asarray(state.keyframe_poses[:, anchor])
-    means, scales = proposed.conditional_mean, np.asarray(components.scale)
-    covariances = scales @ scales.transpose(0, 2, 1)
-    if lost:
-        means = jnp.tile(state.last_found, (len(anchors), 1))
-        spread = spread_around(state.last_found, proposed.pose, state.population.log_weights)
-        covariances = np.tile(spread, (len(scales), 1, 1))
-    is_keyframe = len(state.keyframe_map) > known_keyframes
-    following = np.zeros((6, NODES), np.float32)
-    if not (lost or is_keyframe):
-        following = np.asarray(_field_sensitivity(state, view, found[0], jnp.asarray(covariances[0])))
+    """The report of a frame that led from one state to another."""
+    is_keyframe = len(state.keyframe_map) > len(before.keyframe_map)
+    best, probabilities = branches.heaviest.located or found.best, branches.probabilities
     return FrameInfo(
-        anchor=anchor,
-        relative_poses=np.asarray(_relative(anchors, proposed.pose)),
-        relative_means=np.asarray(_relative(anchors, means)),
-        component=np.asarray(proposed.component),
-        component_covariances=covariances,
-        field_sensitivity=following,
-        ties=_ties(components, found[0], is_followed=not (lost or is_keyframe)),
-        log_weights=np.asarray(state.population.log_weights),
-        ancestors=np.asarray(info.ancestors),
-        log_evidence=float(info.log_evidence),
-        ess=float(info.ess),
-        resampled=bool(info.resampled),
-        lost=lost,
-        unexpected=unexpected,
-        explained=found[0].explained,
-        covered=found[0].covered,
+        places=_places(before, view, branches, info, found, follows=not is_keyframe),
+        log_evidence=info.log_evidence,
+        hypotheses=float(1.0 / (probabilities**2).sum()),
+        resampled=info.resampled,
+        lost=found.lost,
+        unexpected=found.unexpected,
+        explained=best.explained,
+        covered=best.covered,
         keyframes=len(state.keyframe_map),
         is_keyframe=is_keyframe,
-        components=0 if lost else len(found),
         doubt=doubt,
     )
 
 
-def _ties(components: Component, best: Registration, is_followed: bool) -> Ties:
-    """Of the first component, the best optimum's."""
-    if not is_followed:
-        return Ties.none(len(best.indices))
-    means = _from_keyframes(components.mean_keyframe_poses, components.pose)
-    return Ties(*(np.asarray(leaf)[0] for leaf in (components.keyframes, means, components.sensitivity)))
-
-
-@jax.jit
-def _from_keyframes(keyframes: jax.Array, cameras: jax.Array) -> jax.Array:
-    """keyframe_from_camera (J, M, 7) of keyframes (J, M, 7) and cameras (J, 7)."""
-
-    def one(keyframe: jax.Array, camera: jax.Array) -> jax.Array:
-        return (jaxlie.SE3(keyframe).inverse() @ jaxlie.SE3(camera)).wxyz_xyz
-
-    return jax.vmap(jax.vmap(one, (0, None)))(keyframes, cameras)
+def _places(
+    state: FilterState,
+    view: CanvasView,
+    branches: smc.Population[_Branch],
+    info: smc.StepInfo,
+    found: Found,
+    *,
+    follows: bool,
+) -> FoundPlaces:
+    """Where the branches have the frame; it follows keyframes and the field, or is lost or one of them."""
+    compared = len(found.best.indices)
+    of_all = []
+    for one in branches.histories:
+        indices = found.best.indices if one.located is None else one.located.indices
+        anchor = one.hypothesis.keyframe_poses[int(indices[0])]
+        covariance = (1.0 + state.lost_frames) * state.unseen_step
+        following = np.zeros((6, NODES), np.float32)
+        ties = np.tile(np.asarray(anchor), (compared, 1)), np.zeros((compared, 6, 6), np.float32)
+        if one.located is not None and one.place is not None:
+            covariance = one.place.covariance
+            if follows:
+                following = np.asarray(_field_sensitivity(state, view, one.located, one.place))
+                ties = one.place.keyframes_from_camera, one.place.shares
+        relative = np.asarray(_relative(anchor, one.hypothesis.pose))
+        of_all.append((indices[0], relative, covariance, following, indices, *ties))
+    anchors, relative, covariances, following, indices, from_camera, shares = (
+        np.stack(leaves) for leaves in zip(*of_all, strict=True)
+    )
+    return FoundPlaces(
+        anchors=anchors.astype(np.int32),
+        relative_poses=relative,
+        covariances=covariances.astype(np.float32),
+        field_sensitivity=following,
+        ties=Ties(indices.astype(np.int32), from_camera, shares.astype(np.float32)),
+        log_weights=branches.log_weights.astype(np.float32),
+        ancestors=info.ancestors,
+    )
 
 
 def _field_sensitivity(
-    state: FilterState, view: CanvasView, located: Registration, covariance: jax.Array
+    state: FilterState, view: CanvasView, located: Registration, place: Place
 ) -> jax.Array:
-    """Of the frame's best optimum, whose tempered covariance (6, 6) that is."""
+    """Of a place's pose, whose covariance was tempered."""
     calibration, nodes = state.calibration, NodeWeights.of(view)
-    tempered = calibration.exponent * covariance
+    tempered = jnp.asarray(calibration.exponent * place.covariance, jnp.float32)
     return field_sensitivity(located.optimum, located.local_map, view, nodes, calibration.noise, tempered)
 
 
 @jax.jit
-def _relative(anchors: jax.Array, poses: jax.Array) -> jax.Array:
-    """anchor_from_camera (K, 7)."""
-
-    def one(anchor: jax.Array, pose: jax.Array) -> jax.Array:
-        return (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz
-
-    return jax.vmap(one)(anchors, poses)
+def _relative(anchor: jax.Array, pose: jax.Array) -> jax.Array:
+    """anchor_from_camera (7,)."""
+    return (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz

@@ -9,17 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.poses import matrices_of, poses_of, single_precision_poses
+from shapes.geometry.poses import matrices_of, poses_of
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.registration.pose_grids import ORBIT_DISTANCES
 from slam.registration.registered import Registration
-from slam.registration.search import GroupMap, Searcher
+from slam.registration.search import Searcher
 
 LEAST_OVERLAP = 0.2
 """Share of the returns that must meet the map for an inlier ratio to mean anything. Chosen by hand."""
@@ -44,17 +43,17 @@ class KeyframeRegistrar:
 
     def register_locally(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Registration:
         """A keyframe where `poses` (N, 4, 4) have it, in the map of `others`."""
-        searcher, group = self._searcher(poses, index, others)
-        return searcher.at(group, single_precision_poses(poses[index]))
+        searcher = self._searcher(poses, index, others)
+        return searcher.at(poses_of(poses[index]).astype(np.float32))
 
     def register_globally(
         self, poses: NDArray[np.float64], index: int, others: Sequence[int]
     ) -> list[Registration]:
         """Plausible places of a keyframe anywhere in the map of `others`, the best first."""
-        searcher, group = self._searcher(poses, index, others)
+        searcher = self._searcher(poses, index, others)
         distances = np.asarray(ORBIT_DISTANCES) * central_depth(searcher.view)
         nearest = min(others, key=lambda other: abs(other - index))
-        found = searcher.anywhere(group, single_precision_poses(poses[nearest]), distances)
+        found = searcher.anywhere(poses_of(poses[nearest]).astype(np.float32), distances)
         return [located for located in found if located.is_plausible]
 
     def log_composite(self, poses: NDArray[np.float64]) -> float:
@@ -78,13 +77,10 @@ class KeyframeRegistrar:
         """The other keyframes."""
         return [other for other in range(len(self)) if other != index]
 
-    def _searcher(
-        self, poses: NDArray[np.float64], index: int, others: Sequence[int]
-    ) -> tuple[Searcher, GroupMap]:
-        rest, chosen = self.keyframe_map.only(others), poses[list(others)]
-        placed = poses_of(chosen)[None].astype(np.float32)
-        group = GroupMap(placed, jnp.ones(1, jnp.float32), chosen, 0)
-        return Searcher(rest, self.view(index), self.noise, self.compared), group
+    def _searcher(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Searcher:
+        placed = poses_of(poses[list(others)]).astype(np.float32)
+        rest = self.keyframe_map.only(others)
+        return Searcher(rest, placed, self.view(index), self.noise, self.compared)
 
 
 def inlier_ratio(located: Registration) -> float:

@@ -5,9 +5,9 @@ the map of all others. Those whose inlier ratio is below `CONSISTENT_INLIER_RATI
 registered again, globally, in the map of the rest, best first (`slam.map_hypotheses.cross_registration`).
 
 It is a mode-jumping Metropolis-Hastings step (Tjelmeland and Hegland 2001): a deterministic search proposes
-another mode, particles keep their displacements from the mean, so that volumes are preserved, and the ratio
-of the composite likelihood of all images decides (`KeyframeRegistrar.log_composite`). An approximation: the
-reverse move is not proposed, since a consistent map starts no search.
+another mode, and the ratio of the composite likelihood of all images decides
+(`KeyframeRegistrar.log_composite`). An approximation: the reverse move is not proposed, since a consistent
+map starts no search.
 
 Of few keyframes all may agree on wrong poses. Candidate maps are then proposed independently of the filter
 (`slam.map_hypotheses.candidate_maps`) and all of non-negligible weight are kept.
@@ -19,20 +19,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import cluster, mean_keyframes
-from shapes.geometry.poses import matrices_of, single_precision_poses
+from shapes.geometry.poses import matrices_of, poses_of
 from slam.config import SlamConfig
 from slam.filter.state import FilterState
 from slam.keyframes.pages import Paged
 from slam.map_hypotheses.candidate_maps import candidate_maps
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
-from slam.map_hypotheses.modes import assign_modes, transport
 from slam.pose_graph.overlaps import KeyframeDetail
+from slam.pose_graph.refinement import MapMixture
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 SPARSE_SHARE = 0.5
@@ -66,8 +64,8 @@ def choose_map(
     details: Sequence[Paged[KeyframeDetail]],
     noise: DepthNoise,
     motion: TrajectoryPrior | None,
-) -> FilterState:
-    """The state with the keyframes of every mode placed anew where they contradict each other.
+) -> MapMixture:
+    """The maps of the hypotheses, the keyframes of each placed anew where they contradict each other.
 
     Args:
         key: consumed.
@@ -77,29 +75,22 @@ def choose_map(
         noise: the sensor at that detail.
         motion: prior of the keyframes' poses, where they are a handful.
     """
-    used = len(state.keyframe_map)
+    found, used = MapMixture.of(state.population), len(state.keyframe_map)
     if not 2 < used <= MOST_KEYFRAMES or (motion is None and not state.steps_were_wide):
-        return state
-    poses = jnp.asarray(state.keyframe_poses)
-    log_weights = np.asarray(state.population.log_weights, np.float64)
-    weights = np.exp(log_weights)
-    groups = cluster(matrices_of(poses), weights)
-    shares = [np.where(groups == group, weights, 0.0) for group in range(groups.max() + 1)]
-    means = jnp.stack([mean_keyframes(poses, jnp.asarray(share / share.sum())) for share in shares])
+        return found
     registrar = KeyframeRegistrar(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
+    present = matrices_of(found.poses)
     if motion is not None:
-        modes = candidate_maps(registrar, list(matrices_of(means)), motion, details, noise)
-        now, log_weights = assign_modes(key, modes.shares, log_weights)
-        after = single_precision_poses(modes.maps)[now]
-    else:
-        maps = [
-            _chosen(jax.random.fold_in(key, group), registrar, matrices_of(mean), state.calibration.exponent)
-            for group, mean in enumerate(means)
-        ]
-        after = single_precision_poses(np.stack(maps))[groups]
-    population = replace(state.population, log_weights=jnp.asarray(log_weights, jnp.float32))
-    keyframe_poses = np.asarray(transport(poses, means[groups], after))
-    return replace(state, population=population, keyframe_poses=keyframe_poses)
+        modes = candidate_maps(registrar, list(present), motion, details, noise)
+        heaviest = np.full(len(modes.shares), np.argmax(found.probabilities))
+        poses = poses_of(modes.maps).astype(np.float32)
+        return MapMixture(poses=poses, probabilities=modes.shares, hypotheses=heaviest)
+    exponent = state.calibration.exponent
+    maps = [
+        _chosen(jax.random.fold_in(key, number), registrar, poses, exponent)
+        for number, poses in enumerate(present)
+    ]
+    return replace(found, poses=poses_of(np.stack(maps)).astype(np.float32))
 
 
 def _chosen(

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-from shapes.geometry.pose_sets import mean_keyframes
 
 AT_ONCE = 64
 """Rows for which kernels are compiled."""
@@ -39,11 +38,6 @@ def coordinates(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDA
 def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
     """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
     return in_parts(_drawn, centres, displacements.swapaxes(0, 1)).swapaxes(0, 1)
-
-
-def mean_poses(poses: NDArray[np.float32], weights: jax.Array) -> NDArray[np.float32]:
-    """Means (N, 7) of poses (K, N, 7) over weighted particles (K,)."""
-    return in_parts(lambda rows: mean_keyframes(rows.swapaxes(0, 1), weights), poses.swapaxes(0, 1))
 
 
 _displaced = jax.jit(jax.vmap(pose_gaussian.displace))

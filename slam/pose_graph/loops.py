@@ -19,7 +19,6 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-from shapes.geometry.poses import matrices_of
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import place_distances
 from slam.pose_graph.displacements import displaced, in_parts
@@ -27,7 +26,7 @@ from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.sparse_gaussian import PoseGraph, damped_step
 from slam.registration.alignment import STIFFNESS
 from slam.registration.registered import Registration
-from slam.registration.search import GroupMap, Searcher
+from slam.registration.search import Searcher
 
 CANDIDATES = 5
 """Search effort: places that a keyframe is compared with."""
@@ -204,11 +203,10 @@ def _registered(
     """A keyframe, sought about where an earlier one stands, among those (N,) beside that one alone."""
     surface = images.keyframe_map.surface(later)
     view = CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
-    searcher = Searcher(images.keyframe_map, view, images.noise, LEAST_HOPS)
     placed = poses.copy()
     placed[~beside, 4:] += OUT_OF_SIGHT_M
-    everyone = GroupMap(placed[None], jnp.ones(1), matrices_of(placed), 0)
-    return searcher.near(everyone, [jnp.asarray(poses[earlier])])
+    searcher = Searcher(images.keyframe_map, placed, view, images.noise, LEAST_HOPS)
+    return searcher.near([poses[earlier]])
 
 
 @jax.jit

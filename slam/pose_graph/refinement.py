@@ -2,35 +2,31 @@
 
 The filter places a keyframe once, at working resolution; errors accumulate along the path. Here every
 keyframe's image at full detail is compared with the surfaces of all keyframes that it overlaps, and the graph
-of overlaps is brought to its optimum (`slam.pose_graph.gauss_newton`). Particles with the same keyframe poses
-form one mode with an optimum of its own, and draw their displacement from the graph's Gaussian there, the
-Laplace approximation of the overlaps' density (docs/model.md, section J). Reported spreads are that
-Gaussian's (`RefinedKeyframes`), since a few dozen weighted draws have no spread in most directions. The
-sensor's distortion field is an error that all frames share, which no number of them averages out: poses
-follow it, and its prior is in what is told of them (a consider parameter; Schmidt 1966), scaled to what the
-recording tells of it (`slam.pose_graph.distortion_scale`). It is estimated jointly with the poses for the
-sensor's profile, by which frames may be corrected.
+of overlaps is brought to its optimum (`slam.pose_graph.gauss_newton`), from each of the maps that are left.
+Trajectories are drawn from the graph's Gaussian there, the Laplace approximation of the overlaps' density
+(docs/model.md, section J), as many of each map as it is probable. The sensor's distortion field is an error
+that all frames share, which no number of them averages out: poses follow it, and its prior is in what is told
+of them (a consider parameter; Schmidt 1966), scaled to what the recording tells of it
+(`slam.pose_graph.distortion_scale`). It is estimated jointly with the poses for the sensor's profile, by
+which frames may be corrected.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import cluster
-from shapes.geometry.poses import matrices_of
-from slam.filter.state import FilterState
-from slam.keyframes.pages import Paged
+from slam.filter import smc
+from slam.filter.state import Hypothesis
 from slam.likelihood.distortion import Distortion, node_factor
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
-from slam.pose_graph.displacements import draw_poses, mean_poses
+from slam.pose_graph.displacements import draw_poses
 from slam.pose_graph.distortion_scale import ScaledField, scaled_field, unseen_field
 from slam.pose_graph.gauss_newton import (
     THINNED,
@@ -38,8 +34,10 @@ from slam.pose_graph.gauss_newton import (
     optimise_with_distortion,
     with_distortion,
 )
-from slam.pose_graph.overlaps import KeyframeDetail, KeyframeImages, Keyframes
+from slam.pose_graph.overlaps import KeyframeImages, Keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
+
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 FIELD_KEYFRAMES = 200
 """Search effort: an hour's film has thousands, and the field has 62 coordinates."""
@@ -48,7 +46,7 @@ FIELD_KEYFRAMES = 200
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class PlacedKeyframes:
-    """Keyframes of G modes, each looked up in a place of a table (...); leaves as in `RefinedKeyframes`.
+    """Keyframes of G maps, looked up in tables of indices (G, ...); leaves as in `RefinedKeyframes`.
 
     Attributes:
         poses: (G, ..., 7).
@@ -62,25 +60,57 @@ class PlacedKeyframes:
     held: jax.Array
     sensitivity: jax.Array
 
+    @classmethod
+    def stacked(cls, refined: RefinedKeyframes, keyframes: NDArray[np.integer]) -> PlacedKeyframes:
+        """Those that the table (G, ...) names."""
+        of_map = np.arange(len(keyframes)).reshape(-1, *[1] * (keyframes.ndim - 1)), keyframes
+        return cls(
+            poses=jnp.asarray(refined.poses[of_map]),
+            covariances=jnp.asarray(refined.covariances[of_map], jnp.float32),
+            held=jnp.asarray(refined.held[of_map]),
+            sensitivity=jnp.asarray(refined.sensitivity[of_map], jnp.float32),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapMixture:
+    """Maps that are left.
+
+    Attributes:
+        poses: (G, N, 7) reference_from_keyframe.
+        probabilities: (G,).
+        hypotheses: (G,) which of the filter's last ones has the frames between the keyframes.
+    """
+
+    poses: NDArray[np.float32]
+    probabilities: NDArray[np.float64]
+    hypotheses: NDArray[np.int_]
+
+    @classmethod
+    def of(cls, population: smc.Population[Hypothesis]) -> MapMixture:
+        """As the filter has them."""
+        poses = np.stack([one.keyframe_poses for one in population.histories])
+        return cls(poses=poses, probabilities=population.probabilities, hypotheses=np.arange(len(population)))
+
 
 @dataclass(frozen=True, kw_only=True)
 class RefinedKeyframes:
-    """Where the modes have the keyframes, before the particles (K,) drew theirs, and the distortion field.
+    """The keyframes of G maps, K draws of them, and the distortion field.
 
     The field's coordinates are independent unit Gaussians a priori; nodes are `factor` times coordinates.
 
     Attributes:
-        mode: (K,) index into the modes.
         poses: (G, N, 7) reference_from_keyframe.
         covariances: (G, N, 6, 6) in the charts there, given the field.
-        held: (G, N) keyframes that overlaps tie to the first; the others are where the particles had them.
+        held: (G, N) keyframes that overlaps tie to the first; the others are where the filter has them.
         sensitivity: (G, N, 6, F) how keyframes follow the field's coordinates.
         factor: (G, NODES, F), as strong as the recording tells.
         disparity_per_m: (G, NODES) the field's mean, as it is estimated jointly with the poses.
         sd_per_m: (G, NODES) its standard deviations.
+        mode: (K,) the map that each draw is of.
+        drawn: (K, N, 7).
     """
 
-    mode: NDArray[np.int_]
     poses: NDArray[np.float32]
     covariances: NDArray[np.float64]
     held: NDArray[np.bool_]
@@ -88,20 +118,13 @@ class RefinedKeyframes:
     factor: NDArray[np.float64]
     disparity_per_m: NDArray[np.float64]
     sd_per_m: NDArray[np.float64]
-
-    def at(self, keyframes: NDArray[np.integer]) -> PlacedKeyframes:
-        """Of the keyframes with these indices (...)."""
-        return PlacedKeyframes(
-            poses=jnp.asarray(self.poses[:, keyframes]),
-            covariances=jnp.asarray(self.covariances[:, keyframes], jnp.float32),
-            held=jnp.asarray(self.held[:, keyframes]),
-            sensitivity=jnp.asarray(self.sensitivity[:, keyframes], jnp.float32),
-        )
+    mode: NDArray[np.int_]
+    drawn: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
-    """One mode's share of `RefinedKeyframes`, and draws (K, N, 7) for all particles."""
+    """One map's share of `RefinedKeyframes`."""
 
     poses: NDArray[np.float32]
     covariances: NDArray[np.float64]
@@ -115,43 +138,47 @@ class _Mode:
 
 def refine_keyframes(
     key: jax.Array,
-    state: FilterState,
-    details: Sequence[Paged[KeyframeDetail]],
-    noise: DepthNoise,
+    images: KeyframeImages,
+    maps: MapMixture,
+    count: int,
     sd_per_m: NDArray[np.float64],
     motion: TrajectoryPrior | None = None,
     scales: Sequence[float] = (1.0,),
-) -> tuple[FilterState, RefinedKeyframes]:
-    """The state with every particle's keyframes drawn about the optimum, and what that is.
+) -> RefinedKeyframes:
+    """Every map at its optimum, and `count` draws of them, none of which depends on how many follow.
 
     Args:
         key: consumed.
-        state: after the last frame.
-        details: of the keyframes.
-        noise: the sensor at that detail.
+        images: of the keyframes.
+        maps: that are left.
+        count: K.
         sd_per_m: (rows, columns) deviations of the distortion field's nodes, a priori.
         motion: prior of the keyframes' poses, where it is to have a say.
         scales: factors of `sd_per_m`, equally likely.
     """
-    poses = state.keyframe_poses.copy()
-    weights = np.exp(np.asarray(state.population.log_weights, np.float64))
-    groups = cluster(matrices_of(poses), weights)
+    deal_key, draw_key = jax.random.split(key)
+    mode_of = dealt(deal_key, maps.probabilities, count)
     unknown = Distortion.unknown(node_factor(sd_per_m))
-    modes: list[_Mode] = []
-    for group in range(groups.max() + 1):
-        members = groups == group
-        share = jnp.asarray(np.where(members, weights, 0.0) / weights[members].sum())
-        filtered = mean_poses(state.keyframe_poses, share)
-        images = KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=noise)
-        group_key = jax.random.fold_in(key, group)
-        mode = _refined(group_key, images, filtered, unknown, scales, motion, len(groups))
-        poses = np.where((members[:, None] & mode.held)[..., None], mode.drawn, poses)
-        modes.append(mode)
-
+    modes = [
+        _refined(jax.random.fold_in(draw_key, mode), images, poses, unknown, scales, motion, count)
+        for mode, poses in enumerate(maps.poses)
+    ]
     told = ("poses", "covariances", "held", "sensitivity", "factor", "disparity_per_m", "sd_per_m")
-    return replace(state, keyframe_poses=poses), RefinedKeyframes(
-        mode=groups, **{name: np.stack([getattr(mode, name) for mode in modes]) for name in told}
+    return RefinedKeyframes(
+        **{name: np.stack([getattr(mode, name) for mode in modes]) for name in told},
+        mode=mode_of,
+        drawn=np.stack([modes[mode].drawn[number] for number, mode in enumerate(mode_of)]),
     )
+
+
+def dealt(key: jax.Array, probabilities: NDArray[np.float64], count: int) -> NDArray[np.int_]:
+    """Of which of some modes (G,) each of `count` draws is: as often as they are probable, nearly evenly.
+
+    Each mark is uniform; multiples of the golden ratio fill the circle evenly however many there are (Weyl).
+    """
+    marks = (float(jax.random.uniform(key)) + GOLDEN * np.arange(count)) % 1.0
+    found = np.searchsorted(np.cumsum(probabilities), marks, side="right")
+    return np.minimum(found, np.flatnonzero(probabilities)[-1])
 
 
 def _refined(
@@ -163,7 +190,7 @@ def _refined(
     motion: TrajectoryPrior | None,
     count: int,
 ) -> _Mode:
-    """One mode, refined from where the filter has its keyframes (N, 7); `count` particles draw.
+    """One map, refined from where the filter has its keyframes (N, 7), and draws.
 
     Poses are those of the images as they are, and draws are given these; what an unknown field may have moved
     them by is in their covariances.
@@ -173,13 +200,17 @@ def _refined(
     if found is None or graph is None:
         return _unrefined(filtered, unknown, scales, count)
     field = _estimated_field(keyframes, found, unknown, scales, motion)
+    held = sparse_gaussian.connected_to_first(graph)
+    drawn = draw_poses(found.poses, sparse_gaussian.draws(key, graph, count))
     return _Mode(
-        poses=found.poses,
-        covariances=sparse_gaussian.conditional_marginals(graph),
-        held=sparse_gaussian.connected_to_first(graph),
-        sensitivity=field.scale * sparse_gaussian.field_posterior(graph).sensitivity,
+        poses=np.where(held[:, None], found.poses, filtered),
+        covariances=np.where(held[:, None, None], sparse_gaussian.conditional_marginals(graph), 0.0),
+        held=held,
+        sensitivity=np.where(
+            held[:, None, None], field.scale * sparse_gaussian.field_posterior(graph).sensitivity, 0.0
+        ),
         **_told_of(field, unknown.factor),
-        drawn=draw_poses(found.poses, sparse_gaussian.draws(key, graph, count)),
+        drawn=np.where(held[:, None], drawn, filtered),
     )
 
 
@@ -217,7 +248,7 @@ def _told_of(field: ScaledField, factor: NDArray[np.float64]) -> dict[str, NDArr
 
 
 def _unrefined(poses: NDArray[np.float32], unknown: Distortion, scales: Sequence[float], count: int) -> _Mode:
-    """A mode (N, 7) whose keyframes nothing ties to the first: the field is what it was a priori."""
+    """A map (N, 7) whose keyframes nothing ties to the first: the field is what it was a priori."""
     used, size = len(poses), unknown.factor.shape[1]
     return _Mode(
         poses=poses,

@@ -53,7 +53,7 @@ class TrajectoryPrior:
             if config.orbit_radius_m and config.motion == "orbit"
             else FreeMotion.default()
         )
-        pivot, sigma = np.asarray(state.population.particles.pivot[0], np.float64), np.ones(PIVOT)
+        pivot, sigma = state.pivot.astype(np.float64), np.ones(PIVOT)
         if isinstance(motion, OrbitMotion):
             aim = np.asarray(motion.aim_scale_rad, np.float64)[:2]
             sigma = np.append(pivot[2] * aim, float(motion.distance_sigma_m))

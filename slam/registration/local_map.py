@@ -16,7 +16,7 @@ from slam.registration.alignment import ModelImage
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LocalMap:
-    """The keyframes that a camera is compared with, where a group of particles has them on average.
+    """The keyframes that a camera is compared with.
 
     Attributes:
         surfaces: stacked (M, ...).

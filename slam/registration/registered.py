@@ -41,16 +41,14 @@ class Registration:
     """An optimum and what it was compared with.
 
     Attributes:
-        optimum: of the image density for the mean map.
+        optimum: of the image density.
         indices: (M,) keyframes; the first is the closest view.
-        local_map: their surfaces and mean poses.
-        group: of particles, to which it belongs.
+        local_map: their surfaces and poses.
     """
 
     optimum: Optimum
     indices: NDArray[np.int_]
     local_map: LocalMap
-    group: int
 
     @property
     def explained(self) -> float:

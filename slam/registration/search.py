@@ -1,8 +1,8 @@
-"""The order of search for a camera: near each group's prediction, then anywhere in the map."""
+"""The order of search for a camera in a map: near a prediction, then anywhere."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
@@ -10,11 +10,10 @@ from operator import attrgetter
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import DepthNoise
 from shapes.geometry import pose_sets
-from shapes.geometry.pose_sets import mean_keyframes
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, place_distances, selected_keyframes, thumbnail
@@ -79,47 +78,32 @@ while it rises where the start was a guess."""
 
 
 @dataclass(frozen=True)
-class GroupMap:
-    """A group of particles' view of the map.
-
-    Attributes:
-        keyframe_poses: (K, N, 7) of all particles, on the host.
-        weights: (K,) of the group's members, zero elsewhere.
-        representative: (N, 4, 4) keyframe poses of its heaviest member.
-        group: its number.
-    """
-
-    keyframe_poses: NDArray[np.float32]
-    weights: jax.Array
-    representative: NDArray[np.float64]
-    group: int
-
-
-@dataclass(frozen=True)
 class Searcher:
     """One frame, and what it is searched in.
 
     Attributes:
         keyframe_map: the surfaces.
+        keyframe_poses: (N, 7) where they are.
         view: the frame.
         noise: the sensor.
         compared: M, keyframes compared with at once.
     """
 
     keyframe_map: KeyframeMap
+    keyframe_poses: NDArray[np.float32]
     view: CanvasView
     noise: DepthNoise
     compared: int
 
-    def near(self, group: GroupMap, starts: list[jax.Array], hold: float = 0.0) -> Registration:
+    def near(self, starts: Sequence[ArrayLike], hold: float = 0.0) -> Registration:
         """The best optimum near the starts (7,), the likeliest first, and on the grid around that one.
 
         `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`).
         """
-        if hold > 0 and (settled := self._settled(group, starts[0], hold)) is not None:
+        if hold > 0 and (settled := self._settled(starts[0], hold)) is not None:
             return settled
-        padded = jnp.stack([*starts, *[starts[0]] * (3 - len(starts))])
-        located = self._near(group, padded, hold)
+        padded = jnp.stack([jnp.asarray(one) for one in [*starts, *[starts[0]] * (3 - len(starts))]])
+        located = self._near(padded, hold)
         for _ in range(REFINEMENTS):
             if not located.is_finite:
                 break
@@ -127,20 +111,20 @@ class Searcher:
             if is_near and hold > 0:
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
-            again = self._near(group, padded, hold)
+            again = self._near(padded, hold)
             if not again.is_finite or (is_near and again.log_density <= located.log_density):
                 break
             located = again
         return located
 
-    def _settled(self, group: GroupMap, start: jax.Array, hold: float) -> Registration | None:
+    def _settled(self, start: ArrayLike, hold: float) -> Registration | None:
         """The optimum next to a start (7,) whose rendering holds there, too; None where it is not convincing.
 
         A direction that the view leaves to the start is not: along it there may be better places.
         """
         pose = start
         for _ in range(SETTLING):
-            found = self.at(group, pose, hold)
+            found = self.at(pose, hold)
             if not (found.is_finite and found.is_unambiguous):
                 return None
             if hold > LEAST_HELD * found.weakest_share:
@@ -150,63 +134,62 @@ class Searcher:
             pose = found.optimum.pose
         return None
 
-    def _near(self, group: GroupMap, starts: jax.Array, hold: float) -> Registration:
-        indices, local_map = self._local_map(group, starts[0])
+    def _near(self, starts: jax.Array, hold: float) -> Registration:
+        indices, local_map = self._local_map(starts[0])
         grid = jnp.asarray(pose_grids.local_grid())
         optimum = local_optimum(local_map, self.view, self.noise, starts, grid, hold)
-        found = Registration(optimum, indices, local_map, group.group)
-        return found if hold > 0 else max(found, self.at(group, starts[0]), key=attrgetter("log_density"))
+        found = Registration(optimum, indices, local_map)
+        return found if hold > 0 else max(found, self.at(starts[0]), key=attrgetter("log_density"))
 
-    def at(self, group: GroupMap, pose: jax.Array, hold: float = 0.0) -> Registration:
+    def at(self, pose: ArrayLike, hold: float = 0.0) -> Registration:
         """The optimum next to a pose, which alignment on associated points may leave."""
-        indices, local_map = self._local_map(group, pose)
-        return Registration(
-            optimum_at(local_map, self.view, self.noise, pose, hold), indices, local_map, group.group
-        )
+        indices, local_map = self._local_map(pose)
+        optimum = optimum_at(local_map, self.view, self.noise, jnp.asarray(pose), hold)
+        return Registration(optimum, indices, local_map)
 
-    def anywhere(
-        self, group: GroupMap, last: jax.Array, distances_m: NDArray[np.float64]
-    ) -> list[Registration]:
+    def anywhere(self, last: ArrayLike, distances_m: NDArray[np.float64]) -> list[Registration]:
         """Distinct optima anywhere in the map, best first; none where no climb leads to what it shows."""
-        places = group.representative[self._places]
-        candidates = pose_grids.grid_everywhere(matrices_of(last), places, distances_m)
-        scores = self._map_scores(group, candidates, WIDE_BLUR)
+        places = self._matrices[self._places]
+        candidates = pose_grids.grid_everywhere(matrices_of(np.asarray(last)), places, distances_m)
+        scores = self._map_scores(candidates, WIDE_BLUR)
         ranked = candidates[np.argsort(-scores, kind="stable")]
         starts = ranked[pose_sets.suppress_similar(ranked, WIDE_CLIMBED, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
-        climbed = self._climbed(group, starts)
+        climbed = self._climbed(starts)
         if not len(climbed):
             return []
-        scores = self._map_scores(group, climbed, CLIMBED_BLUR)
+        scores = self._map_scores(climbed, CLIMBED_BLUR)
         ranked = climbed[np.argsort(-scores, kind="stable")]
         best = pose_sets.suppress_similar(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
-        rendered = suppress_duplicates(
-            [self.at(group, single_precision_poses(pose)) for pose in ranked[best]]
-        )
+        rendered = suppress_duplicates([self.at(single_precision_poses(pose)) for pose in ranked[best]])
         meeting = [located for located in rendered if located.explained >= LEAST_EXPLAINED]
-        found = [self.near(group, [located.optimum.pose]) for located in meeting[:WIDE_REFINED]]
+        found = [self.near([located.optimum.pose]) for located in meeting[:WIDE_REFINED]]
         return suppress_duplicates(found)
 
     @cached_property
     def _framing(self) -> NDArray[np.float64]:
         return framing(self.view)
 
-    def _local_map(self, group: GroupMap, pose: jax.Array) -> tuple[NDArray[np.int_], LocalMap]:
-        chosen = selected_keyframes(
-            self.keyframe_map.samples, group.representative, matrices_of(pose), self._framing, self.compared
-        )
-        return self._stacked(group, chosen, self.compared)
+    @cached_property
+    def _matrices(self) -> NDArray[np.float64]:
+        return matrices_of(self.keyframe_poses)
 
-    def _stacked(
-        self, group: GroupMap, chosen: NDArray[np.int_], count: int
-    ) -> tuple[NDArray[np.int_], LocalMap]:
+    def _local_map(self, pose: ArrayLike) -> tuple[NDArray[np.int_], LocalMap]:
+        chosen = selected_keyframes(
+            self.keyframe_map.samples,
+            self._matrices,
+            matrices_of(np.asarray(pose)),
+            self._framing,
+            self.compared,
+        )
+        return self._stacked(chosen, self.compared)
+
+    def _stacked(self, chosen: NDArray[np.int_], count: int) -> tuple[NDArray[np.int_], LocalMap]:
         present = np.arange(count) < len(chosen)
         indices = np.where(present, np.resize(chosen, count), chosen[0])
-        poses = mean_keyframes(jnp.asarray(group.keyframe_poses[:, indices]), group.weights)
+        poses = jnp.asarray(self.keyframe_poses[indices])
         return indices, LocalMap(self.keyframe_map.stacked(indices), jnp.asarray(present), poses)
 
-    def _map_scores(
-        self, group: GroupMap, candidates: NDArray[np.float64], blur: float
-    ) -> NDArray[np.float64]:
+    def _map_scores(self, candidates: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
         padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, SCORED_AT_ONCE))
         scores = [
@@ -216,25 +199,25 @@ class Searcher:
                     for some in jnp.split(padded, len(padded) // SCORED_AT_ONCE)
                 ]
             )
-            for local_map in self._neighbourhoods(group)
+            for local_map in self._neighbourhoods()
         ]
         return np.max(scores, axis=0)[: len(candidates)]
 
-    def _climbed(self, group: GroupMap, starts: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _climbed(self, starts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses (S', 4, 4) uphill of the starts (S, 4, 4), in each neighbourhood; strays are dropped."""
         padded = single_precision_poses(pose_sets.pad_to_multiple(starts, WIDE_CLIMBED))
         climbs = [
             np.asarray(ascend(local_map, self.view, self.noise, padded))[: len(starts)]
-            for local_map in self._neighbourhoods(group)
+            for local_map in self._neighbourhoods()
         ]
         places = np.concatenate(climbs)
         return matrices_of(places[np.isfinite(places).all(axis=1)])
 
-    def _neighbourhoods(self, group: GroupMap) -> Iterator[LocalMap]:
+    def _neighbourhoods(self) -> Iterator[LocalMap]:
         """All keyframes that are searched, `WIDE_KEYFRAMES` at a time."""
         for first in range(0, len(self._places), WIDE_KEYFRAMES):
             chosen = self._places[first : first + WIDE_KEYFRAMES]
-            yield self._stacked(group, chosen, WIDE_KEYFRAMES)[1]
+            yield self._stacked(chosen, WIDE_KEYFRAMES)[1]
 
     @cached_property
     def _places(self) -> NDArray[np.int_]:
@@ -246,9 +229,9 @@ class Searcher:
 
 
 def _is_near(
-    pose: jax.Array, start: jax.Array, shift_m: float = FAR_SHIFT_M, angle_rad: float = FAR_ANGLE_RAD
+    pose: ArrayLike, start: ArrayLike, shift_m: float = FAR_SHIFT_M, angle_rad: float = FAR_ANGLE_RAD
 ) -> bool:
     """Whether a rendering at `start` shows what a camera at `pose` would see."""
-    relative = np.linalg.inv(matrices_of(start)) @ matrices_of(pose)
+    relative = np.linalg.inv(matrices_of(np.asarray(start))) @ matrices_of(np.asarray(pose))
     shift = np.linalg.norm(relative[:3, 3])
     return bool(shift < shift_m and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(angle_rad))

@@ -7,25 +7,30 @@ import numpy as np
 
 from slam import history
 from slam.filter.rival_motion import CERTAIN
-from slam.filter.state import FrameInfo, Ties
+from slam.filter.state import FoundPlaces, FrameInfo, Ties
 from slam.history import History
 
-PARTICLES = 4
+NODES = 63
 
 
-def _info(rng: np.random.Generator, number: int, components: int) -> FrameInfo:
+def _info(rng: np.random.Generator, number: int, ancestors: list[int]) -> FrameInfo:
+    count = len(ancestors)
     return FrameInfo(
-        anchor=number,
-        relative_poses=rng.normal(size=(PARTICLES, 7)).astype(np.float32),
-        relative_means=rng.normal(size=(PARTICLES, 7)).astype(np.float32),
-        component=np.zeros(PARTICLES, np.int32),
-        component_covariances=rng.normal(size=(components, 6, 6)).astype(np.float32),
-        field_sensitivity=np.zeros((6, 63), np.float32),
-        ties=Ties.none(2),
-        log_weights=np.full(PARTICLES, -np.log(PARTICLES), np.float32),
-        ancestors=rng.permutation(PARTICLES).astype(np.int32),
+        places=FoundPlaces(
+            anchors=np.full(count, number, np.int32),
+            relative_poses=rng.normal(size=(count, 7)).astype(np.float32),
+            covariances=rng.normal(size=(count, 6, 6)).astype(np.float32),
+            field_sensitivity=np.zeros((count, 6, NODES), np.float32),
+            ties=Ties(
+                np.zeros((count, 2), np.int32),
+                rng.normal(size=(count, 2, 7)).astype(np.float32),
+                rng.normal(size=(count, 2, 6, 6)).astype(np.float32),
+            ),
+            log_weights=np.full(count, -np.log(count), np.float32),
+            ancestors=np.asarray(ancestors, np.int32),
+        ),
         log_evidence=-1.0,
-        ess=4.0,
+        hypotheses=float(count),
         resampled=False,
         lost=False,
         unexpected=False,
@@ -33,16 +38,19 @@ def _info(rng: np.random.Generator, number: int, components: int) -> FrameInfo:
         covered=1.0,
         keyframes=number + 1,
         is_keyframe=number % 3 == 0,
-        components=components,
         doubt=CERTAIN,
     )
 
 
+ANCESTORS = [[0], [0, 0], [1, 0, 1], [2], [0, 0], [0, 1], [1, 0, 0]]
+"""Of seven frames: hypotheses branch, are dropped, and change places."""
+
+
 def test_blocks_give_the_reports_that_were_put_in(seed, monkeypatch):
-    """Seven in blocks of three, of one component and of two; lineages go back through all of them."""
+    """Seven in blocks of three, of one hypothesis to three; lineages go back through all of them."""
     monkeypatch.setattr(history, "FRAMES_AT_ONCE", 3)
     rng = np.random.default_rng(seed)
-    infos = [_info(rng, number, 1 + number % 2) for number in range(7)]
+    infos = [_info(rng, number, ancestors) for number, ancestors in enumerate(ANCESTORS)]
     kept = History()
     for number, info in enumerate(infos):
         kept.append(10 * number, info)
@@ -51,21 +59,23 @@ def test_blocks_give_the_reports_that_were_put_in(seed, monkeypatch):
 
     assert len(kept) == len(found) == 7
     assert kept.in_doubt
-    for info, again in zip(infos, found, strict=True):
-        again = replace(again, component_covariances=again.component_covariances[: info.components])
+    for info, padded, ancestors in zip(infos, found, ANCESTORS, strict=True):
+        count = len(ancestors)
+        places = jax.tree.map(lambda leaf, count=count: leaf[:count], padded.places)
+        again = replace(padded, places=places)
         assert all(
             np.array_equal(one, other)
             for one, other in zip(jax.tree.leaves(info), jax.tree.leaves(again), strict=True)
         )
-    lineages = kept.lineages()
-    np.testing.assert_array_equal(lineages[-1], np.arange(PARTICLES))
-    for number in range(1, 7):
-        np.testing.assert_array_equal(infos[number].ancestors[lineages[number]], lineages[number - 1])
+    np.testing.assert_array_equal(
+        kept.lineages(np.asarray([0, 2, 2])),
+        [[0, 0, 0], [1, 1, 1], [2, 2, 2], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 2, 2]],
+    )
 
 
 def test_one_place_alone_is_no_doubt(seed):
     """Nor is a frame found where it was expected."""
     kept = History()
-    kept.append(0, _info(np.random.default_rng(seed), 0, 1))
+    kept.append(0, _info(np.random.default_rng(seed), 0, [0]))
 
     assert not kept.in_doubt

@@ -10,8 +10,9 @@ import numpy as np
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
 from slam.filter.state import Ties
-from slam.pose_graph.refinement import RefinedKeyframes
-from slam.smoothing import UNDERSTATED, _by_ties, _with_placed
+from slam.pose_graph.refinement import PlacedKeyframes, RefinedKeyframes
+from slam.smoothing import UNDERSTATED, _by_ties, _drawn, _marginals, _roots, _spread
+from tests.statistical import assert_mean
 
 
 def _pose(*tangent: float) -> jax.Array:
@@ -23,9 +24,10 @@ RELATIVE = _pose(0.1, 0.7, 0.3, -0.3, 0.6, 0.2)
 
 
 def _placed(poses: jax.Array, held: list[bool], sensitivity: np.ndarray) -> RefinedKeyframes:
-    """One mode of keyframes (N, 7) without spread."""
+    """One map of keyframes (N, 7) without spread."""
     return RefinedKeyframes(
         mode=np.zeros(2, int),
+        drawn=np.tile(np.asarray(poses), (2, 1, 1)),
         poses=np.asarray(poses)[None],
         covariances=np.zeros((1, len(poses), 6, 6)),
         held=np.asarray([held]),
@@ -60,12 +62,16 @@ def test_a_frame_follows_each_keyframe_in_what_that_one_told_of_it(seed):
         return np.asarray(jax.vmap(pose_gaussian.coordinates, (None, 0))(DRAWN, cameras))
 
     ties = Ties(
-        np.asarray([[0, 1, 2]], np.int32),
-        np.asarray(keyframes_from_camera)[None],
-        shares[None].astype(np.float32),
+        np.asarray([[[0, 1, 2]]], np.int32),
+        np.asarray(keyframes_from_camera)[None, None],
+        shares[None, None].astype(np.float32),
     )
-    pulled, following = _by_ties(_placed(refined, [True] * 3, of_field).at(ties.keyframes), ties)
-    alone, _ = _by_ties(_placed(refined, [True, False, False], of_field).at(ties.keyframes), ties)
+    held, astray = (
+        PlacedKeyframes.stacked(_placed(refined, are_held, of_field), ties.keyframes)
+        for are_held in ([True] * 3, [True, False, False])
+    )
+    pulled, following = _by_ties(held, ties)
+    alone, _ = _by_ties(astray, ties)
 
     own = camera_moves(refined)
     best = np.linalg.solve(precisions.sum(axis=0), np.einsum("mij,mj->i", precisions, own))
@@ -79,26 +85,22 @@ def test_a_frame_follows_each_keyframe_in_what_that_one_told_of_it(seed):
 
 
 def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
-    """As by autodiff, the distortion field's included; keyframes that nothing holds stay as they were."""
+    """As by autodiff, the distortion field's included, beside the frame's own."""
     rng = np.random.default_rng(seed)
     factor, of_keyframe, of_frame = rng.normal(size=(6, 6)), rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
     placed = replace(
         _placed(
-            jnp.stack([jnp.asarray(IDENTITY), ANCHOR, ANCHOR]),
-            [True, True, False],
-            np.stack([0 * of_keyframe, of_keyframe, of_keyframe]),
+            jnp.stack([jnp.asarray(IDENTITY), ANCHOR]),
+            [True, True],
+            np.stack([0 * of_keyframe, of_keyframe]),
         ),
-        covariances=np.stack([0 * factor, *[factor @ factor.T] * 2])[None],
+        covariances=np.stack([0 * factor, factor @ factor.T])[None],
     )
-    own = jnp.eye(6)
-    drawn, relative = (jnp.tile(pose, (2, 2, 1)) for pose in (DRAWN, RELATIVE))
 
-    known, spread = _with_placed(
-        drawn,
-        relative,
-        jnp.tile(own, (2, 2, 1, 1)),
-        jnp.zeros(2, jnp.int32),
-        placed.at(np.asarray([1, 2])),
+    spread = _spread(
+        PlacedKeyframes.stacked(placed, np.asarray([[0, 1]])),
+        jnp.tile(RELATIVE, (1, 2, 1)),
+        jnp.tile(jnp.eye(6), (1, 2, 1, 1)),
         jnp.asarray(np.stack([of_frame, of_frame])[None], jnp.float32),
     )
 
@@ -112,7 +114,42 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
     expected = UNDERSTATED * (np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T)
     expected = expected + following @ following.T
     alone = UNDERSTATED * np.eye(6) + of_frame @ of_frame.T
-    np.testing.assert_allclose(known[0, 0], ANCHOR)
-    np.testing.assert_allclose(spread[0, 0], expected, rtol=0.01, atol=0.02)
-    np.testing.assert_array_equal(known[:, 1], DRAWN[None].repeat(2, 0))
-    np.testing.assert_allclose(spread[0, 1], alone, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(spread[0, 1], expected, rtol=0.01, atol=0.02)
+    np.testing.assert_allclose(spread[0, 0], alone, rtol=1e-4, atol=1e-4)
+
+
+def test_draws_have_the_spread_of_a_frame_about_its_drawn_keyframe(key, seed):
+    """Also where a direction has none; each is of its own anchor."""
+    count = 4000
+    factor = np.random.default_rng(seed).normal(scale=0.02, size=(6, 6))
+    factor[2] = 0.0
+    covariance = jnp.asarray(factor @ factor.T, jnp.float32)
+    anchors = jnp.tile(jnp.stack([ANCHOR, DRAWN])[None], (count, 1, 1))
+    roots = jnp.tile(_roots(covariance), (count, 2, 1, 1))
+
+    drawn = _drawn(jax.random.split(key, 2), anchors, jnp.tile(RELATIVE, (count, 2, 1)), roots)
+
+    for number, anchor in enumerate((ANCHOR, DRAWN)):
+        centre = (jaxlie.SE3(anchor) @ jaxlie.SE3(RELATIVE)).wxyz_xyz
+        tangents = np.asarray(jax.vmap(pose_gaussian.coordinates, (None, 0))(centre, drawn[:, number]))
+        np.testing.assert_allclose(tangents[:, 2], 0.0, atol=1e-4)
+        upper = np.triu_indices(6)
+        moments = (tangents[:, :, None] * tangents[:, None, :])[:, *upper]
+        varying = moments.std(axis=0) > 1e-8
+        assert_mean(moments[:, varying], np.asarray(covariance)[upper][varying], detectable=1e-3)
+
+
+def test_the_marginal_of_several_maps_is_about_the_likeliest(seed):
+    """Second moments of all about its mean: .3 of the mass a metre off has that in its variance."""
+    factor = np.random.default_rng(seed).normal(scale=0.01, size=(2, 6, 6))
+    spread = factor @ factor.transpose(0, 2, 1)
+    shift = np.asarray([1.0, -0.5, 0.2, 0.0, 0.0, 0.0])
+    there = pose_gaussian.displace(ANCHOR, jnp.asarray(shift, jnp.float32))
+
+    mean, covariance = _marginals(
+        jnp.stack([there, ANCHOR])[:, None], jnp.asarray(spread)[:, None], jnp.asarray([0.3, 0.7])
+    )
+
+    expected = 0.3 * (spread[0] + np.outer(shift, shift)) + 0.7 * spread[1]
+    np.testing.assert_array_equal(mean[0], ANCHOR)
+    np.testing.assert_allclose(covariance[0], expected, atol=1e-4)

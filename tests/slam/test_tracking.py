@@ -130,6 +130,19 @@ def test_kiss_icp_alone_may_propose(key):
     assert trajectory_errors(result.mean, _from_first(poses)).ate_first_pose_m < 0.006
 
 
+def test_nothing_depends_on_the_number_of_draws(key):
+    """Four are the first four of sixteen; what is told of frames is the same."""
+    frames = box_room.frames(box_room.walk(6), seed=12)
+
+    few, _ = _track(jax.random.clone(key), frames, SlamConfig(particles=4))
+    many, _ = _track(key, frames, SlamConfig(particles=16))
+
+    np.testing.assert_allclose(few.draws, many.draws[:4], atol=1e-6)
+    np.testing.assert_array_equal(few.mean, many.mean)
+    np.testing.assert_array_equal(few.covariance, many.covariance)
+    np.testing.assert_allclose(many.log_weights, -np.log(16))
+
+
 def test_a_recording_without_frames_is_refused(key):
     """Nothing to track is the caller's mistake."""
     with pytest.raises(ValueError, match="no depth frame"):
@@ -138,7 +151,7 @@ def test_a_recording_without_frames_is_refused(key):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("particles", 1), ("motion", "sideways"), ("orbit_radius_m", -1.0), ("ess_threshold", 2.0)],
+    [("particles", 1), ("motion", "sideways"), ("orbit_radius_m", -1.0)],
 )
 def test_settings_out_of_range_are_refused(name: str, value: Any):
     """Every setting is checked when it is made."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,28 +44,25 @@ class Corridor:
         return float(np.log(alpha.sum())), alpha / alpha.sum()
 
     def estimate(
-        self, key: jax.Array, observations: NDArray[np.float64], count: int
-    ) -> tuple[jax.Array, jax.Array]:
-        """Log evidence and filtering distribution by K particles with a deliberately poor proposal."""
-        log_transition = jnp.log(jnp.asarray(self.transition))
-        log_proposal = jnp.log(0.7 * jnp.asarray(self.transition) + 0.3 / len(self.brightness))
-        population = smc.uniform_population(jnp.zeros(count, jnp.int32))
-        log_evidence = jnp.zeros(())
+        self, key: jax.Array, observations: NDArray[np.float64], most: int, least: float = 0.0
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Log evidence and filtering distribution by histories that branch into all cells that are near."""
+        population = smc.certain(0)
+        log_evidence = 0.0
         for step_key, row in zip(
             jax.random.split(key, len(observations)), self.log_likelihood(observations), strict=True
         ):
-            log_likelihood = jnp.asarray(row)
 
-            def propose(
-                key: jax.Array, cells: jax.Array, row: jax.Array = log_likelihood
-            ) -> tuple[jax.Array, jax.Array]:
-                moved = jax.random.categorical(key, log_proposal[cells])
-                return moved, row[moved] + log_transition[cells, moved] - log_proposal[cells, moved]
+            def branch(_: int, cell: int, row: NDArray[np.float64] = row) -> Sequence[tuple[int, float]]:
+                near = np.flatnonzero(self.transition[cell]).tolist()
+                return [(other, float(np.log(self.transition[cell, other]) + row[other])) for other in near]
 
-            population, info = smc.step(step_key, population, propose, 0.5)
+            population, info = smc.step(step_key, population, branch, most, least)
             log_evidence += info.log_evidence
-        one_hot = jax.nn.one_hot(population.particles, len(self.brightness))
-        return log_evidence, jnp.exp(population.log_weights) @ one_hot
+        log_evidence += float(np.logaddexp.reduce(population.log_weights))
+        return log_evidence, population.probabilities @ np.eye(len(self.brightness))[
+            list(population.histories)
+        ]
 
 
 @dataclass(frozen=True)
@@ -98,73 +95,108 @@ class UnknownCorridor:
         return float(likelihood)
 
     def estimate(
-        self, key: jax.Array, observations: NDArray[np.int_], count: int
-    ) -> tuple[jax.Array, jax.Array]:
-        """Log evidence and p(x_T) by K particles that own their maps: log odds of every cell."""
-        log_transition = jnp.log(jnp.asarray(self.transition))
-        slip = jnp.log((1 - self.error) / self.error)
-        population = smc.uniform_population((jnp.zeros(count, jnp.int32), jnp.zeros((count, self.cells))))
-        log_evidence = jnp.zeros(())
+        self, key: jax.Array, observations: NDArray[np.int_], most: int
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Log evidence and p(x_T) by histories that own their maps: log odds of every cell."""
+        slip = np.log((1 - self.error) / self.error)
+        population: smc.Population[tuple[int, tuple[float, ...]]] = smc.certain((0, (0.0,) * self.cells))
+        log_evidence = 0.0
         for step_key, colour in zip(jax.random.split(key, len(observations)), observations, strict=True):
             sign = 2.0 * float(colour) - 1.0
 
-            def propose(
-                key: jax.Array, particles: tuple[jax.Array, jax.Array], sign: float = sign
-            ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
-                cells, log_odds = particles
-                moved = jax.random.categorical(key, log_transition[cells])
-                rows = jnp.arange(count)
-                agrees = jax.nn.sigmoid(sign * log_odds[rows, moved])
-                predictive = agrees * (1 - self.error) + (1 - agrees) * self.error
-                return (moved, log_odds.at[rows, moved].add(sign * slip)), jnp.log(predictive)
+            def branch(
+                _: int, history: tuple[int, tuple[float, ...]], sign: float = sign
+            ) -> Sequence[tuple[tuple[int, tuple[float, ...]], float]]:
+                cell, log_odds = history
+                children = []
+                for moved in np.flatnonzero(self.transition[cell]).tolist():
+                    agrees = 1.0 / (1.0 + np.exp(-sign * log_odds[moved]))
+                    predictive = agrees * (1 - self.error) + (1 - agrees) * self.error
+                    told = tuple(odds + sign * slip * (index == moved) for index, odds in enumerate(log_odds))
+                    log_p = float(np.log(self.transition[cell, moved] * predictive))
+                    children.append(((moved, told), log_p))
+                return children
 
-            population, info = smc.step(step_key, population, propose, 0.5)
+            population, info = smc.step(step_key, population, branch, most, 0.0)
             log_evidence += info.log_evidence
-        one_hot = jax.nn.one_hot(population.particles[0], self.cells)
-        return log_evidence, jnp.exp(population.log_weights) @ one_hot
+        log_evidence += float(np.logaddexp.reduce(population.log_weights))
+        cells = [cell for cell, _ in population.histories]
+        return log_evidence, population.probabilities @ np.eye(self.cells)[cells]
+
+
+def _log_normal(value: float, mean: float, variance: float) -> float:
+    return float(-0.5 * ((value - mean) ** 2 / variance + np.log(2 * np.pi * variance)))
 
 
 @dataclass(frozen=True)
-class RandomWalk:
-    """x_t = a x_t-1 + N(0, q), y_t = x_t + N(0, r), x_0 = 0: Kalman's own."""
+class Gaussian:
+    """One history of a walk on a line: what is known of where it has led."""
 
+    mean: float
+    variance: float
+
+
+@dataclass(frozen=True)
+class AmbiguousWalk:
+    """x_t = a x_t-1 + N(0, q); y_t = x_t + one of some offsets + N(0, r), x_0 = 0.
+
+    With one offset it is Kalman's own; with several a corridor in which places look alike.
+    """
+
+    offsets: tuple[float, ...] = (0.0,)
     decay: float = 0.9
     step_variance: float = 0.5
     noise_variance: float = 0.3
 
-    def exact(self, observations: NDArray[np.float64]) -> tuple[float, float, float]:
-        """Log evidence, mean and variance of x_T by the Kalman filter."""
-        mean, variance, log_evidence = 0.0, 0.0, 0.0
-        for observation in observations:
-            mean, variance = self.decay * mean, self.decay**2 * variance + self.step_variance
-            spread = variance + self.noise_variance
-            log_evidence += -0.5 * ((observation - mean) ** 2 / spread + np.log(2 * np.pi * spread))
-            gain = variance / spread
-            mean, variance = mean + gain * (observation - mean), (1 - gain) * variance
-        return float(log_evidence), float(mean), float(variance)
+    def by_quadrature(
+        self, observations: NDArray[np.float64], grid: NDArray[np.float64]
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Log evidence and p(x_T) at the places of a grid (G,)."""
+        spacing = float(grid[1] - grid[0])
+        step = np.exp(_log_normals(grid[:, None], self.decay * grid[None], self.step_variance))
+        density = np.exp(_log_normals(grid, np.zeros(1), self.step_variance))
+        log_evidence = 0.0
+        for index, observation in enumerate(observations):
+            density = step @ density * spacing if index else density
+            offsets = np.asarray(self.offsets)[:, None]
+            density = density * np.exp(
+                _log_normals(observation - offsets, grid[None], self.noise_variance)
+            ).mean(axis=0)
+            log_evidence += np.log(density.sum() * spacing)
+            density = density / (density.sum() * spacing)
+        return float(log_evidence), density
 
     def estimate(
-        self, key: jax.Array, observations: jax.Array, count: int
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Log evidence, particles (K,) and log weights (K,) of x_T with a shifted, widened proposal."""
-        population = smc.uniform_population(jnp.zeros(count))
-        log_evidence = jnp.zeros(())
-        step_sigma, noise_sigma = self.step_variance**0.5, self.noise_variance**0.5
-        for index, step_key in enumerate(jax.random.split(key, len(observations))):
-            observation = observations[index]
+        self, key: jax.Array, observations: NDArray[np.float64], most: int
+    ) -> tuple[float, smc.Population[Gaussian]]:
+        """Log evidence and histories of x_T, each the offsets of all observations."""
+        population = smc.certain(Gaussian(0.0, 0.0))
+        log_evidence = 0.0
+        for step_key, observation in zip(
+            jax.random.split(key, len(observations)), observations.tolist(), strict=True
+        ):
 
-            def propose(
-                key: jax.Array, x: jax.Array, y: jax.Array = observation
-            ) -> tuple[jax.Array, jax.Array]:
-                centre, width = 0.5 * (self.decay * x + y), 1.2 * step_sigma
-                moved = centre + width * jax.random.normal(key, x.shape)
-                log_ratio = (
-                    jax.scipy.stats.norm.logpdf(moved, self.decay * x, step_sigma)
-                    + jax.scipy.stats.norm.logpdf(y, moved, noise_sigma)
-                    - jax.scipy.stats.norm.logpdf(moved, centre, width)
+            def branch(_: int, past: Gaussian, y: float = observation) -> Sequence[tuple[Gaussian, float]]:
+                mean, variance = (
+                    self.decay * past.mean,
+                    self.decay**2 * past.variance + self.step_variance,
                 )
-                return moved, log_ratio
+                spread = variance + self.noise_variance
+                gain = variance / spread
+                return [
+                    (
+                        Gaussian(mean + gain * (y - offset - mean), (1 - gain) * variance),
+                        _log_normal(y - offset, mean, spread) - float(np.log(len(self.offsets))),
+                    )
+                    for offset in self.offsets
+                ]
 
-            population, info = smc.step(step_key, population, propose, 0.5)
+            population, info = smc.step(step_key, population, branch, most, 0.0)
             log_evidence += info.log_evidence
-        return log_evidence, population.particles, population.log_weights
+        return log_evidence + float(np.logaddexp.reduce(population.log_weights)), population
+
+
+def _log_normals(
+    values: NDArray[np.float64], means: NDArray[np.float64], variance: float
+) -> NDArray[np.float64]:
+    return -0.5 * ((values - means) ** 2 / variance + np.log(2 * np.pi * variance))

@@ -7,7 +7,6 @@ import numpy as np
 
 from shapes.geometry import pose_gaussian
 from slam.filter.motion import FreeMotion, MotionHistory, OrbitMotion
-from slam.filter.proposal import PRIOR_SHARE, log_proposal_density
 from tests.statistical import assert_mean
 
 IDENTITY = jnp.asarray([1.0, 0, 0, 0, 0, 0, 0], jnp.float32)
@@ -98,21 +97,3 @@ def test_orbit_keeps_its_distance_and_looks_at_its_pivot(key):
     np.testing.assert_allclose(distance, 1.2, atol=6 * 0.003)
     assert ((axis * offset).sum(1) / distance > np.cos(0.025 * 6)).all()
     assert (offset[:, 2] < 0).mean() > 0.15
-
-
-def test_the_whole_mixture_is_a_density(key):
-    """E under the prior of the proposal's density over the prior's is one: components, shares, prior."""
-    history = MotionHistory(_pose([0.0] * 6), _pose([0.0] * 6), jnp.zeros(3))
-    motion = FreeMotion.default()
-    centres = jnp.stack([_pose([0.05, 0, 0, 0.05, 0, 0]), _pose([-0.05, 0, 0.05, 0, 0.1, 0])])
-    scales = jnp.stack([_scale(0.1, 0.08), _scale(0.08, 0.1)])
-    log_shares = jnp.log(jnp.asarray([0.3, 0.7]))
-    poses = jax.jit(jax.vmap(motion.sample, (0, None)))(jax.random.split(key, 60_000), history)
-
-    log_q, log_prior, _ = jax.jit(
-        jax.vmap(lambda pose: log_proposal_density(pose, centres, scales, log_shares, history, motion))
-    )(poses)
-
-    ratio = np.exp(np.asarray(log_q - log_prior))
-    assert_mean(ratio, 1.0, detectable=0.1)
-    assert ratio.min() >= PRIOR_SHARE * (1 - 1e-4)

@@ -1,21 +1,17 @@
 """Views far apart: what agrees is left alone, a cluster that is turned against the rest is put right."""
 
-import jax
-import jax.numpy as jnp
-import jaxlie
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recordings.types import DepthNoise
-from shapes.geometry import pose_gaussian, pose_sets
+from shapes.geometry import pose_sets
 from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image
 from slam.map_hypotheses.best_first_search import _log_evidence
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
-from slam.map_hypotheses.modes import transport
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -88,21 +84,6 @@ def test_a_turned_cluster_is_put_right():
     relative = np.linalg.inv(seen_from_all_sides()) @ placed
     assert np.linalg.norm(relative[:, :3, 3], axis=1).max() < 0.01
     assert np.degrees(Rotation.from_matrix(relative[:, :3, :3]).magnitude()).max() < 0.5
-
-
-def test_particles_keep_their_displacements(key: jax.Array):
-    """Moved with their mean, particles are as far from it as before, in the keyframes' own charts."""
-    before, after = (
-        jnp.stack([jaxlie.SE3.sample_uniform(one).wxyz_xyz for one in jax.random.split(k, 3)])
-        for k in jax.random.split(key)
-    )
-    spread = 0.05 * jnp.sin(jnp.arange(2 * 3 * 6.0)).reshape(2, 3, 6)
-    own = jax.vmap(jax.vmap(pose_gaussian.displace), (None, 0))(before, spread)
-
-    moved = transport(own, jnp.stack([before] * 2), jnp.stack([after] * 2))
-
-    found = jax.vmap(jax.vmap(pose_gaussian.coordinates), (None, 0))(after, moved)
-    np.testing.assert_allclose(found, spread, atol=1e-5)
 
 
 def test_narrow_steps_are_no_reason_to_look_again():

@@ -3,20 +3,22 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from recordings.types import DepthNoise
-from shapes.geometry.poses import matrices_of
+from shapes.geometry import pose_gaussian
 from slam.config import SlamConfig
 from slam.filter.init import init
 from slam.filter.state import FilterState
 from slam.filter.step import step
 from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
 from slam.keyframes.pages import PageFile
-from slam.pose_graph.overlaps import keyframe_detail
-from slam.pose_graph.refinement import refine_keyframes
+from slam.pose_graph.overlaps import KeyframeImages, keyframe_detail
+from slam.pose_graph.refinement import MapMixture, RefinedKeyframes, dealt, refine_keyframes
 from tests.slam import box_room
+from tests.statistical import assert_mean
 
 CONFIG = SlamConfig(particles=8)
 DRIFT_M = 0.004
@@ -48,68 +50,112 @@ def tracked() -> FilterState:
     return state
 
 
-def _drifted(state: FilterState, offsets_m: np.ndarray | None = None) -> FilterState:
-    """The state with keyframes displaced along x, by `DRIFT_M` a keyframe after another as a rule."""
-    drifted = state.keyframe_poses.copy()
-    drifted[..., 4] += DRIFT_M * np.arange(drifted.shape[1]) if offsets_m is None else offsets_m
-    return replace(state, keyframe_poses=drifted)
+def _maps(state: FilterState, offsets_m: np.ndarray | None = None) -> MapMixture:
+    """The state's map with keyframes displaced along x."""
+    maps = MapMixture.of(state.population)
+    poses = maps.poses.copy()
+    poses[..., 4] += 0.0 if offsets_m is None else offsets_m
+    return replace(maps, poses=poses)
 
 
-def _keyframes(state: FilterState) -> np.ndarray:
-    weights = np.exp(np.asarray(state.population.log_weights))
-    return np.einsum("k,knij->nij", weights, matrices_of(state.keyframe_poses))
+def _refined(key: jax.Array, maps: MapMixture, state: FilterState, count: int = 8) -> RefinedKeyframes:
+    images = KeyframeImages(
+        keyframe_map=state.keyframe_map, details=DETAILS[: len(state.keyframe_map)], noise=NOISE
+    )
+    return refine_keyframes(key, images, maps, count, NO_DISTORTION)
 
 
-def _errors_m(state: FilterState) -> np.ndarray:
+def _errors_m(poses: np.ndarray) -> np.ndarray:
     truth = np.linalg.inv(POSES[0]) @ POSES
-    return np.linalg.norm(_keyframes(state)[:, :3, 3] - truth[:, :3, 3], axis=-1)
+    return np.linalg.norm(poses[..., 4:] - truth[:, :3, 3], axis=-1)
 
 
 def test_drift_is_undone(key, tracked):
     """Over a third of the largest error goes, though little holds this camera; the first keyframe stays."""
     assert len(tracked.keyframe_map) == len(POSES)
-    drifted = _drifted(tracked)
+    drifted = _maps(tracked, DRIFT_M * np.arange(len(POSES)))
 
-    after, _ = refine_keyframes(key, drifted, DETAILS, NOISE, NO_DISTORTION)
+    after = _refined(key, drifted, tracked)
 
-    assert _errors_m(after)[0] == 0.0
-    assert _errors_m(after).max() < 0.65 * _errors_m(drifted).max()
-    assert after.keyframe_map is tracked.keyframe_map
+    assert _errors_m(after.poses)[0, 0] == 0.0
+    assert _errors_m(after.poses).max() < 0.65 * _errors_m(drifted.poses).max()
 
 
 def test_drift_of_decimetres_is_undone(key, tracked):
     """To the optimum that is found without any drift, within a millimetre for every keyframe."""
-    drifted = _drifted(tracked, 0.05 * np.arange(len(POSES)))
+    drifted = _maps(tracked, 0.05 * np.arange(len(POSES)))
 
-    _, right = refine_keyframes(jax.random.clone(key), tracked, DETAILS, NOISE, NO_DISTORTION)
-    _, after = refine_keyframes(key, drifted, DETAILS, NOISE, NO_DISTORTION)
+    right = _refined(jax.random.clone(key), _maps(tracked), tracked)
+    after = _refined(key, drifted, tracked)
 
-    np.testing.assert_allclose(after.poses[0, :, 4:], right.poses[0, :, 4:], atol=0.001)
+    np.testing.assert_allclose(after.poses[..., 4:], right.poses[..., 4:], atol=0.001)
 
 
 def test_a_keyframe_that_overlaps_with_none_is_not_held(key, tracked):
-    """The filter has it in another house."""
-    astray = _drifted(tracked, np.asarray([0.0, 0.0, 0.0, 50.0]))
+    """The filter has it in another house, where it stays; nothing is told of it."""
+    astray = _maps(tracked, np.asarray([0.0, 0.0, 0.0, 50.0]))
 
-    _, placed = refine_keyframes(key, astray, DETAILS, NOISE, NO_DISTORTION)
+    placed = _refined(key, astray, tracked)
 
     assert placed.held.tolist() == [[True, True, True, False]]
+    np.testing.assert_array_equal(placed.poses[0, 3], astray.poses[0, 3])
+    np.testing.assert_array_equal(placed.drawn[:, 3], np.tile(astray.poses[0, 3], (8, 1)))
+    assert not placed.covariances[0, 3].any()
+    assert not placed.sensitivity[0, 3].any()
+
+
+def test_draws_have_the_graph_s_spread_and_do_not_depend_on_their_number(key, tracked):
+    """Of two maps as often as they are probable; squared distances from each have their chi-square's mean."""
+    maps = _maps(tracked)
+    both = MapMixture(
+        poses=np.repeat(maps.poses, 2, axis=0),
+        probabilities=np.asarray([0.75, 0.25]),
+        hypotheses=np.zeros(2, int),
+    )
+
+    placed = _refined(jax.random.clone(key), both, tracked, count=400)
+    few = _refined(key, both, tracked, count=8)
+
+    np.testing.assert_array_equal(few.mode, placed.mode[:8])
+    np.testing.assert_allclose(few.drawn, placed.drawn[:8], atol=1e-6)
+    np.testing.assert_allclose(np.bincount(placed.mode) / 400, both.probabilities, atol=0.01)
+    for keyframe in range(1, len(POSES)):
+        centres = jnp.asarray(placed.poses[placed.mode, keyframe])
+        drawn = jnp.asarray(placed.drawn[:, keyframe])
+        tangents = np.asarray(jax.vmap(pose_gaussian.coordinates)(centres, drawn), np.float64)
+        covariances = placed.covariances[placed.mode, keyframe]
+        squared = np.einsum("ki,ki->k", tangents, np.linalg.solve(covariances, tangents[..., None])[..., 0])
+        assert_mean(squared, 6.0, detectable=1.0)
+
+
+def test_maps_are_dealt_by_their_probabilities(key):
+    """Each draw exactly; the first K together to within three of K times as many, whatever K."""
+    shares = np.asarray([0.61, 0.0, 0.29, 0.1])
+    runs = np.stack([dealt(one, shares, 64) for one in jax.random.split(key, 1000)])
+
+    counts = np.stack([np.cumsum(runs == mode, axis=1) for mode in range(4)], axis=-1)
+    assert (np.abs(counts - shares * np.arange(1, 65)[:, None]) < 3).all()
+    assert not counts[..., 1].any()
+    for mode in (0, 2, 3):
+        assert_mean(runs[:, [0, 5, 63]] == mode, np.full(3, shares[mode]), detectable=0.1)
+    longer = dealt(jax.random.key(1), shares, 100)
+    np.testing.assert_array_equal(longer[:64], dealt(jax.random.key(1), shares, 64))
 
 
 def test_equal_keys_give_equal_poses(key, tracked):
-    """Repair draws from its key alone."""
-    first, second = (
-        refine_keyframes(jax.random.clone(key), tracked, DETAILS, NOISE, NO_DISTORTION)[0] for _ in range(2)
-    )
-    np.testing.assert_array_equal(first.keyframe_poses, second.keyframe_poses)
+    """Refinement draws from its key alone."""
+    first, second = (_refined(jax.random.clone(key), _maps(tracked), tracked) for _ in range(2))
+    np.testing.assert_array_equal(first.drawn, second.drawn)
+    np.testing.assert_array_equal(first.poses, second.poses)
 
 
 def test_a_lone_keyframe_stays(key):
-    """Without overlaps there is nothing to repair."""
+    """Without overlaps there is nothing to refine."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     state, _ = init(view, 0, CONFIG)
-    after, placed = refine_keyframes(key, state, DETAILS[:1], NOISE, NO_DISTORTION)
+    maps = _maps(state)
+    placed = _refined(key, maps, state)
 
     assert placed.held.tolist() == [[True]]
     np.testing.assert_allclose(placed.sd_per_m[0], 1e-6 * np.sqrt(62 / 63), rtol=1e-4)
-    np.testing.assert_array_equal(after.keyframe_poses, state.keyframe_poses)
+    np.testing.assert_array_equal(placed.poses, maps.poses)

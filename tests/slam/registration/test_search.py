@@ -12,7 +12,7 @@ from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image
 from slam.registration import search
-from slam.registration.search import GroupMap, Searcher
+from slam.registration.search import Searcher
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -23,8 +23,7 @@ def test_climbs_that_leave_the_numbers_find_nothing(monkeypatch: pytest.MonkeyPa
     """No place, and no error."""
     view = view_of_frame(box_room.frames(box_room.walk(1))[0], box_room.INTRINSICS)
     keyframe_map = KeyframeMap().with_keyframe(surfel_image(view, NOISE))
-    searcher = Searcher(keyframe_map, view, NOISE, compared=4)
-    group = GroupMap(np.asarray(HERE)[None, None], jnp.ones(1), np.eye(4)[None], 0)
+    searcher = Searcher(keyframe_map, np.asarray(HERE)[None], view, NOISE, compared=4)
     monkeypatch.setattr(search, "ascend", Mock(side_effect=lambda *given: jnp.full_like(given[-1], jnp.nan)))
 
-    assert searcher.anywhere(group, HERE, np.asarray([1.0])) == []
+    assert searcher.anywhere(HERE, np.asarray([1.0])) == []

@@ -1,0 +1,129 @@
+"""A step of the filter with several hypotheses, and the Gaussians about places."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from shapes.geometry.poses import matrices_of
+from slam.config import SlamConfig
+from slam.filter import smc
+from slam.filter.init import init
+from slam.filter.places import place_at
+from slam.filter.pose_hypotheses import find_places, predict
+from slam.filter.state import FilterState, Hypothesis
+from slam.filter.step import step
+from slam.keyframes.depth_view import view_of_frame
+from tests.slam import box_room
+
+CONFIG = SlamConfig(noise=DepthNoise(), effective_pixel_share=0.01, second_motion=False)
+POSES = np.stack([box_room.pose(0.12 * i, 0.05 * i, -0.5, 0.21 * i) for i in range(4)])
+FRAMES = box_room.frames(POSES, seed=3)
+VIEWS = [view_of_frame(frame, box_room.INTRINSICS) for frame in FRAMES]
+
+
+@pytest.fixture(scope="module")
+def tracked() -> FilterState:
+    """After three frames, each a keyframe."""
+    state, _ = init(VIEWS[0], FRAMES[0].time_ns, CONFIG)
+    for index in (1, 2):
+        state, _ = step(jax.random.key(index), state, VIEWS[index], FRAMES[index].time_ns, CONFIG)
+    return state
+
+
+def _moved(hypothesis: Hypothesis, by: jaxlie.SE3) -> Hypothesis:
+    """All of it, rigidly."""
+
+    def moved(poses: NDArray[np.float32]) -> NDArray[np.float32]:
+        flat = [np.asarray((by @ jaxlie.SE3(jnp.asarray(pose))).wxyz_xyz) for pose in poses.reshape(-1, 7)]
+        return np.stack(flat).reshape(poses.shape)
+
+    return Hypothesis(
+        moved(hypothesis.keyframe_poses), moved(hypothesis.pose), moved(hypothesis.previous_pose)
+    )
+
+
+def test_hypotheses_that_differ_by_the_frame_of_reference_alone_keep_their_weights(key, tracked):
+    """Each has the camera where its own map says; the evidence is that of one alone."""
+    assert len(tracked.keyframe_map) == 3
+    by = jaxlie.SE3.exp(jnp.asarray([0.4, -0.3, 0.2, 0.5, -0.7, 0.4]))
+    one = tracked.population.heaviest
+    both = replace(tracked, population=smc.Population((one, _moved(one, by)), np.log(np.asarray([0.3, 0.7]))))
+
+    alone, info_alone = step(jax.random.clone(key), tracked, VIEWS[3], FRAMES[3].time_ns, CONFIG)
+    after, info = step(key, both, VIEWS[3], FRAMES[3].time_ns, CONFIG)
+
+    np.testing.assert_allclose(after.population.probabilities, [0.3, 0.7], atol=0.01)
+    assert info.log_evidence == pytest.approx(info_alone.log_evidence, abs=0.05)
+    assert info.hypotheses == pytest.approx(1 / (0.3**2 + 0.7**2), abs=0.05)
+    first, second = after.population.histories
+    np.testing.assert_allclose(first.pose, alone.population.heaviest.pose, atol=1e-5)
+    moved = _moved(first, by)
+    np.testing.assert_allclose(matrices_of(second.pose), matrices_of(moved.pose), atol=5e-4)
+    assert len(second.keyframe_poses) == 4
+    np.testing.assert_allclose(info.places.relative_poses[0], info.places.relative_poses[1], atol=5e-4)
+
+
+def test_a_hypothesis_whose_map_disagrees_with_the_frame_loses_its_weight(key, tracked):
+    """Its second keyframe stands 20 cm off, the third is right: the frame sees both."""
+    one = tracked.population.heaviest
+    wrong = one.keyframe_poses.copy()
+    wrong[1, 4] += 0.2
+    population = smc.Population((one, replace(one, keyframe_poses=wrong)), np.log(np.asarray([0.2, 0.8])))
+
+    after, info = step(key, replace(tracked, population=population), VIEWS[3], FRAMES[3].time_ns, CONFIG)
+
+    right = after.population.probabilities[info.places.ancestors == 0]
+    assert right.sum() > 0.9
+
+
+def test_hypotheses_in_one_place_go_on_as_one(key, tracked):
+    """With the weight of both."""
+    one = tracked.population.heaviest
+    population = smc.Population((one, one), np.log(np.asarray([0.2, 0.8])))
+
+    after, _ = step(key, replace(tracked, population=population), VIEWS[3], FRAMES[3].time_ns, CONFIG)
+
+    np.testing.assert_allclose(after.population.probabilities, [1.0])
+
+
+def test_a_frame_that_shows_nothing_leaves_hypotheses_and_weights(key, tracked):
+    """It is lost in all of them."""
+    by = jaxlie.SE3.exp(jnp.asarray([0.4, -0.3, 0.2, 0.5, -0.7, 0.4]))
+    one = tracked.population.heaviest
+    population = smc.Population((one, _moved(one, by)), np.log(np.asarray([0.3, 0.7])))
+    blank = replace(FRAMES[3], depth_m=np.zeros_like(FRAMES[3].depth_m))
+    view = view_of_frame(blank, box_room.INTRINSICS)
+
+    after, info = step(key, replace(tracked, population=population), view, FRAMES[3].time_ns, CONFIG)
+
+    assert info.lost
+    np.testing.assert_allclose(after.population.probabilities, [0.3, 0.7])
+    np.testing.assert_array_equal(after.population.histories[1].pose, population.histories[1].pose)
+
+
+def test_a_place_is_a_gaussian_also_where_pixels_tell_nothing_of_a_direction(tracked):
+    """Precisions are added, and one that rounding left negative, beside one of 1e10, holds nothing."""
+    prediction = predict(tracked, FRAMES[3].time_ns)
+    ((located,),) = find_places(tracked, VIEWS[3], prediction, CONFIG, None).of_hypotheses
+    one = tracked.population.heaviest
+    past = tracked.past_of(one, prediction.poses[0])
+    known = np.diag([1e10, 4e5, 2e5, 1e6, 1e6, -1e3])
+    layers = jnp.asarray(np.stack([known, *[0 * known] * 3]), jnp.float32)
+    optimum = replace(located.optimum, layer_precisions=layers)
+    jerk = 1.0 / 0.15**2
+
+    place = place_at(optimum, located.local_map, past, tracked.motion, 0.5)
+
+    seen = 0.5 * np.diag(np.maximum(known, 0.0))
+    np.testing.assert_allclose(np.diag(np.linalg.inv(place.covariance))[:3], seen[:3] + jerk, rtol=0.05)
+    assert (np.linalg.eigvalsh(place.covariance) > 0).all()
+    assert place.covariance[5, 5] == pytest.approx(0.15**2, rel=0.1)
+    log_prior = float(tracked.motion.log_density(past, optimum.pose))
+    volume = 0.5 * np.linalg.slogdet(2 * np.pi * place.covariance)[1] - np.log(8.0)
+    assert place.log_evidence == pytest.approx(0.5 * float(optimum.log_density) + log_prior + volume)
