@@ -58,7 +58,9 @@ class ParseConfig:
             shape for certain.
         chains: Markov chains.
         sweeps: of each chain, a move for every object; the first third teaches the proposals and is dropped.
-        model_error_m: error of shapes and calibration, added in quadrature to the sensor's.
+        model_error_m: error of shapes and calibration, added in quadrature to the sensor's; as a whole it
+            also moves and turns every object of a sample (2 mm is what YCB-Video's poses differ by).
+        scale_error: of the camera, by which all objects of a sample are farther or nearer, over 1.
         search_error_m: the same during the search, where poses are coarse.
         outlier_probability: share of pixels that show what nobody models.
         cloud_radius_m: of the ball round a rendered point in which observed points lie.
@@ -95,6 +97,7 @@ class ParseConfig:
     chains: int = 4
     sweeps: int = 120
     model_error_m: float = 0.002
+    scale_error: float = 0.005
     search_error_m: float = 0.003
     outlier_probability: float = 0.1
     cloud_radius_m: float = 0.005
@@ -144,8 +147,8 @@ class ParseConfig:
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
             raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")
         scales = self.contact_sigma_m, self.loose_sigma_m, self.contact_concentration, self.search_error_m
-        if self.model_error_m < 0:
-            raise ValueError(f"model_error_m must not be negative, got {self.model_error_m}")
+        if min(self.model_error_m, self.scale_error) < 0:
+            raise ValueError("model_error_m and scale_error must not be negative")
         if min(*scales, self.cloud_radius_m, self.floating_weight) <= 0 or self.upward_concentration < 0:
             raise ValueError("sigmas, errors, radii, concentrations and floating_weight must be positive")
         if not 0 <= self.slack_share < 1:

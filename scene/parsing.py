@@ -101,6 +101,7 @@ def parse_scene(
         refine_key, chain_key = jax.random.split(jax.random.key(int(rng.integers(2**31))))
         best = sampled(refine_key, chain_key, start)
     scene = summarise(
+        rng,
         best.chains,
         best.found,
         start,
@@ -111,6 +112,7 @@ def parse_scene(
         compared.world_from_camera,
         objects,
         np.asarray(frame_indices),
+        config,
     )
     return scene.in_camera(first_camera_from_camera[searched])
 

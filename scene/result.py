@@ -30,8 +30,8 @@ class SceneResult:
         frames: (F,) int64 indices of the depth frames used.
         camera_from_object: (N, 4, 4) float64, posterior mean at the densest place of the heaviest mode.
         covariance: (N, 6, 6) second moment of all samples round it, in the right tangent there, translation
-            first; other modes are part of it.
-        most_probable: (N, 4, 4) the sample of the greatest posterior density.
+            first; other modes are part of it, and errors that all pixels share (`scene.common_errors`).
+        most_probable: (N, 4, 4) where the sample of the greatest posterior density appears.
         presence: (N,) probability that the object is there.
         presence_std: (N,) its standard error from the number of poses at which hidden objects were tried; 0
             of those found.
@@ -47,7 +47,7 @@ class SceneResult:
         sample_modes: (S, N) int32 the mode of each sample, -1 in none of those.
         edge_probabilities: (N, N + S) of resting on each object, and on the supports, the table first.
         edge_faces: (N, N + S, 2) int32 own and parent's face most often seen on that edge; -1 without.
-        sample_poses: (S, N, 7) float64 camera_from_object, wxyz_xyz.
+        sample_poses: (S, N, 7) float64 camera_from_object, wxyz_xyz, with draws of these errors.
         sample_parents: (S, N) int32, -1 floating, N the table, N + 1 the next support.
         sample_log_posteriors: (S,) not normalised.
         chain: (S,) int32 the chain of each sample.

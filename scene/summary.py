@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from scene.common_errors import with_common_errors
+from scene.config import ParseConfig
 from scene.hidden.hidden_places import HiddenPlaces
 from scene.mcmc.samples import Samples
 from scene.mcmc.sampling import SampledScenes
@@ -34,6 +36,7 @@ MEAN_STEPS = 5
 
 
 def summarise(
+    rng: np.random.Generator,
     chains: SampledScenes,
     chosen: FoundObjects,
     start: Initialisation,
@@ -44,10 +47,12 @@ def summarise(
     world_from_camera: NDArray[np.float64],
     objects: Sequence[SceneObject],
     frames: NDArray[np.int64],
+    config: ParseConfig,
 ) -> SceneResult:
     """The result in the first camera and in the objects' own frames; what was not found stands still.
 
     Args:
+        rng: random numbers.
         chains: over the chosen objects.
         chosen: which of all these are.
         start: the best scene of all objects.
@@ -58,6 +63,7 @@ def summarise(
         world_from_camera: (4, 4).
         objects: all N.
         frames: numbers of the frames used.
+        config: settings.
     """
     samples, count = chains.samples, len(objects)
     kept, runs = samples.log_posterior.shape
@@ -68,7 +74,10 @@ def summarise(
     boxes = np.where(start.found[:, None, None], np.linalg.inv(world_from_camera) @ in_world, starts[None])
     modes = [pose_modes(boxes[:, one]) for one in range(count)]
     means = np.stack([one.centres[0] for one in modes]) @ box_from_object
-    poses = boxes @ box_from_object
+    most_probable = boxes[int(flat.log_posterior.argmax())] @ box_from_object
+    radii_m = np.array([np.linalg.norm(one.half_extents_m) for one in objects], np.float64)
+    there = with_common_errors(rng, boxes, radii_m, config.scale_error, config.model_error_m)
+    poses = np.where(start.found[:, None, None], there, boxes) @ box_from_object
     for one, told in hidden.exact.items():
         presence.probability[one], presence.standard_error[one] = told
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
@@ -77,7 +86,7 @@ def summarise(
         frames=np.asarray(frames, np.int64),
         camera_from_object=means,
         covariance=np.stack([second_moment(poses[:, one], means[one]) for one in range(count)]),
-        most_probable=poses[int(flat.log_posterior.argmax())],
+        most_probable=most_probable,
         presence=presence.probability,
         presence_std=presence.standard_error,
         hidden_share=np.where(start.found, 0.0, hidden.share),  # moves may have put it in since

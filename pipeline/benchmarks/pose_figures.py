@@ -20,6 +20,8 @@ RIGHT_M = 0.01
 """Errors under this count as right."""
 BIN_EDGES = (0.0, 0.05, 0.25, 0.5, 0.75, 1.0)
 """Between the bins of the visible fraction."""
+LEVELS = (0.5, 0.9, 0.95)
+"""Of regions in which true places are counted."""
 TABLE_KIND = "table"
 
 
@@ -103,9 +105,18 @@ def _figures(rows: Sequence[Judged], seconds: Mapping[ImageKey, float]) -> dict[
             "flush": _edges(one for one in rows if one.flush),
             "other": _edges(one for one in rows if not one.flush),
         },
+        "coverage": _coverage([one.level for one in rows if one.level is not None]),
         "seconds_median": float(np.median(times)) if times else None,
         "seconds_most": float(np.max(times)) if times else None,
     }
+
+
+def _coverage(levels: Sequence[float]) -> dict[str, Any] | None:
+    """Shares of true middles inside the regions that are told; None where no regions are."""
+    if not levels:
+        return None
+    inside = {f"{level:.0%}": float((np.asarray(levels) < level).mean()) for level in LEVELS}
+    return {"objects": len(levels), "inside": inside}
 
 
 def _by_shape(judged: Sequence[Judged], methods: Sequence[str]) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from pipeline.benchmarks.bop_results import estimates_of
 from pipeline.benchmarks.learned_objects import Sought, learned_object, true_object
 from pipeline.benchmarks.pose_images import PoseImage
 from pipeline.evaluation.object_poses import add_s_m, model_points
-from pipeline.evaluation.scenes import parents_right
+from pipeline.evaluation.scenes import parents_right, region_level
 from pipeline.mesh_source import MeshSource
 from pipeline.peers.registration import Model, settings
 from pipeline.seeds import stage_key
@@ -39,11 +39,13 @@ class Estimated:
         poses: shape and camera_from_object (4, 4) of everything found, in the true meshes' frames.
         parents_right: by the object's name, where the method tells what rests on what.
         scores: by shape, where the method gives any; our presence.
+        levels: by shape, of the regions of found objects' middles that the true ones are on the edge of.
         seconds: that it took, without compiling.
     """
 
     poses: Sequence[tuple[str, Pose]]
     scores: Mapping[str, float] = field(default_factory=dict)
+    levels: Mapping[str, float] = field(default_factory=dict)
     parents_right: Mapping[str, bool] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -93,6 +95,7 @@ class Parse:
         return Estimated(
             poses=self.poses(scene, shapes),
             scores=dict(zip(scene.names.tolist(), scene.presence.tolist(), strict=True)),
+            levels=self._levels(scene, image, shapes),
             parents_right={} if self.config.graph == "fixed" else parents_right(scene, image.objects),
             seconds=timing.seconds,
         )
@@ -120,6 +123,20 @@ class Parse:
         return [
             (name, pose @ self._sought(shapes, name).shape_from_object) for name, pose in scene.found_poses
         ]
+
+    def _levels(self, scene: SceneResult, image: PoseImage, shapes: MeshSource) -> dict[str, float]:
+        """Of what was found of the image's objects; of two of one shape nobody knows which is which."""
+        found = {}
+        for one in np.flatnonzero(scene.found).tolist():
+            name = str(scene.names[one])
+            true = [each.world_from_object for each in image.objects if each.shape == name]
+            if len(true) == 1:
+                sought = self._sought(shapes, name)
+                camera_from_shape = (
+                    image.camera_from_world @ true[0] @ np.linalg.inv(sought.shape_from_object)
+                )
+                found[name] = region_level(scene, one, sought.scene_object.centre_m, camera_from_shape)
+        return found
 
     def _sought(self, shapes: MeshSource, name: str) -> Sought:
         return sought_shape(shapes, name, self.learned_views, self.seed)

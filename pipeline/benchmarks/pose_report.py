@@ -25,6 +25,7 @@ def report_lines(document: Mapping[str, Any]) -> list[str]:
     lines = [f"{document['images']} images; ADD-S strictly under 5, 10, 20 mm, a missing object counts 1 m"]
     lines += _groups(document["methods"])
     lines += _seconds(document["methods"])
+    lines += _coverage(document["methods"])
     if document["by_visible_fraction"]:
         lines += ["", *_table(document["by_visible_fraction"], "visible", "of it seen")]
     if document["differences"]:
@@ -88,6 +89,17 @@ def _seconds(methods: Mapping[str, Any]) -> list[str]:
         )
         timing = f"{figures['seconds_median']:.2f} s an image (most {figures['seconds_most']:.2f})"
         lines.append(f"{_title(method, figures)}: {timing}{edges}")
+    return lines
+
+
+def _coverage(methods: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for method, figures in methods.items():
+        if told := figures["coverage"]:
+            inside = ", ".join(f"{share:.0%} in the {level}" for level, share in told["inside"].items())
+            lines.append(
+                f"{_title(method, figures)}: of {told['objects']} true middles {inside} regions told"
+            )
     return lines
 
 

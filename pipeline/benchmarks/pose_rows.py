@@ -34,6 +34,7 @@ class Judged:
         parent_right: where the method tells parents and the truth has one.
         there: whether it is; what is asked for and not there has no error, and is judged by its score.
         score: that the method gives to what it found; our presence.
+        level: of the told region of its middle that the true one is on the edge of, where regions are told.
         estimate: camera_from_object by rows (12 numbers); None where the object was not found.
     """
 
@@ -51,6 +52,7 @@ class Judged:
     parent_right: bool | None
     there: bool
     score: float | None
+    level: float | None
     estimate: tuple[float, ...] | None
 
     @property

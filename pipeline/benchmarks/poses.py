@@ -154,6 +154,7 @@ def judgements(image: PoseImage, method: Method, estimated: Estimated) -> list[J
             parent_right=estimated.parents_right.get(one.name),
             there=True,
             score=estimated.scores.get(one.shape),
+            level=estimated.levels.get(one.shape),
             estimate=_rows_of(errors[one.name].estimate),
         )
         for one in image.objects
@@ -178,6 +179,7 @@ def _absent(image: PoseImage, method: Method, estimated: Estimated, shape: str) 
         parent_right=None,
         there=False,
         score=estimated.scores[shape],
+        level=None,
         estimate=_rows_of(poses[0] if poses else None),
     )
 

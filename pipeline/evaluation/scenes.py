@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy import stats
 
 from pipeline.evaluation.object_poses import add_s_m, best_matches, error_figures, model_points
 from recordings.truth import TrueObject
 from scene.copies import shape_of
 from scene.result import TABLE, SceneResult
+
+REGULAR_M2 = 1e-12
+"""Added to variances of places, which a square micrometre changes nothing about."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +37,23 @@ class ObjectError:
     found: bool
     visible_fraction: float | None
     estimate: NDArray[np.float64] | None = None
+
+
+def region_level(
+    scene: SceneResult, one: int, middle_m: NDArray[np.float64], camera_from_object: NDArray[np.float64]
+) -> float:
+    """Level of the normal region of an object's middle that its true middle is on the edge of.
+
+    Args:
+        scene: as parsed.
+        one: the object.
+        middle_m: (3,) in its own frame.
+        camera_from_object: (4, 4) where it really is.
+    """
+    pose = scene.camera_from_object[one]
+    off = (camera_from_object[:3, :3] - pose[:3, :3]) @ middle_m + camera_from_object[:3, 3] - pose[:3, 3]
+    covariance = scene.covariance_of_point(one, middle_m) + REGULAR_M2 * np.eye(3)
+    return float(stats.chi2.cdf(off @ np.linalg.solve(covariance, off), 3))
 
 
 def object_errors(

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from scipy import stats
 
 from pipeline.colours import TRUTH
 from pipeline.errors import PipelineError
+from pipeline.evaluation.scenes import region_level
 from pipeline.evaluation.trajectories import compared, levels_of_truth, reference_trajectory
 from pipeline.evaluation.truth import RecordedTruth
 from pipeline.publishing.values import RunValues
@@ -99,16 +99,14 @@ def _object_levels(
     scene: SceneResult, surfaces: Surfaces, camera_from_object: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
     """Levels (m,) of the normal regions of the objects' middles that the true middles are on the edge of."""
-    squared = []
+    levels = []
     for one in np.flatnonzero(scene.found).tolist():
         name = str(scene.names[one])
         if name not in camera_from_object:
             continue
         middle = _box(surfaces.by_name[name]).mean(axis=0)
-        pose, true = scene.camera_from_object[one], camera_from_object[name]
-        off = (true[:3, :3] - pose[:3, :3]) @ middle + true[:3, 3] - pose[:3, 3]
-        squared.append(off @ np.linalg.solve(scene.covariance_of_point(one, middle) + 1e-12 * np.eye(3), off))
-    return stats.chi2.cdf(squared, 3)
+        levels.append(region_level(scene, one, middle, camera_from_object[name]))
+    return np.array(levels)
 
 
 def calibration_picture(truth: RunTruth) -> bytes:

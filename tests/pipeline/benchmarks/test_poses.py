@@ -161,11 +161,22 @@ def judged() -> list[Judged]:
         parent_right=True,
         there=True,
         score=0.9,
+        level=0.6,
         estimate=tuple(np.eye(4)[:3].ravel()),
     )
-    wrong = replace(right, name="can", error_m=0.015, stacked=True, parent_right=False, visible_fraction=0.1)
+    wrong = replace(
+        right, name="can", level=0.3, error_m=0.015, stacked=True, parent_right=False, visible_fraction=0.1
+    )
     missing = replace(
-        right, error_m=1.0, stacked=True, flush=False, parent_right=None, im_id=1, score=None, estimate=None
+        right,
+        error_m=1.0,
+        stacked=True,
+        flush=False,
+        parent_right=None,
+        im_id=1,
+        score=None,
+        level=None,
+        estimate=None,
     )
     return [right, wrong, missing]
 
@@ -185,6 +196,7 @@ def test_rows(judged: list[Judged], tmp_path: Path) -> None:
     assert figures["edges"]["flush"] == {"rests": 2, "right": 0.5}
     assert figures["edges"]["other"] == {"rests": 0, "right": None}
     assert (figures["seconds_median"], figures["seconds_most"]) == (2.0, 3.0)
+    assert figures["coverage"] == {"objects": 2, "inside": {"50%": 0.5, "90%": 1.0, "95%": 1.0}}
     bins = {row["visible"]: row["objects"] for row in document["by_visible_fraction"]}
     assert bins == {"5% to 25%": 1, "75% to 100%": 2}
     whole = document["differences"][0]
