@@ -23,6 +23,7 @@ from pipeline.seeds import stage_key
 from pipeline.timing import Timing, timed
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
+from scene.objects.scene_object import SceneObject
 from scene.parsing import parse_scene
 from scene.result import SceneResult
 
@@ -104,7 +105,10 @@ class Parse:
         self, image: PoseImage, shapes: MeshSource, names: Sequence[str]
     ) -> tuple[SceneResult, Timing]:
         """The scene of the named shapes, and the time that it took."""
-        sought = [self._sought(shapes, name).scene_object for name in names]
+        return self.parsed_objects(image, [self._sought(shapes, name).scene_object for name in names])
+
+    def parsed_objects(self, image: PoseImage, sought: Sequence[SceneObject]) -> tuple[SceneResult, Timing]:
+        """The scene of these objects, and the time that it took."""
         with timed() as timing:
             scene = parse_scene(
                 stage_key(self.seed, "parse"),
@@ -113,7 +117,7 @@ class Parse:
                 np.eye(4)[None],
                 image.intrinsics,
                 DepthNoise(),
-                sought,
+                list(sought),
                 self.config,
             )
         return scene, timing

@@ -224,6 +224,22 @@ def compare_lookalikes(common: Common, numbers: Sequence[int]) -> None:
     common.report(figures, lookalike_lines(figures))
 
 
+def count_copies(common: Common, shapes: MeshSource, numbers: Sequence[int]) -> None:
+    """How many things of one shape are told, of the two or three that are there."""
+    from pipeline.benchmarks.copies import copies_figures, copies_lines, judge_copies
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    rows = []
+    for number in numbers:
+        with stdout_to_stderr():
+            row = judge_copies(shapes, number, common.seed)
+        if row is not None:
+            rows.append(row)
+            _say(common, f"table {number}: {row.found} of {row.there} {row.shape}s told, {row.right} right")
+    figures = copies_figures(rows)
+    common.report(figures, copies_lines(figures))
+
+
 def _say(common: Common, line: str) -> None:
     if not (common.as_json or common.quiet):
         click.echo(line)

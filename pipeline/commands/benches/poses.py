@@ -97,6 +97,11 @@ class NamedFile(click.ParamType):
     " alone and with --colour add.",
 )
 @click.option(
+    "--copies",
+    is_flag=True,
+    help="Instead: two or three things of one shape stand on a table, one more is asked for.",
+)
+@click.option(
     "--proposals",
     metavar="SOURCE,...",
     help=f"Instead: where the search's poses come from ({', '.join(SOURCES)}): the best hypothesis of each"
@@ -149,6 +154,7 @@ def command(
     growth: bool,
     absent: int | None,
     lookalikes: bool,
+    copies: bool,
     proposals: str | None,
     keep: Path | None,
     csv_path: Path | None,
@@ -191,6 +197,9 @@ def command(
         return
     if lookalikes:
         pose_runs.compare_lookalikes(common, numbers)
+        return
+    if copies:
+        pose_runs.count_copies(common, shapes, numbers)
         return
     if worlds is not None:
         others = MeshSource.of(unasked, units) if unasked else None
