@@ -31,6 +31,9 @@ MOST_STEPS = 8
 DAMPING = 1e4
 """A step of a centimetre along what no pixel sees weighs as much as one standard deviation."""
 
+STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Of a step, where the density is asked."""
+
 CONVERGED = 0.05
 """Gain of a step, in tempered nats, as a share of what noise itself costs at the optimum: half a nat for each
 coordinate. In a bare room further steps lead away, centimetres along the walls, for nothing (measured)."""
@@ -122,11 +125,15 @@ def optimise(
     farthest: float = FARTHEST,
     motion: TrajectoryPrior | None = None,
     damping: float = DAMPING,
+    *,
+    uphill: bool = False,
 ) -> GraphOptimum | None:
     """The optimum near poses (N, 7), for a sensor without distortion.
 
     None where no keyframes overlap. `inflations` and `farthest` as `INFLATIONS` and `FARTHEST`; with `motion`
-    the overlaps are tempered in every step, and damped less: it holds what they do not see.
+    the overlaps are tempered in every step, and damped less: it holds what they do not see. Steps are taken
+    as far as they lead `uphill`: others are not asked, which is quicker, and where a view leaves a direction
+    nearly free they may slide along it, downhill, on gaps of a field's size.
     """
     start, astray = poses, np.zeros(len(poses), bool)
     linearised = _linearised(keyframes, poses, inflations[0], astray)
@@ -139,7 +146,11 @@ def optimise(
         step, none = sparse_gaussian.damped_step(linearised.graph if motion is None else tempered, damping)
         if round_ > len(inflations) and _gain(tempered, step, none) < converged * 0.5 * step[1:].size:
             break
-        poses = displaced(poses, step)
+        before, poses = poses, displaced(poses, step)
+        if uphill:
+            poses = _best_of_step(keyframes, before, step, _exponents(linearised))
+        if np.array_equal(poses, before):
+            break
         astray |= np.abs(coordinates(start, poses)).max(axis=1) > farthest
         poses = np.where(astray[:, None], start, poses)
         inflation = inflations[round_] if round_ < len(inflations) else 1.0
@@ -296,6 +307,18 @@ def _linearised(
         field=None if field is None or sums is None else sums.term(field.distortion),
     )
     return _Linearised(graph=graph, score_variance=score_variance, inliers=inliers, meeting=meeting)
+
+
+def _best_of_step(
+    keyframes: Keyframes,
+    poses: NDArray[np.float32],
+    step: NDArray[np.float64],
+    exponents: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Where the density is greatest along a step (N, 6) from poses (N, 7), which may be there."""
+    along = np.stack([poses, *(displaced(poses, share * step) for share in STEP_SHARES)])
+    log_densities = keyframes.log_densities(along, np.zeros((len(along), NODES)), exponents)
+    return along[int(np.argmax(log_densities))]
 
 
 def _gain(graph: PoseGraph, step: NDArray[np.float64], of_field: NDArray[np.float64]) -> float:
