@@ -74,12 +74,3 @@ def suppress_similar(
 def pad_to_multiple(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
     """Poses (C, 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
     return np.concatenate([poses, np.tile(poses[:1], (-len(poses) % multiple, 1, 1))])
-
-
-WIDE_STEP_RAD = 0.4
-"""From frame to frame: with narrower steps the filter does not lose its way."""
-
-
-def turns_wide(before: NDArray[np.float64], after: NDArray[np.float64]) -> bool:
-    """Whether a step from a pose (4, 4) to another turns far."""
-    return bool(0.5 * (np.trace(before[:3, :3].T @ after[:3, :3]) - 1.0) < np.cos(WIDE_STEP_RAD))

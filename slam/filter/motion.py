@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
 
@@ -240,6 +241,20 @@ def _sample_von_mises_fisher(key: jax.Array, mean: jax.Array, concentration: jax
     azimuth = 2.0 * jnp.pi * jax.random.uniform(azimuth_key, dtype=mean.dtype)
     local = jnp.stack([sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine])
     return _rotation_between(jnp.asarray([0.0, 0.0, 1.0], mean.dtype), mean) @ local
+
+
+WIDE_STEP = 3.55
+"""Standard deviations that hold 95% of jerks: the root of the chi-square's quantile for six coordinates."""
+
+
+def is_wide_step(before: NDArray[np.float32], after: NDArray[np.float32]) -> bool:
+    """Whether a camera does not move so far, from a pose (7,) to another, but by a jump.
+
+    It may have gone to a place that only looks like where it was found: from one corner of a room to another.
+    """
+    at_rest = MotionHistory(jnp.asarray(before), jnp.asarray(before), jnp.zeros(3))
+    residual = FreeMotion.default().whitened_residual(at_rest, jnp.asarray(after))
+    return float(jnp.linalg.norm(residual)) > WIDE_STEP
 
 
 SAMPLED_STEPS = 1024

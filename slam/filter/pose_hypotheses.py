@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-from shapes.geometry.pose_sets import turns_wide
 from shapes.geometry.poses import matrices_of, poses_of
 from slam.config import SlamConfig
-from slam.filter.motion import LONGEST_RATIO, velocity_ratio
+from slam.filter.motion import LONGEST_RATIO, is_wide_step, velocity_ratio
 from slam.filter.state import FilterState, Hypothesis
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.registration import pose_grids
@@ -129,10 +128,10 @@ def _starts(
 
 
 def _step_may_be_wide(hypothesis: Hypothesis) -> bool:
-    """Whether the next step may lead to a place that only looks like it: the last one turned far.
+    """Whether the next step may lead to a place that only looks like it: the last one was wide.
 
     Round an object on a pedestal the last view explains most of the next one, a fifth of a circle on. Of the
     first step nothing is known, nor of one after a frame that was lost.
     """
     before, after = hypothesis.previous_pose, hypothesis.pose
-    return bool(np.array_equal(before, after)) or turns_wide(matrices_of(before), matrices_of(after))
+    return np.array_equal(before, after) or is_wide_step(before, after)

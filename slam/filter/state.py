@@ -48,7 +48,7 @@ class FilterState:
         unseen_step: (6, 6) second moment of a step that only the prior tells of.
         times_ns: stamps of the last two frames.
         lost_frames: how many in a row were not found.
-        steps_were_wide: whether the camera ever turned far from one frame to the next.
+        steps_were_wide: whether the camera ever moved far from one frame to the next.
         rival: what moves against the camera's motion.
     """
 

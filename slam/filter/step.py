@@ -17,11 +17,12 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.geometry.pose_sets import turns_wide, within_reach
+from shapes.geometry.pose_sets import within_reach
 from shapes.geometry.poses import matrices_of
 from slam.config import LEAST_PROBABILITY, SlamConfig
 from slam.filter import smc
 from slam.filter.map_update import with_calibration, with_frame
+from slam.filter.motion import is_wide_step
 from slam.filter.places import Place, place_at
 from slam.filter.pose_hypotheses import Found, find_places, predict
 from slam.filter.rival_motion import CERTAIN, Doubt, doubt_of_frame
@@ -88,8 +89,8 @@ def step(
     if best is not None:
         moved = with_frame(moved, view, best, doubt)
     heaviest = moved.population.heaviest
-    turned = turns_wide(matrices_of(heaviest.previous_pose), matrices_of(heaviest.pose))
-    moved = replace(moved, steps_were_wide=state.steps_were_wide or turned)
+    is_wide = is_wide_step(heaviest.previous_pose, heaviest.pose)
+    moved = replace(moved, steps_were_wide=state.steps_were_wide or is_wide)
     return moved, _frame_info(state, moved, view, branches, info, found, doubt)
 
 

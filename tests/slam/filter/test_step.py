@@ -10,16 +10,20 @@ import pytest
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from shapes.geometry import pose_gaussian
+from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.poses import matrices_of
 from slam.config import SlamConfig
 from slam.filter import smc
 from slam.filter.init import init
+from slam.filter.motion import is_wide_step
 from slam.filter.places import place_at
 from slam.filter.pose_hypotheses import find_places, predict
 from slam.filter.state import FilterState, Hypothesis
 from slam.filter.step import step
 from slam.keyframes.depth_view import view_of_frame
 from tests.slam import box_room
+from tests.statistical import assert_coverage
 
 CONFIG = SlamConfig(noise=DepthNoise(), effective_pixel_share=0.01, second_motion=False)
 POSES = np.stack([box_room.pose(0.12 * i, 0.05 * i, -0.5, 0.21 * i) for i in range(4)])
@@ -127,3 +131,19 @@ def test_a_place_is_a_gaussian_also_where_pixels_tell_nothing_of_a_direction(tra
     log_prior = float(tracked.motion.log_density(past, optimum.pose))
     volume = 0.5 * np.linalg.slogdet(2 * np.pi * place.covariance)[1] - np.log(8.0)
     assert place.log_evidence == pytest.approx(0.5 * float(optimum.log_density) + log_prior + volume)
+
+
+def test_narrow_steps_are_no_reason_to_look_again():
+    """Twelve degrees round a room are not wide, nor are most jerks; a fifth of a circle is."""
+
+    def step_of(*tangent: float) -> NDArray[np.float32]:
+        return np.asarray(pose_gaussian.displace(here, jnp.asarray(tangent, jnp.float32)))
+
+    here = jnp.asarray(IDENTITY, jnp.float32)
+    jerks = 0.15 * np.random.default_rng(0).normal(size=(400, 6))
+    wide = [is_wide_step(np.asarray(here), step_of(*jerk)) for jerk in jerks]
+
+    assert not is_wide_step(np.asarray(here), step_of(0.31, 0.0, 0.0, 0.0, 0.21, 0.0))
+    assert is_wide_step(np.asarray(here), step_of(0.0, 0.0, 0.0, 0.0, np.radians(72), 0.0))
+    assert is_wide_step(np.asarray(here), step_of(0.47, 0.0, 0.0, 0.0, 0.31, 0.0))
+    assert_coverage(sum(wide), len(wide), 0.05)

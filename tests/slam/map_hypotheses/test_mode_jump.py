@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recordings.types import DepthNoise
-from shapes.geometry import pose_sets
 from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.surfels import surfel_image
@@ -84,11 +83,3 @@ def test_a_turned_cluster_is_put_right():
     relative = np.linalg.inv(seen_from_all_sides()) @ placed
     assert np.linalg.norm(relative[:, :3, 3], axis=1).max() < 0.01
     assert np.degrees(Rotation.from_matrix(relative[:, :3, :3]).magnitude()).max() < 0.5
-
-
-def test_narrow_steps_are_no_reason_to_look_again():
-    """A fifth of a circle is a wide step, twelve degrees are not."""
-    here, near, far = (box_room.pose(0.0, 0.0, 0.0, np.radians(angle)) for angle in (0, 12, 72))
-
-    assert not pose_sets.turns_wide(here, near)
-    assert pose_sets.turns_wide(here, far)
