@@ -41,7 +41,8 @@ def optimise_coarse_to_fine(
 ) -> tuple[Keyframes, GraphOptimum | None]:
     """The optimum near poses (N, 7), or beyond where a keyframe is far from it, and the overlaps there.
 
-    With `motion` keyframes are few, and have been placed by search.
+    With `motion` keyframes are few, and have been placed by search. Gauss-Newton steps may slide off along
+    what little is seen: where no optimum that they find is denser than the start, it is climbed from there.
     """
     keyframes = images.at(poses)
     if motion is not None:
@@ -49,49 +50,37 @@ def optimise_coarse_to_fine(
     near = optimise(keyframes, poses)
     is_far = near is None or near.astray.any()
     start = poses if near is None or is_far else near.poses
-    if is_far:
-        climbed = optimise(keyframes, poses, NO_INFLATIONS, COARSE_FARTHEST, uphill=True)
-        near = climbed if near is None else _better(keyframes, climbed, near, poses)
     chain = agreement(keyframes, start)
     if chain is not None and (loops := find_loops(images, chain, start)):
-        return _drawn_together(images, closed(chain, start, loops), poses, keyframes, near)
-    if is_far:
-        return _drawn_together(images, start, poses, keyframes, near)
-    return keyframes, near
+        start = closed(chain, start, loops)
+    elif not is_far:
+        return keyframes, near
+    there, far = _drawn_together(images, start)
+    if far is not None and _is_better(there, far, poses if near is None else near.poses):
+        return there, far
+    if not is_far:
+        return keyframes, near
+    climbed = optimise(keyframes, poses, NO_INFLATIONS, COARSE_FARTHEST, uphill=True)
+    is_best = climbed is not None and (near is None or _is_better(keyframes, climbed, near.poses))
+    return keyframes, climbed if is_best else near
 
 
 def _drawn_together(
-    images: KeyframeImages,
-    start: NDArray[np.float32],
-    filtered: NDArray[np.float32],
-    keyframes: Keyframes,
-    near: GraphOptimum | None,
+    images: KeyframeImages, start: NDArray[np.float32]
 ) -> tuple[Keyframes, GraphOptimum | None]:
-    """The optimum within wide gates of a start (N, 7), or the one that is known where that one is better.
-
-    Without one that is known it is to be better than where the filter has the keyframes (N, 7).
-    """
+    """The optimum within wide gates of a start (N, 7), and the overlaps there."""
     there, far = images.at(start), None
     for _ in range(COARSE_ROUNDS):
-        found = optimise(there, start, COARSE_INFLATIONS, COARSE_FARTHEST, damping=HELD_DAMPING)
-        if found is None or not np.isfinite(found.poses).all():
-            return keyframes, near
-        far, start = found, found.poses
+        far = optimise(there, start, COARSE_INFLATIONS, COARSE_FARTHEST, damping=HELD_DAMPING)
+        if far is None or not np.isfinite(far.poses).all():
+            return there, None
+        start = far.poses
         there = images.at(start)
-    best = _better(there, far, near, filtered)
-    return (there, far) if best is far else (keyframes, near)
+    return there, far
 
 
-def _better(
-    keyframes: Keyframes,
-    one: GraphOptimum | None,
-    other: GraphOptimum | None,
-    filtered: NDArray[np.float32],
-) -> GraphOptimum | None:
-    """The first of two optima unless overlaps are denser at the other or, without it, as filtered."""
-    if one is None:
-        return other
+def _is_better(keyframes: Keyframes, one: GraphOptimum, other: NDArray[np.float32]) -> bool:
+    """Whether the density of overlaps is greater at an optimum than at other poses (N, 7)."""
     none = np.zeros((2, NODES))
-    known = filtered if other is None else other.poses
-    log_densities = keyframes.log_densities(np.stack([one.poses, known]), none, one.exponents)
-    return one if log_densities[0] >= log_densities[1] else other
+    log_densities = keyframes.log_densities(np.stack([one.poses, other]), none, one.exponents)
+    return bool(log_densities[0] > log_densities[1])
