@@ -102,7 +102,7 @@ class SlamResult:
 
     @property
     def path_probabilities(self) -> NDArray[np.float64]:
-        """Of the paths (G,) that are told apart, the likeliest first: one where all particles agree.
+        """Of the paths (G,) that are told apart, the likeliest first: one where all draws agree.
 
         Of a long recording every so many frames decide.
         """

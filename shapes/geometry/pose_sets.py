@@ -10,16 +10,16 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 GROUP_SHIFT_M = 0.1
-"""Particles closer than this share one search. Chosen by hand."""
+"""Poses closer than this are one place. Chosen by hand."""
 
 GROUP_ANGLE_RAD = 0.1
 """As `GROUP_SHIFT_M`."""
 
 MAX_CLUSTERS = 4
-"""Search effort: each has a search of its own."""
+"""Search effort: maps that are refined, paths that are told."""
 
 LEAST_GROUP_WEIGHT = 1e-3
-"""Less than one particle of 64."""
+"""Less than one draw of 64."""
 
 
 def within_reach(
@@ -35,11 +35,10 @@ def within_reach(
 
 
 def cluster(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int_]:
-    """Group (K,) of each particle by its pose (K, 4, 4), or by all of its poses (K, N, 4, 4).
+    """Group (K,) of each draw by its pose (K, 4, 4), or by all of its poses (K, N, 4, 4).
 
-    Group 0 holds the heaviest. Particles join the first leader within reach, leaders being the heaviest
-    particles. Groups of negligible weight, and all beyond `MAX_CLUSTERS`, join group 0: a search for them
-    would be wasted.
+    Group 0 holds the heaviest. Draws join the first leader within reach, leaders being the heaviest. Groups
+    of negligible weight, and all beyond `MAX_CLUSTERS`, join group 0.
     """
     groups = np.full(len(poses), -1)
     count = 0

@@ -24,7 +24,7 @@ LOG_PI = 1.1447298858494002
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class MotionHistory:
-    """What of one particle's past its motion prior looks at.
+    """What of one hypothesis' past its motion prior looks at.
 
     Attributes:
         pose: (7,) reference_from_camera of the last frame.
@@ -38,7 +38,7 @@ class MotionHistory:
 
 
 class MotionPrior(Protocol):
-    """p(x_t | past) of one particle."""
+    """p(x_t | past) of one hypothesis."""
 
     def sample(self, key: jax.Array, history: MotionHistory) -> jax.Array:
         """A pose (7,)."""

@@ -1,4 +1,4 @@
-"""The map: keyframe surfaces shared by all particles, and which of them a camera should be compared with."""
+"""The map: keyframe surfaces shared by all hypotheses, and which of them a camera should be compared with."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ LEAST_KNOWN = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class KeyframeMap:
-    """Keyframe surfaces in the order of their creation. Poses belong to the particles, not to the map.
+    """Keyframe surfaces in the order of their creation. Poses belong to the hypotheses, not to the map.
 
     Attributes:
         surfaces: one per keyframe.

@@ -24,7 +24,7 @@ out."""
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SurfelImage:
-    """One surface element per pixel of a keyframe, in its own camera frame; shared by all particles.
+    """One surface element per pixel of a keyframe, in its own camera frame; shared by all hypotheses.
 
     Attributes:
         depth_m: (H, W) float32, `NO_RETURN` where unknown.

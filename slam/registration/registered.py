@@ -33,7 +33,7 @@ SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
 """Optima closer than this are one component of the proposal."""
 
 NEGLIGIBLE_LOG_SHARE = 15.0
-"""exp(-15) is less than any particle's share."""
+"""exp(-15) is far less than a hypothesis must weigh."""
 
 
 @dataclass(frozen=True)
