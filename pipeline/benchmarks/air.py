@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import binomtest
 
 from pipeline.errors import PipelineError
 from pipeline.evaluation.calibration import expected_calibration_error
+from pipeline.evaluation.intervals import wilson_interval
 from pipeline.simplification import few_triangles
 from pipeline.synthesis.air import AirScene, air_scene, air_world
 from scene.colour.camera_view import LONGEST_PX, pooled_image
@@ -260,11 +260,7 @@ def _share(right: Sequence[bool]) -> float | None:
 
 
 def _interval(right: Sequence[bool]) -> tuple[float, float] | None:
-    """Wilson's of a share, 95%."""
-    if not right:
-        return None
-    interval = binomtest(sum(right), len(right)).proportion_ci(method="wilson")
-    return float(interval.low), float(interval.high)
+    return wilson_interval(sum(right), len(right)) if right else None
 
 
 def _quantile(values: NDArray[np.float64], share: float) -> float | None:

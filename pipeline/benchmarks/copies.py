@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from pipeline.benchmarks.pose_images import ImageKey, PoseImage
 from pipeline.benchmarks.pose_methods import Parse, sought_shape
 from pipeline.benchmarks.pose_sources import filmed_image
+from pipeline.benchmarks.presence_figures import RIGHT_M, VISIBLE
+from pipeline.evaluation.intervals import wilson_interval
 from pipeline.evaluation.scenes import object_errors
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.filming import film_table
@@ -24,9 +25,6 @@ COUNTS = (2, 3)
 """Things of one shape, in turn from table to table; one more is asked for."""
 OTHERS = 2
 """Things of other shapes on a table, which are asked for too."""
-VISIBLE = 0.25
-"""Share of a thing that has to be seen, as in `presence_figures`."""
-RIGHT_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,11 +94,10 @@ def copies_figures(rows: Sequence[CopiesRow]) -> dict[str, Any]:
     if not rows:
         return {"tables": 0, "rows": []}
     right = sum(one.found == one.there for one in rows)
-    interval = binomtest(right, len(rows)).proportion_ci(method="wilson")
     return {
         "tables": len(rows),
         "counts_right": right,
-        "interval": [float(interval.low), float(interval.high)],
+        "interval": list(wilson_interval(right, len(rows))),
         "things": sum(one.there for one in rows),
         "things_right": sum(one.right for one in rows),
         "expected": float(np.mean([one.expected for one in rows])),

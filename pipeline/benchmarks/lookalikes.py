@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.stats import binomtest
 
+from pipeline.benchmarks.presence_figures import VISIBLE
+from pipeline.evaluation.intervals import wilson_interval
 from pipeline.meshes import vertex_rgb
 from pipeline.seeds import stage_key
 from pipeline.synthesis.filming import film_table
@@ -43,8 +44,6 @@ INSIDE = 0.8
 """Of two that fit into each other, the smaller one's size."""
 PAIRS = 3
 """On a table."""
-VISIBLE = 0.25
-"""Share of a thing that has to be seen, as in `presence_figures`."""
 NEAR_M = 0.01
 COLOURS = ("off", "add")
 
@@ -225,11 +224,11 @@ def lookalike_lines(figures: dict[str, Any]) -> list[str]:
     for group in figures["lookalikes"]:
         if not group["pairs"]:
             continue
-        interval = binomtest(group["name_right"], group["pairs"]).proportion_ci(method="wilson")
+        low, high = wilson_interval(group["name_right"], group["pairs"])
         turn = group["can_turn_median_rad"]
         lines.append(
             f"{group['kind']:<7} {group['parse']:<6}  {group['pairs']:>5}  {group['name_right']:>4}"
-            f" ({interval.low:.0%} to {interval.high:.0%})  {group['near']:>9}"
+            f" ({low:.0%} to {high:.0%})  {group['near']:>9}"
             + ("" if turn is None else f"  {np.degrees(turn):.1f} degrees of {group['cans']}")
         )
     return [*lines, ", ".join(f"{parse} {spent:.1f} s" for parse, spent in figures["seconds"].items())]

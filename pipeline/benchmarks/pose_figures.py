@@ -8,20 +8,19 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from pipeline.benchmarks.paired_intervals import compared
 from pipeline.benchmarks.pose_images import ImageKey
 from pipeline.benchmarks.pose_rows import Judged
 from pipeline.benchmarks.presence_figures import VISIBLE, Reported, presence_figures
+from pipeline.evaluation.intervals import wilson_interval
 from pipeline.evaluation.object_poses import error_figures
+from pipeline.evaluation.trajectory_errors import LEVELS
 
 RIGHT_M = 0.01
 """Errors under this count as right."""
 BIN_EDGES = (0.0, 0.05, 0.25, 0.5, 0.75, 1.0)
 """Between the bins of the visible fraction."""
-LEVELS = (0.5, 0.9, 0.95)
-"""Of regions in which true places are counted."""
 TABLE_KIND = "table"
 
 
@@ -152,11 +151,10 @@ def _bins(judged: Iterable[Judged]) -> dict[str, list[Judged]]:
 def _errors(rows: Sequence[Judged]) -> dict[str, Any]:
     """Errors, and Wilson's 95% interval of the share that is right, as if objects erred independently."""
     right = sum(one.error_m < RIGHT_M for one in rows)
-    interval = binomtest(right, len(rows)).proportion_ci(method="wilson")
     return {
         "objects": len(rows),
         **error_figures([one.error_m for one in rows]),
-        "right_interval": [float(interval.low), float(interval.high)],
+        "right_interval": list(wilson_interval(right, len(rows))),
     }
 
 

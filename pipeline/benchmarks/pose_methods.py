@@ -117,7 +117,7 @@ class Parse:
                 np.eye(4)[None],
                 image.intrinsics,
                 DepthNoise(),
-                list(sought),
+                sought,
                 self.config,
             )
         return scene, timing

@@ -235,7 +235,7 @@ def count_copies(common: Common, shapes: MeshSource, numbers: Sequence[int]) -> 
             row = judge_copies(shapes, number, common.seed)
         if row is not None:
             rows.append(row)
-            _say(common, f"table {number}: {row.found} of {row.there} {row.shape}s told, {row.right} right")
+            _say(common, f"table {number}, {row.shape}: {row.found} of {row.there} told, {row.right} right")
     figures = copies_figures(rows)
     common.report(figures, copies_lines(figures))
 
