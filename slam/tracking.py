@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -23,6 +23,7 @@ from slam.keyframes.pages import Paged, PageFile
 from slam.map_hypotheses.mode_jump import are_sparse_views, choose_map
 from slam.odometry import KissOdometry
 from slam.pose_graph.distortion_scale import SCALES
+from slam.pose_graph.growing_map import is_due, refined_so_far
 from slam.pose_graph.overlaps import KeyframeDetail, KeyframeImages, keyframe_detail
 from slam.pose_graph.refinement import refine_keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
@@ -103,6 +104,8 @@ def track(
         if info.is_keyframe:
             detailed = view_of_frame(frame, intrinsics, FINE_CANVAS)
             details.append(pages.hold(keyframe_detail(detailed, full_detail_noise)))
+            if is_due(state):
+                state = refined_so_far(state, _images(state, details, full_detail_noise))
         if on_frame is not None:
             on_frame(info)
         if on_checkpoint is not None:
@@ -124,12 +127,18 @@ def track(
     field = sensor.distortion if sensor else None
     if field is not None:
         sd, scales = field.sd_per_m, (1.0,)
-    images = KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=full_detail_noise)
+    images = _images(state, details, full_detail_noise)
     placed = refine_keyframes(refinement_key, images, maps, config.particles, sd, prior, scales)
     result = smoothed(draw_key, history, maps, placed, intrinsics)
     if field is None:
         return result
     return replace(result, disparity_per_m=field.disparity_per_m + result.disparity_per_m)
+
+
+def _images(
+    state: FilterState, details: Sequence[Paged[KeyframeDetail]], noise: DepthNoise
+) -> KeyframeImages:
+    return KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=noise)
 
 
 def _can_be_mapped(view: CanvasView) -> bool:

@@ -42,8 +42,15 @@ def with_frame(state: FilterState, view: CanvasView, best: Registration, doubt: 
             return state
         refined = fuse(keyframe_map.surface(anchor), view, relative, noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
+    new = len(keyframe_map)
+    pairs = np.stack([np.full(len(best.indices), new), best.indices], axis=1).astype(np.int32)
     grown = tuple(
-        replace(one, keyframe_poses=np.concatenate([one.keyframe_poses, one.pose[None]]))
+        replace(
+            one,
+            keyframe_poses=np.concatenate([one.keyframe_poses, one.pose[None]]),
+            overlaps=np.unique(np.concatenate([one.overlaps, pairs]), axis=0),
+            anchor=new,
+        )
         for one in state.population.histories
     )
     surface = surfel_image(view, noise)

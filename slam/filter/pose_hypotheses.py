@@ -60,11 +60,13 @@ class Found:
         of_hypotheses: by hypothesis (H,) its places, the best first; empty for all where the frame is lost.
         best: the best of all; where the frame is lost, what comes nearest to one.
         unexpected: whether none was found where the camera was expected.
+        contradicted: whether the frame contradicts keyframes in sight that are not at hand.
     """
 
     of_hypotheses: list[list[Registration]]
     best: Registration
     unexpected: bool
+    contradicted: bool
 
     @property
     def lost(self) -> bool:
@@ -93,11 +95,14 @@ def find_places(
         for one in hypotheses
     ]
     found: list[list[Registration]] = [[] for _ in hypotheses]
+    contradicted = False
     if not state.lost_frames:
         hold = PREDICTION_WEIGHT if prediction.trusted else 0.0
         for index, (searcher, one) in enumerate(zip(searchers, hypotheses, strict=True)):
             starts = _starts(one, prediction.poses[index], config, odometry)
-            found[index].append(searcher.near(starts, hold if len(starts) > 1 else 0.0))
+            near, contradicts = _near(searcher, one, starts, hold if len(starts) > 1 else 0.0)
+            found[index].append(near)
+            contradicted |= contradicts
     near = [located for of_one in found for located in of_one]
     unexpected = not any(located.is_accepted for located in near)
     doubtful = not any(located.is_unambiguous for located in near)
@@ -111,7 +116,24 @@ def find_places(
         convincing = [[located for located in of_one if located.is_accepted] for of_one in found]
     kept = [prune_improbable(of_one, state.calibration.exponent)[:MAX_PLACES] for of_one in convincing]
     places = [located for of_one in kept for located in of_one]
-    return Found(kept, max(places, key=lambda one: one.log_density, default=found[0][0]), unexpected)
+    best = max(places, key=lambda one: one.log_density, default=found[0][0])
+    return Found(kept, best, unexpected, contradicted)
+
+
+def _near(
+    searcher: Searcher, hypothesis: Hypothesis, starts: list[NDArray[np.float32]], hold: float
+) -> tuple[Registration, bool]:
+    """The place next to the starts (7,), and whether it contradicts keyframes in sight there.
+
+    Keyframes that are not at hand are where they are by drift, which may be negligible or not: the frame
+    is the more probable with them, or without.
+    """
+    found, at_hand = searcher.near(starts, hold), hypothesis.at_hand
+    if at_hand[found.indices].all():
+        return found, False
+    without = searcher.among(at_hand).near(starts, hold)
+    contradicts = without.log_density > found.log_density
+    return (without if contradicts else found), contradicts
 
 
 def _starts(

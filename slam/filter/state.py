@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slam.filter import smc
 from slam.filter.motion import MotionHistory, MotionPrior
 from slam.filter.rival_motion import Doubt, RivalMotion
+from slam.keyframes.covisibility import together_with
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.likelihood.noise_calibration import NoiseCalibration
 
@@ -27,11 +28,20 @@ class Hypothesis:
         keyframe_poses: (N, 7).
         pose: (7,) of the last frame that was found.
         previous_pose: (7,) of the one before; the same where the last one was lost.
+        overlaps: (E, 2) pairs of keyframes that were found to see the same.
+        anchor: keyframe next to which the last frame was found.
     """
 
     keyframe_poses: NDArray[np.float32]
     pose: NDArray[np.float32]
     previous_pose: NDArray[np.float32]
+    overlaps: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+    anchor: int = 0
+
+    @property
+    def at_hand(self) -> NDArray[np.bool_]:
+        """Keyframes (N,) that are held together with the anchor; others may be where they are by drift."""
+        return together_with(self.anchor, len(self.keyframe_poses), self.overlaps)
 
 
 @dataclass(frozen=True)
@@ -50,6 +60,9 @@ class FilterState:
         lost_frames: how many in a row were not found.
         steps_were_wide: whether the camera ever moved far from one frame to the next.
         rival: what moves against the camera's motion.
+        refined_keyframes: how many there were when the map was last refined.
+        contradicted: whether a frame has contradicted keyframes in sight since, which drift may have brought
+            there.
     """
 
     population: smc.Population[Hypothesis]
@@ -63,6 +76,8 @@ class FilterState:
     lost_frames: int
     steps_were_wide: bool
     rival: RivalMotion
+    refined_keyframes: int = 1
+    contradicted: bool = False
 
     def past_of(self, hypothesis: Hypothesis, predicted: NDArray[np.float32]) -> MotionHistory:
         """What the motion prior looks at, constant velocity leading to `predicted` (7,)."""

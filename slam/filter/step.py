@@ -80,6 +80,7 @@ def step(
         population=smc.Population(tuple(one.hypothesis for one in branches.histories), branches.log_weights),
         times_ns=(state.times_ns[1], time_ns),
         lost_frames=state.lost_frames + 1 if found.lost else 0,
+        contradicted=state.contradicted or found.contradicted,
     )
     best, doubt = branches.heaviest.located, CERTAIN
     if best is not None and config.second_motion:
@@ -111,7 +112,12 @@ def _branched(
             place = place_at(
                 located.optimum, located.local_map, past, state.motion, state.calibration.exponent
             )
-            moved = replace(hypothesis, pose=place.pose, previous_pose=hypothesis.pose)
+            moved = replace(
+                hypothesis,
+                pose=place.pose,
+                previous_pose=hypothesis.pose,
+                anchor=int(located.indices[0]),
+            )
             children.append((_Branch(moved, located, place), place.log_evidence))
         return children
 

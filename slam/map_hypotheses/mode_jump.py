@@ -84,13 +84,15 @@ def choose_map(
         modes = candidate_maps(registrar, list(present), motion, details, noise)
         heaviest = np.full(len(modes.shares), np.argmax(found.probabilities))
         poses = poses_of(modes.maps).astype(np.float32)
-        return MapMixture(poses=poses, probabilities=modes.shares, hypotheses=heaviest)
+        unknown = (None,) * len(poses)
+        return MapMixture(poses=poses, probabilities=modes.shares, hypotheses=heaviest, known=unknown)
     exponent = state.calibration.exponent
     maps = [
         _chosen(jax.random.fold_in(key, number), registrar, poses, exponent)
         for number, poses in enumerate(present)
     ]
-    return replace(found, poses=poses_of(np.stack(maps)).astype(np.float32))
+    unknown = (None,) * len(maps)
+    return replace(found, poses=poses_of(np.stack(maps)).astype(np.float32), known=unknown)
 
 
 def _chosen(

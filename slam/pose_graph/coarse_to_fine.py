@@ -19,7 +19,7 @@ from slam.pose_graph.gauss_newton import (
     agreement,
     optimise,
 )
-from slam.pose_graph.loops import closed, find_loops
+from slam.pose_graph.loops import NO_LOOPS, Loops, closed, find_loops
 from slam.pose_graph.overlaps import KeyframeImages, Keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
@@ -37,45 +37,53 @@ COARSE_ROUNDS = 2
 
 
 def optimise_coarse_to_fine(
-    images: KeyframeImages, poses: NDArray[np.float32], motion: TrajectoryPrior | None = None
-) -> tuple[Keyframes, GraphOptimum | None]:
+    images: KeyframeImages,
+    poses: NDArray[np.float32],
+    motion: TrajectoryPrior | None = None,
+    fixed: int = 1,
+) -> tuple[Keyframes, GraphOptimum | None, Loops]:
     """The optimum near poses (N, 7), or beyond where a keyframe is far from it, and the overlaps there.
 
+    So many keyframes, the first ones, are fixed, unless a loop is to be closed, for its way concerns all.
     With `motion` keyframes are few, and have been placed by search. Gauss-Newton steps may slide off along
     what little is seen: where no optimum that they find is denser than the start, it is climbed from there.
     """
-    keyframes = images.at(poses)
+    keyframes = images.at(poses, fixed)
     if motion is not None:
-        return keyframes, optimise(keyframes, poses, HELD_INFLATIONS, motion=motion)
+        return keyframes, optimise(keyframes, poses, HELD_INFLATIONS, motion=motion), NO_LOOPS
     near = optimise(keyframes, poses)
-    is_far = near is None or near.astray.any()
+    is_far = near is None or bool(near.astray.any())
     start = poses if near is None or is_far else near.poses
     chain = agreement(keyframes, start)
-    if chain is not None and (loops := find_loops(images, chain, start)):
-        start = closed(chain, start, loops)
+    loops = NO_LOOPS if chain is None else find_loops(images, chain, start)
+    if chain is not None and loops.are_open(start):
+        if fixed > 1:
+            fixed, chain = 1, agreement(images.at(start), start)
+        start = start if chain is None else closed(chain, start, loops)
+        images = images.with_known(loops.pairs)
     elif not is_far:
-        return keyframes, near
-    there, far = _drawn_together(images, start)
+        return keyframes, near, loops
+    there, far = _drawn_together(images, start, fixed)
     if far is not None and _is_better(there, far, poses if near is None else near.poses):
-        return there, far
+        return there, far, loops
     if not is_far:
-        return keyframes, near
+        return keyframes, near, loops
     climbed = optimise(keyframes, poses, NO_INFLATIONS, COARSE_FARTHEST, uphill=True)
     is_best = climbed is not None and (near is None or _is_better(keyframes, climbed, near.poses))
-    return keyframes, climbed if is_best else near
+    return keyframes, climbed if is_best else near, loops
 
 
 def _drawn_together(
-    images: KeyframeImages, start: NDArray[np.float32]
+    images: KeyframeImages, start: NDArray[np.float32], fixed: int
 ) -> tuple[Keyframes, GraphOptimum | None]:
     """The optimum within wide gates of a start (N, 7), and the overlaps there."""
-    there, far = images.at(start), None
+    there, far = images.at(start, fixed), None
     for _ in range(COARSE_ROUNDS):
         far = optimise(there, start, COARSE_INFLATIONS, COARSE_FARTHEST, damping=HELD_DAMPING)
         if far is None or not np.isfinite(far.poses).all():
             return there, None
         start = far.poses
-        there = images.at(start)
+        there = images.at(start, fixed)
     return there, far
 
 

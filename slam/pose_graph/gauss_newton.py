@@ -144,7 +144,8 @@ def optimise(
             return None
         tempered = _tempered(linearised, _exponents(linearised), motion, poses)
         step, none = sparse_gaussian.damped_step(linearised.graph if motion is None else tempered, damping)
-        if round_ > len(inflations) and _gain(tempered, step, none) < converged * 0.5 * step[1:].size:
+        least = converged * 0.5 * step[keyframes.fixed :].size
+        if round_ > len(inflations) and _gain(tempered, step, none) < least:
             break
         before, poses = poses, displaced(poses, step)
         if uphill:
@@ -305,6 +306,7 @@ def _linearised(
         precision=precision,
         gradient=gradient,
         field=None if field is None or sums is None else sums.term(field.distortion),
+        fixed=keyframes.fixed,
     )
     return _Linearised(graph=graph, score_variance=score_variance, inliers=inliers, meeting=meeting)
 

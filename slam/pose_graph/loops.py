@@ -15,13 +15,14 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
+from slam.keyframes.covisibility import LEAST_HOPS, held_together
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import place_distances
 from slam.pose_graph.displacements import displaced, in_parts
+from slam.pose_graph.gauss_newton import FARTHEST
 from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.sparse_gaussian import PoseGraph, damped_step
 from slam.registration.alignment import STIFFNESS
@@ -31,17 +32,11 @@ from slam.registration.search import Searcher
 CANDIDATES = 5
 """Search effort: places that a keyframe is compared with."""
 
-LEAST_HOPS = 4
-"""Overlaps between two keyframes: nearer ones are held together already."""
-
 DRIFT_SHARE = 0.05
 """Metres and radians by which a camera that went a metre or turned by a radian may have lost its way."""
 
 NEAR_VIEW = 0.3
 """Metres and radians by which two views of one place may be apart without any drift."""
-
-OUT_OF_SIGHT_M = 1000.0
-"""Farther than any depth camera sees."""
 
 LEAST_COVERED = 0.5
 """Of a keyframe's returns, that the place must show."""
@@ -72,19 +67,32 @@ class Loops:
         """Number of pairs."""
         return len(self.pairs)
 
+    def are_open(self, poses: NDArray[np.float32]) -> bool:
+        """Whether some are farther from closing at poses (N, 7) than an optimum is sought."""
+        if not len(self):
+            return False
+        return bool(np.abs(_open(self, poses)).max() > FARTHEST)
+
     def only(self, chosen: NDArray[np.bool_]) -> Loops:
         """Those that are chosen (L,)."""
         return Loops(pairs=self.pairs[chosen], ways=self.ways[chosen], precisions=self.precisions[chosen])
 
 
+NO_LOOPS = Loops(
+    pairs=np.zeros((0, 2), int), ways=np.zeros((0, 7), np.float32), precisions=np.zeros((0, 6, 6))
+)
+
+
 def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float32]) -> Loops:
     """Pairs that the graph at poses (N, 7) holds together by a long way only, as registration confirms them.
 
-    After a keyframe that closes a loop the next ones that its overlaps reach are passed over.
+    The later one of each is not fixed. After a keyframe that closes a loop the next ones that its overlaps
+    reach are passed over.
     """
-    together, lengths = _held_together(graph), _path_lengths(poses)
+    together = held_together(len(poses), graph.pairs if images.known is None else images.known)
+    lengths = _path_lengths(poses)
     pairs, ways, precisions, passed = [], [], [], -1
-    for later in range(len(poses)):
+    for later in range(graph.fixed, len(poses)):
         if later <= passed:
             continue
         walked = lengths[later] - lengths
@@ -125,12 +133,16 @@ def closed(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArra
     """
     while len(loops):
         bent = _bent(graph, poses, loops)
-        gaps, _ = in_parts(_gaps, *(bent[of] for of in loops.pairs.T), loops.ways)
-        is_wide = np.abs(gaps).max(axis=1) > NEAR_VIEW
-        if not is_wide.any():
+        widths = np.abs(_open(loops, bent)).max(axis=1)
+        if (widths <= NEAR_VIEW).all():
             return bent
-        loops = loops.only(np.arange(len(loops)) != np.argmax(np.abs(gaps).max(axis=1)))
+        loops = loops.only(np.arange(len(loops)) != np.argmax(widths))
     return poses
+
+
+def _open(loops: Loops, poses: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Coordinates (L, 6) by which loops fail to close at poses (N, 7)."""
+    return in_parts(_gaps, *(poses[of] for of in loops.pairs.T), loops.ways)[0]
 
 
 def _bent(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray[np.float32]:
@@ -148,18 +160,6 @@ def _bent(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray
         )
         poses = displaced(poses, damped_step(bent, STIFFNESS)[0])
     return poses
-
-
-def _held_together(graph: PoseGraph) -> scipy.sparse.csr_array:
-    """Which keyframes (N, N) fewer than `LEAST_HOPS` overlaps lead to from one another."""
-    ends = (graph.pairs[:, 0], graph.pairs[:, 1])
-    shape = (graph.keyframes,) * 2
-    overlap = scipy.sparse.coo_array((np.ones(len(graph)), ends), shape=shape).tocsr()
-    step = (overlap + overlap.T + scipy.sparse.eye_array(graph.keyframes)).astype(bool)
-    reached = step
-    for _ in range(LEAST_HOPS - 2):
-        reached = (reached @ step).astype(bool)
-    return scipy.sparse.csr_array(reached)
 
 
 def _path_lengths(poses: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -203,9 +203,7 @@ def _registered(
     """A keyframe, sought about where an earlier one stands, among those (N,) beside that one alone."""
     surface = images.keyframe_map.surface(later)
     view = CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
-    placed = poses.copy()
-    placed[~beside, 4:] += OUT_OF_SIGHT_M
-    searcher = Searcher(images.keyframe_map, placed, view, images.noise, LEAST_HOPS)
+    searcher = Searcher(images.keyframe_map, poses, view, images.noise, LEAST_HOPS).among(beside)
     return searcher.near([poses[earlier]])
 
 

@@ -11,10 +11,12 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
+import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.geometry.poses import matrices_of
+from slam.keyframes.covisibility import held_together
 from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
 from slam.keyframes.pages import Paged
@@ -109,11 +111,13 @@ class Keyframes:
         details: N.
         images_of: for each one as a surface, the keyframes (n,) whose images are compared with it.
         noise: the sensor, at full detail.
+        fixed: so many, the first ones, stay where they are; they are not compared with each other.
     """
 
     details: Sequence[Paged[KeyframeDetail]]
     images_of: Sequence[NDArray[np.int_]]
     noise: DepthNoise
+    fixed: int = 1
 
     def first(self, count: int) -> Keyframes:
         """The first so many, and their overlaps with each other."""
@@ -166,15 +170,25 @@ class KeyframeImages:
         keyframe_map: at working resolution.
         details: of each keyframe.
         noise: the sensor at that detail.
+        known: (E, 2) pairs that are known to see the same; only what they hold together is compared. With
+            None all that are in sight are.
     """
 
     keyframe_map: KeyframeMap
     details: Sequence[Paged[KeyframeDetail]]
     noise: DepthNoise
+    known: NDArray[np.int32] | None = None
 
-    def at(self, poses: NDArray[np.float32]) -> Keyframes:
-        """With the overlaps that they have at poses (N, 7)."""
-        return keyframes_at(self.keyframe_map, self.details, matrices_of(poses), self.noise)
+    def with_known(self, pairs: NDArray[np.integer]) -> KeyframeImages:
+        """The same with more pairs (n, 2) that are known to see the same."""
+        if self.known is None:
+            return self
+        return replace(self, known=np.unique(np.concatenate([self.known, pairs]), axis=0).astype(np.int32))
+
+    def at(self, poses: NDArray[np.float32], fixed: int = 1) -> Keyframes:
+        """With the overlaps that they have at poses (N, 7), of which the first ones are fixed."""
+        together = None if self.known is None else held_together(len(self.details), self.known)
+        return keyframes_at(self.keyframe_map, self.details, matrices_of(poses), self.noise, fixed, together)
 
 
 def keyframes_at(
@@ -182,19 +196,31 @@ def keyframes_at(
     details: Sequence[Paged[KeyframeDetail]],
     poses: NDArray[np.float64],
     noise: DepthNoise,
+    fixed: int = 1,
+    together: scipy.sparse.csr_array | None = None,
 ) -> Keyframes:
-    """The keyframes with those overlaps that they have at poses (N, 4, 4)."""
+    """The keyframes with those overlaps that they have at poses (N, 4, 4), of which the first are fixed.
+
+    Where it is known, only those that are held `together` (N, N) are compared.
+    """
     overlaps: list[set[int]] = [set() for _ in details]
-    for second in range(1, len(details)):
-        samples, before = keyframe_map.samples[:second], poses[:second]
+    for second in range(fixed, len(details)):
+        candidates = np.arange(second)
+        if together is not None:
+            candidates = candidates[together[[second], :second].toarray()[0]]
+        if not len(candidates):
+            continue
+        samples, before = [keyframe_map.samples[index] for index in candidates], poses[candidates]
         frame = framing(details[second].skeleton.view)
-        for first in selected_keyframes(samples, before, poses[second], frame, OVERLAPS).tolist():
+        chosen = selected_keyframes(samples, before, poses[second], frame, OVERLAPS)
+        for first in candidates[chosen].tolist():
             overlaps[first].add(second)
             overlaps[second].add(first)
     return Keyframes(
         details=details,
         images_of=[np.asarray(sorted(images), int) for images in overlaps],
         noise=noise,
+        fixed=fixed,
     )
 
 

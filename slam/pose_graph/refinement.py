@@ -14,7 +14,7 @@ which frames may be corrected.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -80,17 +80,25 @@ class MapMixture:
         poses: (G, N, 7) reference_from_keyframe.
         probabilities: (G,).
         hypotheses: (G,) which of the filter's last ones has the frames between the keyframes.
+        known: for each map the pairs (E, 2) of keyframes that are known to see the same; None where they have
+            been placed by search.
     """
 
     poses: NDArray[np.float32]
     probabilities: NDArray[np.float64]
     hypotheses: NDArray[np.int_]
+    known: tuple[NDArray[np.int32] | None, ...]
 
     @classmethod
     def of(cls, population: smc.Population[Hypothesis]) -> MapMixture:
         """As the filter has them."""
         poses = np.stack([one.keyframe_poses for one in population.histories])
-        return cls(poses=poses, probabilities=population.probabilities, hypotheses=np.arange(len(population)))
+        return cls(
+            poses=poses,
+            probabilities=population.probabilities,
+            hypotheses=np.arange(len(population)),
+            known=tuple(one.overlaps for one in population.histories),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,8 +168,16 @@ def refine_keyframes(
     mode_of = dealt(deal_key, maps.probabilities, count)
     unknown = Distortion.unknown(node_factor(sd_per_m))
     modes = [
-        _refined(jax.random.fold_in(draw_key, mode), images, poses, unknown, scales, motion, count)
-        for mode, poses in enumerate(maps.poses)
+        _refined(
+            jax.random.fold_in(draw_key, mode),
+            replace(images, known=known),
+            poses,
+            unknown,
+            scales,
+            motion,
+            count,
+        )
+        for mode, (poses, known) in enumerate(zip(maps.poses, maps.known, strict=True))
     ]
     told = ("poses", "covariances", "held", "sensitivity", "factor", "disparity_per_m", "sd_per_m")
     return RefinedKeyframes(
@@ -195,7 +211,7 @@ def _refined(
     Poses are those of the images as they are, and draws are given these; what an unknown field may have moved
     them by is in their covariances.
     """
-    keyframes, found = optimise_coarse_to_fine(images, filtered, motion)
+    keyframes, found, _ = optimise_coarse_to_fine(images, filtered, motion)
     graph = found and with_distortion(keyframes, found, unknown, motion)
     if found is None or graph is None:
         return _unrefined(filtered, unknown, scales, count)

@@ -1,7 +1,7 @@
 """The keyframe pose graph: its Newton step, and draws and marginals of the Gaussian that it implies.
 
 Quadratic terms over pairs of keyframes, in displacements xi of both (Grisetti et al. 2010, "A tutorial on
-graph-based SLAM"), the first keyframe being fixed:
+graph-based SLAM"), the first keyframes being fixed:
 
     sum_e 1/2 [xi_i; xi_j]^T H_e [xi_i; xi_j] + g_e^T [xi_i; xi_j],
 
@@ -58,7 +58,7 @@ class FieldPosterior:
 
     Attributes:
         covariance: (F, F).
-        sensitivity: (N, 6, F) of the keyframes' displacements, zero for the first.
+        sensitivity: (N, 6, F) of the keyframes' displacements, zero for fixed ones.
     """
 
     covariance: NDArray[np.float64]
@@ -76,6 +76,7 @@ class PoseGraph:
         gradient: (E, 12) g.
         joint: over all keyframes, or None.
         field: what the terms share, or None.
+        fixed: so many keyframes, the first ones, are not displaced.
     """
 
     keyframes: int
@@ -84,6 +85,7 @@ class PoseGraph:
     gradient: NDArray[np.float64]
     joint: JointTerm | None = None
     field: FieldTerm | None = None
+    fixed: int = 1
 
     def __len__(self) -> int:
         """Number of terms."""
@@ -93,14 +95,14 @@ class PoseGraph:
 def damped_step(graph: PoseGraph, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Displacements (N, 6) that minimise the terms and half of `damping` times their own squares.
 
-    The first keyframe stays. Damping, in 1/m^2 and 1/rad^2, keeps a step from leaving the neighbourhood that
+    Fixed keyframes stay. Damping, in 1/m^2 and 1/rad^2, keeps a step from leaving the neighbourhood that
     the terms were taken in, along directions which they hardly see. Also the step (F,) of what terms share.
     """
     gradient = _summed(graph, graph.gradient)
     if graph.joint is not None:
         gradient += graph.joint.gradient
-    factor = _normal_equations(graph, damping)
-    step = np.append(np.zeros(6), factor.solve(-gradient[6:])).reshape(-1, 6)
+    factor, held = _normal_equations(graph, damping), 6 * graph.fixed
+    step = np.append(np.zeros(held), factor.solve(-gradient[held:])).reshape(-1, 6)
     if graph.field is None:
         return step, np.zeros(0)
     shared = _field_posterior(graph, graph.field, factor)
@@ -112,10 +114,10 @@ def damped_step(graph: PoseGraph, damping: float) -> tuple[NDArray[np.float64], 
 def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
     """Displacements (count, N, 6), Gaussian of the graph's precision around zero, given what terms share."""
     noise = np.asarray(jax.random.normal(key, (count, 6 * graph.keyframes)), np.float64)
-    drawn = noise.T.copy()
-    drawn[:6] = 0.0
-    if graph.keyframes > 1:
-        drawn[6:] = _normal_equations(graph, STIFFNESS).transposed_solve(drawn[6:])
+    drawn, held = noise.T.copy(), 6 * graph.fixed
+    drawn[:held] = 0.0
+    if graph.keyframes > graph.fixed:
+        drawn[held:] = _normal_equations(graph, STIFFNESS).transposed_solve(drawn[held:])
     return drawn.T.reshape(count, -1, 6)
 
 
@@ -127,7 +129,8 @@ def field_posterior(graph: PoseGraph) -> FieldPosterior:
 
 def _field_posterior(graph: PoseGraph, field: FieldTerm, factor: BlockCholesky) -> FieldPosterior:
     """By the Schur complement of the poses, whose normal equations are factorised."""
-    follow = np.concatenate([np.zeros((6, field.cross.shape[1])), -factor.solve(field.cross[6:])])
+    held = 6 * graph.fixed
+    follow = np.concatenate([np.zeros((held, field.cross.shape[1])), -factor.solve(field.cross[held:])])
     precision = field.precision + field.cross.T @ follow
     return FieldPosterior(
         covariance=np.linalg.inv(0.5 * (precision + precision.T)).astype(np.float64),
@@ -136,13 +139,13 @@ def _field_posterior(graph: PoseGraph, field: FieldTerm, factor: BlockCholesky) 
 
 
 def conditional_marginals(graph: PoseGraph) -> NDArray[np.float64]:
-    """Covariances (N, 6, 6) of the displacements under the same Gaussian, zero for the first keyframe.
+    """Covariances (N, 6, 6) of the displacements under the same Gaussian, zero for fixed keyframes.
 
     Given what terms share: its part is S C S^T with the sensitivity S of the `FieldPosterior`.
     """
     covariances = np.zeros((graph.keyframes, 6, 6))
-    if graph.keyframes > 1:
-        covariances[1:] = _normal_equations(graph, STIFFNESS).diagonal_of_inverse()
+    if graph.keyframes > graph.fixed:
+        covariances[graph.fixed :] = _normal_equations(graph, STIFFNESS).diagonal_of_inverse()
     return covariances
 
 
@@ -164,7 +167,7 @@ def _summed(graph: PoseGraph, of_terms: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _normal_equations(graph: PoseGraph, stiffness: float) -> BlockCholesky:
-    """The factorised precision of all keyframes but the first, `stiffness` added to its diagonal."""
+    """The factorised precision of all keyframes that are not fixed, `stiffness` added to its diagonal."""
     diagonal = np.tile(stiffness * np.eye(6), (graph.keyframes, 1, 1))
     np.add.at(diagonal, graph.pairs[:, 0], graph.precision[:, :6, :6])
     np.add.at(diagonal, graph.pairs[:, 1], graph.precision[:, 6:, 6:])
@@ -175,5 +178,5 @@ def _normal_equations(graph: PoseGraph, stiffness: float) -> BlockCholesky:
         diagonal += jointly[np.arange(graph.keyframes), np.arange(graph.keyframes)]
         pairs = np.concatenate([pairs, every])
         blocks = np.concatenate([blocks, jointly[tuple(every.T)]])
-    free = (pairs > 0).all(axis=1)
-    return BlockCholesky.of(diagonal[1:], pairs[free] - 1, blocks[free])
+    free = (pairs >= graph.fixed).all(axis=1)
+    return BlockCholesky.of(diagonal[graph.fixed :], pairs[free] - graph.fixed, blocks[free])

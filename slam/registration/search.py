@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
 
@@ -72,6 +72,9 @@ it does, and a camera that follows it slides."""
 SETTLING = 2
 """Renderings by which an optimum next to the prediction is to settle: search effort."""
 
+OUT_OF_SIGHT_M = 1000.0
+"""Farther than any depth camera sees."""
+
 REFINEMENTS = 3
 """Rounds of rendering anew and aligning again: while the optimum lies far from where it was rendered, and
 while it rises where the start was a guess."""
@@ -94,6 +97,12 @@ class Searcher:
     view: CanvasView
     noise: DepthNoise
     compared: int
+
+    def among(self, chosen: NDArray[np.bool_]) -> Searcher:
+        """The same in a map of those keyframes (N,) alone that are chosen."""
+        placed = self.keyframe_poses.copy()
+        placed[~chosen, 4:] += OUT_OF_SIGHT_M
+        return replace(self, keyframe_poses=placed)
 
     def near(self, starts: Sequence[ArrayLike], hold: float = 0.0) -> Registration:
         """The best optimum near the starts (7,), the likeliest first, and on the grid around that one.

@@ -13,6 +13,7 @@ from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
 from slam.keyframes.pages import PageFile
 from slam.keyframes.surfels import SurfelImage
+from slam.pose_graph import growing_map
 from slam.pose_graph.overlaps import KeyframeDetail
 from slam.result import SlamResult
 from slam.tracking import track
@@ -36,9 +37,10 @@ def same(one: SlamResult, other: SlamResult) -> bool:
 
 @pytest.mark.parametrize("killed_after", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_killed_tracker_ends_with_the_same_bytes(
-    key: jax.Array, seed: int, tmp_path: Path, killed_after: int
+    key: jax.Array, seed: int, tmp_path: Path, killed_after: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Through a file; frames before the checkpoint are not tracked again."""
+    """Through a file; frames before it are not tracked again. The map is refined after each keyframe."""
+    monkeypatch.setattr(growing_map, "REFINED_EVERY", 1)
     frames = walk_after_a_blank(7, seed)
     config = SlamConfig(particles=16)
     whole = track(jax.random.clone(key), frames, box_room.INTRINSICS, config)
@@ -63,6 +65,7 @@ def test_a_killed_tracker_ends_with_the_same_bytes(
     )
 
     assert len(seen) == len(frames)
+    assert seen[-1] > 1
     assert same(resumed, whole)
 
 

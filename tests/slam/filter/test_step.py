@@ -18,7 +18,7 @@ from slam.filter import smc
 from slam.filter.init import init
 from slam.filter.motion import is_wide_step
 from slam.filter.places import place_at
-from slam.filter.pose_hypotheses import find_places, predict
+from slam.filter.pose_hypotheses import Found, find_places, predict
 from slam.filter.state import FilterState, Hypothesis
 from slam.filter.step import step
 from slam.keyframes.depth_view import view_of_frame
@@ -47,8 +47,11 @@ def _moved(hypothesis: Hypothesis, by: jaxlie.SE3) -> Hypothesis:
         flat = [np.asarray((by @ jaxlie.SE3(jnp.asarray(pose))).wxyz_xyz) for pose in poses.reshape(-1, 7)]
         return np.stack(flat).reshape(poses.shape)
 
-    return Hypothesis(
-        moved(hypothesis.keyframe_poses), moved(hypothesis.pose), moved(hypothesis.previous_pose)
+    return replace(
+        hypothesis,
+        keyframe_poses=moved(hypothesis.keyframe_poses),
+        pose=moved(hypothesis.pose),
+        previous_pose=moved(hypothesis.previous_pose),
     )
 
 
@@ -84,6 +87,30 @@ def test_a_hypothesis_whose_map_disagrees_with_the_frame_loses_its_weight(key, t
 
     right = after.population.probabilities[info.places.ancestors == 0]
     assert right.sum() > 0.9
+
+
+def test_a_keyframe_that_drift_may_have_brought_into_sight_does_not_mislead(tracked):
+    """The first one, 20 cm off, nothing ties to the others: the frame is where these have it, and says so.
+
+    Where it is in its place the frame is compared with it, too.
+    """
+    one = tracked.population.heaviest
+    untied = replace(one, overlaps=np.asarray([[2, 1]], np.int32), anchor=2)
+    wrong = one.keyframe_poses.copy()
+    wrong[0, 4] += 0.2
+    prediction = predict(tracked, FRAMES[3].time_ns)
+
+    def found(hypothesis: Hypothesis) -> Found:
+        state = replace(tracked, population=smc.certain(hypothesis))
+        return find_places(state, VIEWS[3], prediction, CONFIG, None)
+
+    right, drifted = found(untied), found(replace(untied, keyframe_poses=wrong))
+
+    assert not right.contradicted
+    assert drifted.contradicted
+    assert 0 in right.best.indices
+    assert 0 not in drifted.best.indices
+    np.testing.assert_allclose(drifted.best.optimum.pose, right.best.optimum.pose, atol=0.003)
 
 
 def test_hypotheses_in_one_place_go_on_as_one(key, tracked):

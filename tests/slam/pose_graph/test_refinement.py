@@ -10,12 +10,14 @@ import pytest
 from pipeline.benchmarks.slam_cases import short_walk
 from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import matrices_of
 from slam.config import SlamConfig
 from slam.filter.init import init
 from slam.filter.state import FilterState
 from slam.filter.step import step
 from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
 from slam.keyframes.pages import PageFile
+from slam.pose_graph.growing_map import REFINED_EVERY, is_due, refined_so_far
 from slam.pose_graph.overlaps import KeyframeImages, keyframe_detail
 from slam.pose_graph.refinement import MapMixture, RefinedKeyframes, dealt, refine_keyframes
 from slam.tracking import track
@@ -93,6 +95,39 @@ def test_drift_of_decimetres_is_undone(key, tracked):
     np.testing.assert_allclose(after.poses[..., 4:], right.poses[..., 4:], atol=0.001)
 
 
+def test_a_growing_map_is_refined_and_the_camera_moves_along(tracked):
+    """Drift of the last keyframes goes while the first two are fixed; the last motion is what it was."""
+    one, right = tracked.population.heaviest, _maps(tracked).poses[0]
+    by = np.asarray([0.0, 0.0, 0.02, 0.04], np.float32)[:, None] * np.asarray([0, 0, 0, 0, 1, 0, 0])
+    drifted = replace(
+        one,
+        keyframe_poses=(right + by).astype(np.float32),
+        pose=(right[3] + by[3]).astype(np.float32),
+        previous_pose=(right[2] + by[3]).astype(np.float32),
+    )
+    state = replace(tracked, population=replace(tracked.population, histories=(drifted,)))
+    images = KeyframeImages(keyframe_map=state.keyframe_map, details=DETAILS, noise=NOISE)
+
+    after = refined_so_far(state, images, free=2)
+
+    moved = after.population.heaviest
+    np.testing.assert_array_equal(moved.keyframe_poses[:2], right[:2])
+    assert _errors_m(moved.keyframe_poses).max() < _errors_m(right).max() + 0.002
+    np.testing.assert_array_equal(moved.pose, moved.keyframe_poses[3])
+    steps = [np.linalg.inv(matrices_of(of.previous_pose)) @ matrices_of(of.pose) for of in (drifted, moved)]
+    np.testing.assert_allclose(steps[1], steps[0], atol=1e-6)
+    assert (after.refined_keyframes, after.contradicted) == (4, False)
+
+
+def test_the_map_is_refined_after_so_many_keyframes_or_where_they_contradict_each_other(tracked):
+    """Twenty; four."""
+    early = replace(tracked, refined_keyframes=0)
+
+    assert not is_due(early)
+    assert is_due(replace(early, contradicted=True))
+    assert is_due(replace(early, refined_keyframes=4 - REFINED_EVERY))
+
+
 def test_a_keyframe_that_little_holds_does_not_slide_along_a_wall(key):
     """The filter has it 6 mm off; steps that nobody asks led half a metre along, 640 nats downhill.
 
@@ -126,6 +161,7 @@ def test_draws_have_the_graph_s_spread_and_do_not_depend_on_their_number(key, tr
         poses=np.repeat(maps.poses, 2, axis=0),
         probabilities=np.asarray([0.75, 0.25]),
         hypotheses=np.zeros(2, int),
+        known=maps.known * 2,
     )
 
     placed = _refined(jax.random.clone(key), both, tracked, count=400)

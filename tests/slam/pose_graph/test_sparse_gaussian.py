@@ -90,6 +90,23 @@ def test_a_step_solves_the_damped_normal_equations(seed, jointly):
     np.testing.assert_allclose(step[1:].ravel(), expected, rtol=1e-9, atol=1e-12)
 
 
+def test_several_keyframes_may_be_fixed(key, seed):
+    """Step, marginals and draws are those of the others alone; limit: rounding."""
+    graph = replace(_graph(np.random.default_rng(seed)), fixed=3)
+    precision, gradient = _dense(graph)
+    precision, gradient = precision[12:, 12:], gradient[12:]
+
+    step, _ = damped_step(graph, damping=30.0)
+    covariances, drawn = conditional_marginals(graph), draws(key, graph, 10)
+
+    for of_fixed in (step[:3], covariances[:3], drawn[:, :3]):
+        assert not of_fixed.any()
+    expected = -np.linalg.solve(precision + 30.0 * np.eye(12), gradient)
+    np.testing.assert_allclose(step[3:].ravel(), expected, rtol=1e-9, atol=1e-12)
+    inverse = np.linalg.inv(precision + STIFFNESS * np.eye(12)).reshape(2, 6, 2, 6)
+    np.testing.assert_allclose(covariances[3:], inverse[range(2), :, range(2)], rtol=1e-7, atol=1e-12)
+
+
 @pytest.mark.parametrize("jointly", [False, True])
 def test_draws_have_the_covariance_of_dense_algebra(key, seed, jointly):
     """Whitened by the inverse of the summed precision, products of draws are those of unit Gaussians."""
