@@ -87,7 +87,18 @@ def scene_model(
     config: ParseConfig,
 ) -> SceneModel:
     """The target in the table's frame; supports are the last bodies, slabs under them."""
-    prior = PosePrior(
+    prior = pose_prior(supports, space, config)
+    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if supports else WeightedTrees.uniform()
+    return SceneModel(_bodies(objects, supports), prior, trees, likelihood)
+
+
+def pose_prior(
+    supports: Sequence[SupportPlane],
+    space: tuple[NDArray[np.float64], NDArray[np.float64]],
+    config: ParseConfig,
+) -> PosePrior:
+    """Its prior of poses, with the corners of the cuboid that holds what floats."""
+    return PosePrior(
         low_m=jax.device_put(space[0]),
         high_m=jax.device_put(space[1]),
         contact_sigma_m=jnp.asarray(config.contact_sigma_m),
@@ -96,8 +107,6 @@ def scene_model(
         slack_share=jnp.asarray(config.slack_share),
         upward_concentration=jnp.asarray(config.upward_concentration if supports else 0.0),
     )
-    trees = WeightedTrees(jnp.asarray(config.floating_weight)) if supports else WeightedTrees.uniform()
-    return SceneModel(_bodies(objects, supports), prior, trees, likelihood)
 
 
 def half_sizes(supports: Sequence[SupportPlane]) -> NDArray[np.float64]:

@@ -130,12 +130,13 @@ def _others(
     found: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Depth and log gain (N, X) of what stands beside each of the objects found; +inf and 0 of the rest."""
-    present = np.flatnonzero(found)
-    first = [np.append(sites[one][0], sizes.log_half[one]) for one in present.tolist()]
-    states = np.array(first).reshape(-1, 10)
-    depth_m, gain = frames.shown(rng, present, states)
-    front_m = np.full((len(found), depth_m.shape[1]), np.inf, np.float32)
+    front_m = np.full((len(found), frames.pixels), np.inf, np.float32)
     front_gain = np.zeros_like(front_m)
+    if not found.any():
+        return front_m, front_gain
+    present = np.flatnonzero(found)
+    states = np.stack([np.append(sites[one][0], sizes.log_half[one]) for one in present.tolist()])
+    depth_m, gain = frames.shown(rng, present, states)
     for one, other in permutations(range(len(present)), 2):
         nearer = depth_m[other] < front_m[present[one]]
         front_m[present[one], nearer] = depth_m[other, nearer]

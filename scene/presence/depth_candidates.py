@@ -44,6 +44,11 @@ class PresenceFrames:
         """S."""
         return len(self.renderer.library) // len(self.log_half)
 
+    @property
+    def pixels(self) -> int:
+        """X."""
+        return sum(view.window.depth_m.size for view in self.compared.views)
+
     def shown(
         self, rng: np.random.Generator, slots: NDArray[np.integer], states: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -240,6 +240,24 @@ def count_copies(common: Common, shapes: MeshSource, numbers: Sequence[int]) -> 
     common.report(figures, copies_lines(figures))
 
 
+def judge_decoys(common: Common, shapes: MeshSource, numbers: Sequence[int]) -> None:
+    """Whether what is asked for is laid into a thing that nobody asks for."""
+    from pipeline.benchmarks.decoys import decoy_figures, decoy_lines, judge_decoy
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    rows = []
+    for number in numbers:
+        with stdout_to_stderr():
+            row = judge_decoy(shapes, number, common.seed)
+        if row is not None:
+            rows.append(row)
+            place = f"{1000 * row.error_m:.1f} mm off" if row.there else "absent"
+            said = f"presence {row.presence:.2f}, truth ahead by {row.advantage:.1f} nats"
+            _say(common, f"table {number}, {row.kind}, {row.shape}: {place}, {said}")
+    figures = decoy_figures(rows)
+    common.report(figures, decoy_lines(figures))
+
+
 def _say(common: Common, line: str) -> None:
     if not (common.as_json or common.quiet):
         click.echo(line)

@@ -102,6 +102,13 @@ class NamedFile(click.ParamType):
     help="Instead: two or three things of one shape stand on a table, one more is asked for.",
 )
 @click.option(
+    "--decoys",
+    is_flag=True,
+    help="Instead: a thing that nobody asks for stands there, into which what is asked for may be laid: a"
+    " larger box, a block, a carrier; what is told, and log evidence of the truth less that of the likeliest"
+    " such place.",
+)
+@click.option(
     "--proposals",
     metavar="SOURCE,...",
     help=f"Instead: where the search's poses come from ({', '.join(SOURCES)}): the best hypothesis of each"
@@ -155,6 +162,7 @@ def command(
     absent: int | None,
     lookalikes: bool,
     copies: bool,
+    decoys: bool,
     proposals: str | None,
     keep: Path | None,
     csv_path: Path | None,
@@ -200,6 +208,9 @@ def command(
         return
     if copies:
         pose_runs.count_copies(common, shapes, numbers)
+        return
+    if decoys:
+        pose_runs.judge_decoys(common, shapes, numbers)
         return
     if worlds is not None:
         others = MeshSource.of(unasked, units) if unasked else None

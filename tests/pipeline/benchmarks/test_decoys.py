@@ -1,0 +1,65 @@
+"""Evidence of places, against sums over all scenes, and how tables of decoys are judged."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from pipeline.benchmarks.decoys import DecoyRow, decoy_figures, decoy_lines
+from pipeline.benchmarks.place_evidence import laid_into, log_scenes
+from scene.model.number_prior import BinomialNumber
+from tests.scene.presence import strips
+from tests.scene.presence.test_toggling import log_density_and_likelihood
+from tests.statistical import assert_mean
+
+ROW = DecoyRow(table=0, kind="face", shape="box", there=True, presence=0.9, error_m=0.002, advantage=5.0)
+
+
+@pytest.mark.parametrize("place", [0, 1, None])
+def test_sums_over_scenes(place: int | None, seed: int) -> None:
+    """The mean of 2,000 estimates is the sum over the scenes of bare strips in which a slot is taken."""
+    kinds, number = np.array([0, 1]), BinomialNumber(0.5)
+    observed_m = strips.BACKGROUND_M + 2 * strips.SIGMA_M * np.random.default_rng(seed).normal(
+        size=strips.WIDTH
+    )
+    candidates = strips.candidates_at(observed_m, kinds, number, np.tile(np.arange(strips.PLACES), (2, 1)))
+    scenes = strips.all_scenes(2)
+    taken = scenes[:, 0] >= 0 if place == 0 else scenes[:, 1] >= 0 if place == 1 else scenes[:, 0] >= -1
+    exact = logsumexp([log_density_and_likelihood(candidates, one)[0] for one in scenes[taken]])
+    others = [one for one in (0, 1) if one != place]
+    rng = np.random.default_rng(seed)
+
+    found = [log_scenes(rng, candidates, others, place, 1) for _ in range(2000)]
+
+    assert_mean(np.exp(np.array(found) - exact), 1.0, detectable=0.2)
+
+
+def test_places_lie_in_a_decoy_and_touch_its_faces() -> None:
+    """The corners of a smaller box stay within a larger one's, and reach one of its faces at least."""
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.3, 0.1, 0.7]
+    half_m, own_m = np.array([0.1, 0.12, 0.15]), np.array([0.03, 0.05, 0.08])
+    signs = np.stack(np.meshgrid(*[[-1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = np.linalg.inv(turned) @ laid_into(turned, half_m, own_m)
+    assert len(inside) == 24 * 26
+    corners = (signs * own_m) @ np.swapaxes(inside[:, :3, :3], 1, 2) + inside[:, None, :3, 3]
+    reach = np.abs(corners) / half_m
+    assert (reach < 1 + 1e-9).all()
+    np.testing.assert_allclose(reach.max(axis=(1, 2)), 1)
+
+
+def test_what_is_right() -> None:
+    """Found where it is, or told absent where it is not; how far the truth is ahead counts by itself."""
+    rows = [
+        ROW,
+        replace(ROW, error_m=0.02, advantage=-1.0),
+        replace(ROW, there=False, error_m=1.0, presence=0.2),
+        replace(ROW, there=False, error_m=1.0, presence=0.7, kind="block"),
+    ]
+    figures = decoy_figures(rows)["decoys"]
+    assert (figures["all"]["right"]["count"], figures["all"]["truth_ahead"]["count"]) == (2, 3)
+    assert (figures["face"]["tables"], figures["block"]["right"]["count"]) == (3, 0)
+    assert figures["face"]["least_advantage"] == -1.0
+    assert "carrier" not in figures
+    assert len(decoy_lines(decoy_figures(rows))) == 4
