@@ -79,17 +79,26 @@ def save_fields(path: Path, value: DataclassInstance, *, format_version: int) ->
 
 
 def load_fields(
-    path: Path, kind: type[DataclassInstance], *, format_version: int, title: str
+    path: Path,
+    kind: type[DataclassInstance],
+    *,
+    format_version: int,
+    title: str,
+    older: Mapping[int, Mapping[str, str]] | None = None,
 ) -> dict[str, NDArray]:
     """The fields of a value that `save_fields` wrote; `title` is what messages call it.
+
+    Of `older` formats it says which of their names are called what today.
 
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: the file is damaged, of another format, or lacks a field.
     """
     arrays = load_arrays(path)
-    if arrays.pop("format_version", np.asarray(0)) != format_version:
+    renamed = {format_version: {}, **(older or {})}.get(np.asarray(arrays.pop("format_version", 0)).item())
+    if renamed is None:
         raise ValueError(f"{path} is not a {title} of format {format_version}")
+    arrays = {renamed.get(name, name): array for name, array in arrays.items()}
     differing = {field.name for field in fields(kind)} ^ set(arrays)
     if differing:
         raise ValueError(f"{path} is not a {title}: {', '.join(sorted(differing))}")

@@ -15,8 +15,11 @@ from shapes.archive import load_fields, save_fields
 from shapes.geometry.pose_sets import cluster
 from shapes.geometry.poses import matrices_of
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 """Of the file."""
+
+OLDER_FORMATS = {4: {"ess": "hypotheses"}}
+"""Those that are read, and what is called otherwise today."""
 
 COMPARED_FRAMES = 2000
 """50 MB while paths are told apart."""
@@ -35,7 +38,7 @@ class SlamResult:
         covariance: (T, 6, 6) second moment around the mean, all maps that are left included, in the right
             tangent there: translation in metres, then rotation in radians, both in the camera's own axes.
         degrees_of_freedom: () of the marginals, which are Student-t: heavier tails than a Gaussian's.
-        ess: (T,) effective number of hypotheses after each frame.
+        hypotheses: (T,) effective number of them after each frame, 1 / sum of squared weights.
         log_evidence: (T,) increments; their sum estimates log p(I_1..T) with the image density tempered.
         resampled: (T,) bool, hypotheses were given up, by their weights.
         lost: (T,) bool, no pose agreed with the map, or nothing ties the keyframe that it agreed with to the
@@ -53,7 +56,7 @@ class SlamResult:
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
     degrees_of_freedom: NDArray[np.float64]
-    ess: NDArray[np.float64]
+    hypotheses: NDArray[np.float64]
     log_evidence: NDArray[np.float64]
     resampled: NDArray[np.bool_]
     lost: NDArray[np.bool_]
@@ -73,7 +76,7 @@ class SlamResult:
             "degrees_of_freedom": (),
             "camera": (6,),
             **dict.fromkeys(("disparity_per_m", "disparity_sd_per_m"), (NODE_ROWS, NODE_COLUMNS)),
-            **dict.fromkeys(("ess", "log_evidence", "resampled", "lost", "explained"), (frames,)),
+            **dict.fromkeys(("hypotheses", "log_evidence", "resampled", "lost", "explained"), (frames,)),
         }
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
@@ -127,4 +130,7 @@ class SlamResult:
             FileNotFoundError: there is no such file.
             ValueError: the file is damaged, or not a SLAM result of this format.
         """
-        return cls(**load_fields(path, cls, format_version=FORMAT_VERSION, title="SLAM result"))
+        fields = load_fields(
+            path, cls, format_version=FORMAT_VERSION, title="SLAM result", older=OLDER_FORMATS
+        )
+        return cls(**fields)

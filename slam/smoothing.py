@@ -64,7 +64,7 @@ def smoothed(
                 "covariance": covariance / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
                 + displaced @ displaced.transpose(0, 2, 1),
                 "lost": infos.lost | ~placed.held[best, anchors[best]],
-                "ess": infos.hypotheses,
+                "hypotheses": infos.hypotheses,
                 **{name: getattr(infos, name) for name in ("log_evidence", "resampled", "explained")},
             }
         )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, PRIOR_SD_PER_M
 from recordings.sensor_profile import SensorProfile
@@ -73,72 +74,104 @@ def track(
     pages = pages or PageFile()
     if sensor is not None and config.noise is None:
         config = replace(config, noise=sensor.noise)
-    state: FilterState | None = checkpoint.state if checkpoint else None
-    history = checkpoint.history if checkpoint else History(pages=pages)
-    details: list[Paged[KeyframeDetail]] = list(checkpoint.details) if checkpoint else []
-    known = len(history)
-    if on_frame is not None:
-        for info in history.infos():
-            on_frame(info)
-    waiting: list[int] = []
-    full_detail_noise = config.noise or DepthNoise()
+    tracker = _Tracker(key, config, pages, checkpoint)
+    known = len(tracker.history)
+    for info in tracker.history.infos():
+        _tell(on_frame, info)
     odometry = None if config.proposal == "enumerate" else KissOdometry(intrinsics)
     for index, (frame, view) in enumerate(_views_ahead(frames, intrinsics)):
         motion = odometry.register(frame) if odometry else None
         if index < known:
             continue
+        for info in tracker.follow(index, frame, view, motion, intrinsics):
+            _tell(on_frame, info)
+        if on_checkpoint is not None and tracker.state is not None:
+            on_checkpoint(Checkpoint(state=tracker.state, history=tracker.history, details=tracker.details))
+    return tracker.result(intrinsics, sensor)
+
+
+def _tell(on_frame: OnFrame | None, info: FrameInfo) -> None:
+    if on_frame is not None:
+        on_frame(info)
+
+
+class _Tracker:
+    """What the frames so far have left behind."""
+
+    def __init__(
+        self, key: jax.Array, config: SlamConfig, pages: PageFile, checkpoint: Checkpoint | None
+    ) -> None:
+        self.key, self.config, self.pages = key, config, pages
+        self.state: FilterState | None = checkpoint.state if checkpoint else None
+        self.history = checkpoint.history if checkpoint else History(pages=pages)
+        self.details: list[Paged[KeyframeDetail]] = list(checkpoint.details) if checkpoint else []
+        self.noise = config.noise or DepthNoise()
+        self.waiting: list[int] = []
+
+    def follow(
+        self,
+        index: int,
+        frame: Frame,
+        view: CanvasView,
+        motion: NDArray[np.float64] | None,
+        intrinsics: CameraIntrinsics,
+    ) -> list[FrameInfo]:
+        """One frame more, by its number; reports of it and of those that waited."""
+        config, state, told = self.config, self.state, []
         if state is None and not _can_be_mapped(view):
-            waiting.append(frame.time_ns)
-            continue
+            self.waiting.append(frame.time_ns)
+            return []
         if state is None:
-            state, info = init(view, frame.time_ns, config, pages)
-            for time_ns in waiting:
-                unseen = info_before_map(state, config)
-                history.append(time_ns, unseen)
-                if on_frame is not None:
-                    on_frame(unseen)
+            state, info = init(view, frame.time_ns, config, self.pages)
+            told = [info_before_map(state, config) for _ in self.waiting]
         else:
-            frame_key = jax.random.fold_in(key, index)
+            frame_key = jax.random.fold_in(self.key, index)
             state, info = step(frame_key, state, view, frame.time_ns, config, motion)
-        history.append(frame.time_ns, info)
+        for time_ns, unseen in zip([*self.waiting, frame.time_ns], [*told, info], strict=True):
+            self.history.append(time_ns, unseen)
+        self.waiting = []
         if info.is_keyframe:
             detailed = view_of_frame(frame, intrinsics, FINE_CANVAS)
-            details.append(pages.hold(keyframe_detail(detailed, full_detail_noise)))
+            self.details.append(self.pages.hold(keyframe_detail(detailed, self.noise)))
             if is_due(state):
-                state = refined_so_far(state, _images(state, details, full_detail_noise))
-        if on_frame is not None:
-            on_frame(info)
-        if on_checkpoint is not None:
-            on_checkpoint(Checkpoint(state=state, history=history, details=details))
-    if state is None and not waiting:
-        raise ValueError("the recording has no depth frame")
-    if state is None:
-        raise ValueError(
-            f"no depth frame has a return in more than {LEAST_RETURNS:.0%} of its pixels;"
-            " is it the right depth topic, scale and range?"
-        )
-    look_key, refinement_key, draw_key = jax.random.split(jax.random.fold_in(key, len(history)), 3)
-    prior: TrajectoryPrior | None = None
-    if are_sparse_views(state, len(history), history.in_doubt):
-        prior = TrajectoryPrior.of(state, config)
-        details = [pages.hold(detail.value.with_plane_segments(full_detail_noise)) for detail in details]
-    maps = choose_map(look_key, state, config, details, full_detail_noise, prior)
-    sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
-    field = sensor.distortion if sensor else None
-    if field is not None:
-        sd, scales = field.sd_per_m, (1.0,)
-    images = _images(state, details, full_detail_noise)
-    placed = refine_keyframes(refinement_key, images, maps, config.particles, sd, prior, scales)
-    result = smoothed(draw_key, history, maps, placed, intrinsics)
-    if field is None:
-        return result
-    return replace(result, disparity_per_m=field.disparity_per_m + result.disparity_per_m)
+                state = refined_so_far(state, self._images(state))
+        self.state = state
+        return [*told, info]
 
+    def _images(self, state: FilterState) -> KeyframeImages:
+        return KeyframeImages(keyframe_map=state.keyframe_map, details=self.details, noise=self.noise)
 
-def _images(
-    state: FilterState, details: Sequence[Paged[KeyframeDetail]], noise: DepthNoise
-) -> KeyframeImages:
-    return KeyframeImages(keyframe_map=state.keyframe_map, details=details, noise=noise)
+    def result(self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None) -> SlamResult:
+        """After the last frame.
+
+        Raises:
+            ValueError: there was no frame, or none that a map can begin with.
+        """
+        state, history, config = self.state, self.history, self.config
+        if state is None and not self.waiting:
+            raise ValueError("the recording has no depth frame")
+        if state is None:
+            raise ValueError(
+                f"no depth frame has a return in more than {LEAST_RETURNS:.0%} of its pixels;"
+                " is it the right depth topic, scale and range?"
+            )
+        keys = jax.random.split(jax.random.fold_in(self.key, len(history)), 3)
+        prior: TrajectoryPrior | None = None
+        if are_sparse_views(state, len(history), history.in_doubt):
+            prior = TrajectoryPrior.of(state, config)
+            self.details = [
+                self.pages.hold(detail.value.with_plane_segments(self.noise)) for detail in self.details
+            ]
+        maps = choose_map(keys[0], state, config, self.details, self.noise, prior)
+        sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
+        field = sensor.distortion if sensor else None
+        if field is not None:
+            sd, scales = field.sd_per_m, (1.0,)
+        placed = refine_keyframes(keys[1], self._images(state), maps, config.particles, sd, prior, scales)
+        result = smoothed(keys[2], history, maps, placed, intrinsics)
+        if field is None:
+            return result
+        return replace(result, disparity_per_m=field.disparity_per_m + result.disparity_per_m)
 
 
 def _can_be_mapped(view: CanvasView) -> bool:

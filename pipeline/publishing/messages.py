@@ -38,7 +38,7 @@ _FRAME_SCHEMA = json_schema(
         "type": "object",
         "properties": {
             "frame": {"type": "integer"},
-            "ess": {"type": ["number", "null"]},
+            "hypotheses": {"type": ["number", "null"]},
             "log_evidence": {"type": ["number", "null"], "description": "null where it is not finite"},
             "explained": {"type": ["number", "null"]},
             "resampled": {"type": "boolean"},
@@ -130,7 +130,7 @@ def _write_filter(writer: RecordingWriter, result: SlamResult) -> None:
 def _frame_posterior(result: SlamResult, frame: int) -> dict[str, Any]:
     return {
         "frame": frame,
-        "ess": float(result.ess[frame]),
+        "hypotheses": float(result.hypotheses[frame]),
         "log_evidence": float(result.log_evidence[frame]),
         "explained": float(result.explained[frame]),
         "resampled": bool(result.resampled[frame]),

@@ -83,7 +83,7 @@ def _slam(result: SlamResult) -> dict[str, Any]:
         "least_sure_frame": int(found[np.argmax(deviations_m)]) if len(found) else None,
         "distortion_per_m": float(np.abs(result.disparity_per_m).mean()),
         "distortion_std_per_m": float(result.disparity_sd_per_m.mean()),
-        "hypotheses_max": float(result.ess.max()),
+        "hypotheses_max": float(result.hypotheses.max()),
         "path_probabilities": np.round(result.path_probabilities, 6).tolist(),
         "log_evidence": float(result.log_evidence.sum()),
     }

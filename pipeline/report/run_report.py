@@ -151,7 +151,7 @@ def _figures(run: ReportedRun) -> dict[str, str]:
         found["lost frames"] = str(int(slam.lost.sum()))
         found["path length"] = f"{length_m:.2f} m"
         found["position"] = camera_text(run.summary["slam"]).removeprefix("position ")
-        found["most hypotheses at once"] = f"{slam.ess.max():.1f}"
+        found["most hypotheses at once"] = f"{slam.hypotheses.max():.1f}"
     for name, shape in run.values.shapes.items():
         size = " x ".join(f"{100 * side:.1f}" for side in np.ptp(shape.bounding_box_m, axis=0))
         found[f"shape {name}"] = f"{size} cm"

@@ -46,7 +46,8 @@ def _camera(slam: SlamResult, told: Mapping[str, Any]) -> list[str]:
         "",
         f"- {told['frames']} frames over {told['length_m']:.2f} m, {told['lost_frames'] or 'none'} lost",
         *([f"- {spread}"] if spread else []),
-        f"- at most {slam.ess.max():.1f} hypotheses at once, {len(slam.log_weights)} trajectories drawn",
+        f"- at most {slam.hypotheses.max():.1f} hypotheses at once,"
+        f" {len(slam.log_weights)} trajectories drawn",
         *_paths(slam.path_probabilities),
         "- ellipsoids: 95% regions of positions, of true size; ten times larger as `uncertainty_10x`",
     ]

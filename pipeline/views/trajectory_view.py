@@ -20,7 +20,7 @@ PATH_WIDTH, PARTICLE_WIDTH = rr.Radius.ui_points(4.0), rr.Radius.ui_points(0.7)
 PLOTS = {
     "position": ("Position spread, mm", ORANGE),
     "rotation": ("Rotation spread, deg", PURPLE),
-    "ess": ("Hypotheses, effective number", GREEN),
+    "hypotheses": ("Hypotheses, effective number", GREEN),
     "evidence": ("Log evidence, nat a frame", SKY_BLUE),
 }
 """By path: title with unit, and colour. Spreads are root mean square distances and angles from the mean."""
@@ -49,7 +49,7 @@ def log_filter(recording: rr.RecordingStream, result: SlamResult) -> None:
     series = {
         "position": 1000 * np.sqrt(np.trace(result.covariance[:, :3, :3], axis1=1, axis2=2)),
         "rotation": np.degrees(np.sqrt(np.trace(result.covariance[:, 3:, 3:], axis1=1, axis2=2))),
-        "ess": result.ess,
+        "hypotheses": result.hypotheses,
         "evidence": result.log_evidence,
     }
     for path, values in series.items():

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from shapes.geometry.poses import matrices_of
 from slam.likelihood.distortion import NODES, Distortion
-from slam.likelihood.overlap_density import FieldTerms, overlap_terms
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.displacements import coordinates, displaced
-from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
-from slam.pose_graph.sparse_gaussian import FieldTerm, PoseGraph
+from slam.pose_graph.linearisation import Field, Linearised, exponents_of, linearised_at
+from slam.pose_graph.overlaps import Keyframes
+from slam.pose_graph.sparse_gaussian import PoseGraph
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 from slam.registration.registered import CONVINCING_EXPLAINED
 
@@ -48,40 +48,6 @@ FIELD_INFLATIONS = (3.0, 2.0, 1.5)
 FARTHEST = 0.05
 """Metres or radians. A keyframe that would move farther is not near its optimum: the filter drifted or
 mistook the place, or nothing holds it. It stays, and the others are refined without it."""
-
-LEAST_INLIERS = 60.0
-"""Ten times the six coordinates of a pose."""
-
-THINNED = 8
-"""Of the samples, every so many decide on the first rounds: they stand for all."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Linearised:
-    """The graph of E overlaps, its pairs being (image, surface), and what tells how much to believe it.
-
-    Attributes:
-        graph: not tempered, but for what it says of the field.
-        score_variance: (E, 6, 6) of the gradients in the image's displacement.
-        inliers: (E,).
-        meeting: (E,) pixels that meet the surface.
-    """
-
-    graph: PoseGraph
-    score_variance: NDArray[np.float64]
-    inliers: NDArray[np.float64]
-    meeting: NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Field:
-    """The distortion field where terms are taken, and the exponents (N,) that they are then given.
-
-    There are too many to be kept one by one until their own exponents are known.
-    """
-
-    distortion: Distortion
-    exponents: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,29 +102,29 @@ def optimise(
     nearly free they may slide along it, downhill, on gaps of a field's size.
     """
     start, astray = poses, np.zeros(len(poses), bool)
-    linearised = _linearised(keyframes, poses, inflations[0], astray)
+    linearised = linearised_at(keyframes, poses, inflations[0], astray)
     converged = CONVERGED if motion is None else HELD_CONVERGED
     damping = damping if motion is None else HELD_DAMPING
     for round_ in range(1, len(inflations) + MOST_STEPS):
         if linearised is None:
             return None
-        tempered = _tempered(linearised, _exponents(linearised), motion, poses)
+        tempered = _tempered(linearised, exponents_of(linearised), motion, poses)
         step, none = sparse_gaussian.damped_step(linearised.graph if motion is None else tempered, damping)
         least = converged * 0.5 * step[keyframes.fixed :].size
         if round_ > len(inflations) and _gain(tempered, step, none) < least:
             break
         before, poses = poses, displaced(poses, step)
         if uphill:
-            poses = _best_of_step(keyframes, before, step, _exponents(linearised))
+            poses = _best_of_step(keyframes, before, step, exponents_of(linearised))
         if np.array_equal(poses, before):
             break
         astray |= np.abs(coordinates(start, poses)).max(axis=1) > farthest
         poses = np.where(astray[:, None], start, poses)
         inflation = inflations[round_] if round_ < len(inflations) else 1.0
-        linearised = _linearised(keyframes, poses, inflation, astray)
+        linearised = linearised_at(keyframes, poses, inflation, astray)
     if linearised is None:
         return None
-    exponents = _exponents(linearised)
+    exponents = exponents_of(linearised)
     graph = _tempered(linearised, exponents, motion, poses)
     return GraphOptimum(poses=poses, graph=graph, exponents=exponents, astray=astray)
 
@@ -169,10 +135,10 @@ def agreement(keyframes: Keyframes, poses: NDArray[np.float32]) -> PoseGraph | N
     Of others, as between views of a floor that are taken for each other, each keyframe has the best one with
     an earlier one alone: it was placed by that.
     """
-    linearised = _linearised(keyframes, poses, 1.0, np.zeros(len(poses), bool))
+    linearised = linearised_at(keyframes, poses, 1.0, np.zeros(len(poses), bool))
     if linearised is None:
         return None
-    graph = _tempered(linearised, _exponents(linearised), None, poses)
+    graph = _tempered(linearised, exponents_of(linearised), None, poses)
     share = linearised.inliers / np.maximum(linearised.meeting, 1.0)
     best = np.zeros(len(poses))
     np.maximum.at(best, graph.pairs.max(axis=1), share)
@@ -192,8 +158,8 @@ def with_distortion(
 
     None where no keyframes overlap.
     """
-    field = _Field(distortion=distortion, exponents=start.exponents)
-    linearised = _linearised(keyframes, start.poses, 1.0, start.astray, field)
+    field = Field(distortion=distortion, exponents=start.exponents)
+    linearised = linearised_at(keyframes, start.poses, 1.0, start.astray, field)
     return None if linearised is None else _tempered(linearised, start.exponents, motion, start.poses)
 
 
@@ -214,12 +180,12 @@ def optimise_with_distortion(
     poses, exponents, rounds = start.poses, start.exponents, len(inflations) + MOST_STEPS
     for round_ in range(rounds):
         inflation = inflations[round_] if round_ < len(inflations) else 1.0
-        field = _Field(distortion=distortion, exponents=exponents)
-        linearised = _linearised(keyframes, poses, inflation, start.astray, field, stride)
+        field = Field(distortion=distortion, exponents=exponents)
+        linearised = linearised_at(keyframes, poses, inflation, start.astray, field, stride)
         if linearised is None:
             return None
         tempered = _tempered(linearised, exponents, motion, poses)
-        exponents = _exponents(linearised)
+        exponents = exponents_of(linearised)
         step, of_field = sparse_gaussian.damped_step(tempered, HELD_DAMPING)
         gain = _gain(tempered, step, of_field)
         least = HELD_CONVERGED * 0.5 * (step[1:].size + of_field.size)
@@ -232,7 +198,7 @@ def optimise_with_distortion(
 
 
 def _tempered(
-    linearised: _Linearised,
+    linearised: Linearised,
     exponents: NDArray[np.float64],
     motion: TrajectoryPrior | None,
     poses: NDArray[np.float32],
@@ -246,69 +212,6 @@ def _tempered(
         gradient=graph.gradient * of_terms[:, None],
         joint=None if motion is None else motion.bent(matrices_of(poses)),
     )
-
-
-class _FieldSums:
-    """What tempered terms say of the field's nodes, added up."""
-
-    def __init__(self, keyframes: int) -> None:
-        self.precision, self.gradient = np.zeros((NODES, NODES)), np.zeros(NODES)
-        self.cross = np.zeros((keyframes, 6, NODES))
-
-    def add(self, terms: FieldTerms, pairs: NDArray[np.int_], exponents: NDArray[np.float64]) -> None:
-        """Terms of pairs (B, 2), to the power of exponents (B,)."""
-        self.precision += np.einsum("e,eij->ij", exponents, np.asarray(terms.precision)[: len(pairs)])
-        self.gradient += exponents @ np.asarray(terms.gradient, np.float64)[: len(pairs)]
-        cross = np.asarray(terms.cross)[: len(pairs)] * exponents[:, None, None]
-        np.add.at(self.cross, pairs, cross.reshape(len(pairs), 2, 6, -1))
-
-    def term(self, distortion: Distortion) -> FieldTerm:
-        """With the prior, in the field's coordinates."""
-        factor = distortion.factor
-        return FieldTerm(
-            precision=np.eye(factor.shape[1]) + factor.T @ self.precision @ factor,
-            gradient=distortion.coordinates + factor.T @ self.gradient,
-            cross=self.cross.reshape(-1, NODES) @ factor,
-        )
-
-
-def _linearised(
-    keyframes: Keyframes,
-    poses: NDArray[np.float32],
-    inflation: float,
-    astray: NDArray[np.bool_],
-    field: _Field | None = None,
-    stride: int = 1,
-) -> _Linearised | None:
-    """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
-    stride = stride if inflation == 1.0 else THINNED
-    disparity = None if field is None else field.distortion.disparity_per_m.astype(np.float32)
-    sums = None if field is None else _FieldSums(len(poses))
-    overlaps, parts = [], []
-    for surface, samples, index, images in keyframes.batches(stride):
-        relative = relative_to(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
-        terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation, disparity)
-        pairs, count = np.stack([images, np.full(len(images), index)], axis=1), len(images)
-        inliers = np.asarray(terms.inliers)[:count]
-        agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
-        if field is not None and sums is not None and terms.field is not None:
-            sums.add(terms.field, pairs, np.where(agree, field.exponents[images], 0.0))
-        score_variance = np.asarray(terms.score_variance)[:, :6, :6]
-        leaves = (terms.precision, terms.gradient, score_variance, inliers, terms.meeting)
-        parts.append([np.asarray(leaf, np.float64)[:count][agree] for leaf in leaves])
-        overlaps.append(pairs[agree])
-    if not sum(map(len, overlaps)):
-        return None
-    precision, gradient, score_variance, inliers, meeting = map(np.concatenate, zip(*parts, strict=True))
-    graph = PoseGraph(
-        keyframes=len(poses),
-        pairs=np.concatenate(overlaps),
-        precision=precision,
-        gradient=gradient,
-        field=None if field is None or sums is None else sums.term(field.distortion),
-        fixed=keyframes.fixed,
-    )
-    return _Linearised(graph=graph, score_variance=score_variance, inliers=inliers, meeting=meeting)
 
 
 def _best_of_step(
@@ -332,21 +235,3 @@ def _gain(graph: PoseGraph, step: NDArray[np.float64], of_field: NDArray[np.floa
     if graph.field is not None:
         squared += of_field @ (graph.field.precision @ of_field + 2.0 * graph.field.cross.T @ step.ravel())
     return float(0.5 * squared)
-
-
-def _exponents(linearised: _Linearised) -> NDArray[np.float64]:
-    """Exponent (N,) of each image's densities: its pixels count once, and as many as are independent.
-
-    An image's inliers over those of its largest overlap tell by how many surfaces a pixel is explained; the
-    spread of the blocks' scores, how much of the curvature is repetition
-    (`slam.likelihood.noise_calibration`).
-    """
-    graph, images = linearised.graph, linearised.graph.pairs[:, 0]
-    total, largest = np.zeros(graph.keyframes), np.ones(graph.keyframes)
-    np.add.at(total, images, linearised.inliers)
-    np.maximum.at(largest, images, linearised.inliers)
-    of_image = graph.precision[:, :6, :6]
-    floor = 1e-6 * np.trace(of_image, axis1=1, axis2=2)[:, None, None] * np.eye(6)
-    repetition = np.linalg.solve(of_image + floor, linearised.score_variance)
-    inflation = max(1.0, float(np.median(np.trace(repetition, axis1=1, axis2=2) / 6)))
-    return 1.0 / (np.maximum(1.0, total / largest) * inflation)

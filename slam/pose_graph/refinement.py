@@ -29,11 +29,11 @@ from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
 from slam.pose_graph.displacements import draw_poses
 from slam.pose_graph.distortion_scale import ScaledField, scaled_field, unseen_field
 from slam.pose_graph.gauss_newton import (
-    THINNED,
     GraphOptimum,
     optimise_with_distortion,
     with_distortion,
 )
+from slam.pose_graph.linearisation import THINNED
 from slam.pose_graph.overlaps import KeyframeImages, Keyframes
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 

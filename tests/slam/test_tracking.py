@@ -1,5 +1,6 @@
 """The camera filter on rooms whose depth is known in closed form."""
 
+from dataclasses import fields
 from typing import Any
 
 import jax
@@ -50,7 +51,7 @@ def test_a_noisy_walk_is_followed_and_told(key):
     np.testing.assert_allclose(np.exp(result.log_weights).sum(), 1.0, rtol=1e-5)
     np.testing.assert_array_equal(result.mean[0], np.eye(4))
     assert not result.lost.any()
-    assert ((result.ess >= 1) & (result.ess <= 16 * (1 + 1e-5))).all()
+    assert ((result.hypotheses >= 1) & (result.hypotheses <= 16 * (1 + 1e-5))).all()
     assert (np.linalg.eigvalsh(result.covariance[1:]) > 0).all()
     likely = result.log_weights > np.log(1e-3)
     spread = np.abs(result.trajectories[likely][:, :, :3, 3] - result.mean[None, :, :3, 3]).max()
@@ -157,6 +158,16 @@ def test_settings_out_of_range_are_refused(name: str, value: Any):
     """Every setting is checked when it is made."""
     with pytest.raises(ValueError, match=name):
         SlamConfig(**{name: value})
+
+
+def test_a_file_of_the_format_before_is_read(key, tmp_path):
+    """What is called `hypotheses` was called `ess` there."""
+    result, _ = _track(key, box_room.frames(box_room.walk(2), seed=13))
+    arrays = {field.name: getattr(result, field.name) for field in fields(result)}
+    arrays["ess"] = arrays.pop("hypotheses")
+    np.savez(tmp_path / "before.npz", format_version=4, **arrays)
+
+    np.testing.assert_array_equal(SlamResult.load(tmp_path / "before.npz").hypotheses, result.hypotheses)
 
 
 def test_a_file_that_is_no_result_is_refused(tmp_path):

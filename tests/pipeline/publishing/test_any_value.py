@@ -83,7 +83,16 @@ def test_evidence_of_minus_infinity_is_null_with_a_sentence(
 
 def first_frames(result: SlamResult, count: int) -> SlamResult:
     """The path's first frames."""
-    per_frame = ("times_ns", "mean", "covariance", "ess", "log_evidence", "resampled", "lost", "explained")
+    per_frame = (
+        "times_ns",
+        "mean",
+        "covariance",
+        "hypotheses",
+        "log_evidence",
+        "resampled",
+        "lost",
+        "explained",
+    )
     changed = {name: getattr(result, name)[:count] for name in per_frame}
     return replace(result, draws=result.draws[:, :count], **changed)
 

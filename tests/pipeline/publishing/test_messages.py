@@ -70,7 +70,7 @@ def test_messages_hold_the_values(values: RunValues, tmp_path: Path) -> None:
         assert (camera.parent_frame_id, camera.child_frame_id) == ("reference", "camera")
         np.testing.assert_allclose([getattr(camera.translation, axis) for axis in "xyz"], mean[:3, 3])
     assert {len(particles.poses) for _, particles in topics["/slam/particles"]} == {3}
-    assert [frame["ess"] for _, frame in topics["/slam/posterior"]] == slam.ess.tolist()
+    assert [frame["hypotheses"] for _, frame in topics["/slam/posterior"]] == slam.hypotheses.tolist()
     assert topics["/slam/weights"][0][1]["log_weights"] == slam.log_weights.tolist()
     cloud = topics["/room/cloud"][0][1]
     assert len(cloud.data) == cloud.point_stride * len(room.points_m)

@@ -106,7 +106,9 @@ def test_what_is_no_run_is_told(tmp_path: Path) -> None:
 def test_warnings_name_what_is_wrong_and_nothing_else(parsed_run: RunValues) -> None:
     """A sound run has none; each fault adds its own."""
     assert parsed_run.slam is not None
-    slam = replace(parsed_run.slam, log_weights=np.log(np.full(3, 1 / 3)), ess=np.ones(len(parsed_run.slam)))
+    slam = replace(
+        parsed_run.slam, log_weights=np.log(np.full(3, 1 / 3)), hypotheses=np.ones(len(parsed_run.slam))
+    )
     sound = replace(parsed_run, slam=slam, scene=None, surfaces=None)
     assert warnings_of(sound, summary_of(sound), Damage()) == []
 

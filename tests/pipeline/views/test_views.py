@@ -52,7 +52,7 @@ def test_the_rrd_holds_every_part_of_the_run(values: RunValues, tmp_path: Path) 
     write_rrd(tmp_path / "run.rrd", "mug", values)
     rows = rows_of(tmp_path / "run.rrd")
 
-    expected = {f"/plots/{plot}": 6 for plot in ("position", "rotation", "ess", "evidence")}
+    expected = {f"/plots/{plot}": 6 for plot in ("position", "rotation", "hypotheses", "evidence")}
     expected |= {f"/images/{image}": 6 for image in ("depth", "rendered", "difference", "colour")}
     expected |= {f"/world/path/{part}": 1 for part in ("mean", "particles", "views", "uncertainty")}
     expected |= {"/world/camera": 6, "/world/room": 1, "/legend": 1, "/report": 1}
