@@ -117,6 +117,7 @@ def _summary(
         most_probable=poses[int(samples.log_posterior.argmax())],
         presence=shares.mean(axis=1),
         presence_std=shares.std(axis=1) / np.sqrt(shares.shape[1]),
+        number_probabilities=_numbers(shares.mean(axis=1).reshape(-1, world.most)),
         hidden_share=np.zeros(len(slots)),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(slots), 1, 1)),
         visible_fraction=shown,
@@ -133,6 +134,14 @@ def _summary(
         acceptance=np.asarray(samples.moved),
         log_estimate_variance=np.asarray(0.0),
     )
+
+
+def _numbers(at_least: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probabilities (K M, K M + 1) of so many things of each kind, from those of 1 to M at least (K, M)."""
+    kinds, most = at_least.shape
+    told = np.zeros((kinds, kinds * most + 1))
+    told[:, : most + 1] = -np.diff(at_least, axis=1, prepend=1.0, append=0.0)
+    return np.repeat(told, most, axis=0)
 
 
 def _strange_share(world: TableWorld, image: ColourImage, scene: Scene) -> float:

@@ -32,7 +32,7 @@ class ParseConfig:
             means all planes that are found.
         region: least and greatest x, y, z of what is looked at, in the same frame; none means all.
         graph: `infer` samples scene graphs, `fixed` keeps every object floating, which costs nothing then
-            (the ablation 3DP3*).
+            (the ablation 3DP3*); `search` lets things rest in the search alone.
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
         colour: `off` reads depth alone, `only` colour alone (`scene.colour_parsing`); `add` compares both in
             the search.
@@ -79,7 +79,7 @@ class ParseConfig:
     frames: tuple[int, ...] = ()
     support: tuple[float, ...] = ()
     region: tuple[float, ...] = ()
-    graph: Literal["infer", "fixed"] = "infer"
+    graph: Literal["infer", "fixed", "search"] = "infer"
     likelihood: Literal["depth", "cloud"] = "depth"
     colour: Literal["off", "add", "only"] = "off"
     colour_weight: float = 1.0

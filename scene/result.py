@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shapes.archive import load_fields, save_fields
 from shapes.geometry.poses import matrices_of, poses_of
 
-FORMAT_VERSION = 6
+FORMAT_VERSION = 7
 
 TABLE = "table"
 
@@ -35,6 +35,7 @@ class SceneResult:
         presence: (N,) probability that the object is there.
         presence_std: (N,) its standard error from the number of poses at which hidden objects were tried; 0
             of those found.
+        number_probabilities: (N, N + 1) that so many are there of the shape of each object.
         hidden_share: (N,) of an object not found the mean likelihood ratio over prior poses, about the share
             of them that no image shows; 0 of those found.
         hidden_poses: (N, K, 7) float64 camera_from_object in draws of the posterior of an object not found,
@@ -63,6 +64,7 @@ class SceneResult:
     most_probable: NDArray[np.float64]
     presence: NDArray[np.float64]
     presence_std: NDArray[np.float64]
+    number_probabilities: NDArray[np.float64]
     hidden_share: NDArray[np.float64]
     hidden_poses: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]

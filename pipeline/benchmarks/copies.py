@@ -26,6 +26,9 @@ COUNTS = (2, 3)
 OTHERS = 2
 """Things of other shapes on a table, which are asked for too."""
 
+LEAST_PROBABILITY = 1e-3
+"""Of a number, in the log loss: tens of tables tell no smaller ones."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CopiesRow:
@@ -38,6 +41,7 @@ class CopiesRow:
         asked: for how many.
         found: how many are told to be there.
         expected: sum of their presences.
+        numbers: probabilities that none, one, two and so on are there.
         right: how many are found within 1 cm.
     """
 
@@ -47,6 +51,7 @@ class CopiesRow:
     asked: int
     found: int
     expected: float
+    numbers: tuple[float, ...]
     right: int
 
 
@@ -74,6 +79,7 @@ def judge_copies(shapes: MeshSource, number: int, seed: int) -> CopiesRow | None
         asked=count + 1,
         found=len(poses),
         expected=float(scene.presence[slots].sum()),
+        numbers=tuple(scene.number_probabilities[slots[0], : len(slots) + 1].tolist()),
         right=sum(one.add_s_m < RIGHT_M for one in errors),
     )
 
@@ -102,7 +108,20 @@ def copies_figures(rows: Sequence[CopiesRow]) -> dict[str, Any]:
         "things_right": sum(one.right for one in rows),
         "expected": float(np.mean([one.expected for one in rows])),
         "there": float(np.mean([one.there for one in rows])),
+        "numbers": _number_figures(rows),
         "rows": [asdict(one) for one in rows],
+    }
+
+
+def _number_figures(rows: Sequence[CopiesRow]) -> dict[str, float]:
+    """How often the likeliest number is right beside what was told of it, and the mean log loss."""
+    told = [max(one.numbers) for one in rows]
+    right = [int(np.argmax(one.numbers)) == one.there for one in rows]
+    true = [max(one.numbers[one.there], LEAST_PROBABILITY) for one in rows]
+    return {
+        "likeliest_right": float(np.mean(right)),
+        "likeliest_told": float(np.mean(told)),
+        "log_loss": float(-np.log(true).mean()),
     }
 
 
@@ -111,8 +130,11 @@ def copies_lines(figures: dict[str, Any]) -> list[str]:
     if not figures["tables"]:
         return ["no table shows all of its copies"]
     low, high = figures["interval"]
+    number = figures["numbers"]
     return [
         f"{figures['counts_right']} of {figures['tables']} counts right ({low:.0%} to {high:.0%}),"
         f" {figures['things_right']} of {figures['things']} things within 1 cm",
+        f"the likeliest number is right on {number['likeliest_right']:.0%},"
+        f" told {number['likeliest_told']:.0%}; log loss of P(number) {number['log_loss']:.3f}",
         f"{figures['expected']:.2f} told on average where there are {figures['there']:.2f}",
     ]

@@ -19,7 +19,7 @@ from pipeline.evaluation.trajectory_errors import LEVELS
 
 RIGHT_M = 0.01
 """Errors under this count as right."""
-BIN_EDGES = (0.0, 0.05, 0.25, 0.5, 0.75, 1.0)
+BIN_EDGES = (0.0, 0.05, 0.15, 0.25, 0.5, 0.75, 1.0)
 """Between the bins of the visible fraction."""
 TABLE_KIND = "table"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.synthesis.world import NOTHING, Part, RayCaster
 from recordings.truth import SceneTruth, TrueObject
-from recordings.types import CameraIntrinsics, Frame
+from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from scene.observation.depth_view import unproject
 from shapes.geometry.camera import Camera
 
@@ -58,6 +58,7 @@ class PoseImage:
         camera_from_world: (4, 4), the world being that of the truth.
         meshes: true surfaces by shape.
         absent: shapes that are asked for and not there.
+        noise: of the sensor, as `parse` is told.
     """
 
     key: ImageKey
@@ -67,6 +68,7 @@ class PoseImage:
     camera_from_world: NDArray[np.float64]
     meshes: Mapping[str, trimesh.Trimesh]
     absent: tuple[str, ...] = ()
+    noise: DepthNoise = field(default_factory=DepthNoise)
 
     @property
     def objects(self) -> tuple[TrueObject, ...]:

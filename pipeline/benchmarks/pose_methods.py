@@ -21,7 +21,6 @@ from pipeline.mesh_source import MeshSource
 from pipeline.peers.registration import Model, settings
 from pipeline.seeds import stage_key
 from pipeline.timing import Timing, timed
-from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.objects.scene_object import SceneObject
 from scene.parsing import parse_scene
@@ -97,7 +96,7 @@ class Parse:
             poses=self.poses(scene, shapes),
             scores=dict(zip(scene.names.tolist(), scene.presence.tolist(), strict=True)),
             levels=self._levels(scene, image, shapes),
-            parents_right={} if self.config.graph == "fixed" else parents_right(scene, image.objects),
+            parents_right=parents_right(scene, image.objects) if self.config.graph == "infer" else {},
             seconds=timing.seconds,
         )
 
@@ -116,7 +115,7 @@ class Parse:
                 [0],
                 np.eye(4)[None],
                 image.intrinsics,
-                DepthNoise(),
+                image.noise,
                 sought,
                 self.config,
             )
@@ -221,6 +220,8 @@ OURS = (
     Parse(title="voxscene", config=ParseConfig()),
     Parse(title="3DP3* (fixed graph)", config=ParseConfig(graph="fixed")),
 )
+SEARCH_SHARED = OURS[0], Parse(title="fixed graph, same search", config=ParseConfig(graph="search"))
+"""The same without what else differs in 3DP3*, whose search lets nothing rest."""
 PEERS = {
     "fpfh": "FPFH + RANSAC + ICP",
     "icp24": "24-start ICP",

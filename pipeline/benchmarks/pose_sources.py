@@ -25,6 +25,7 @@ from pipeline.synthesis.scenarios import TableScene
 from pipeline.synthesis.worlds import WorldScene, film_world
 from recordings.importers.bop import Annotated, scene_truth
 from recordings.importers.dataset import read_frame
+from recordings.types import DepthNoise
 
 STACKED_SHARE = 1 / 3
 
@@ -103,7 +104,10 @@ class ChallengingImages:
 
     def image(self, key: ImageKey) -> PoseImage:
         """The image of that kind and number."""
-        return filmed_image(key, self.made_of.image(key.kind, key.im_id).recording, self.shapes)
+        image = filmed_image(key, self.made_of.image(key.kind, key.im_id).recording, self.shapes)
+        sensor, usual = self.made_of.scene.sensor.noise, DepthNoise()
+        told = replace(usual, sigma_base_m=sensor.sigma_base_m, sigma_growth_per_m=sensor.sigma_growth_per_m)
+        return replace(image, noise=told)
 
     def about(self) -> dict[str, Any]:
         """The set's fingerprint."""

@@ -178,6 +178,7 @@ def command(
     document = stage_document(session.run, "parse")
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]
     lines += [_hidden_line(one) for one in document["not_found"] if one["presence"] >= MENTIONED]
+    lines += [_count_line(one) for one in document["counts"]]
     rate = (document["effective_samples"] or 0) / max(document["seconds"], 1e-3)
     lines += [
         f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s; "
@@ -205,6 +206,13 @@ def _hidden_line(one: dict[str, Any]) -> str:
         for region in one["regions"][:REGIONS]
     ]
     return "; ".join([text, *places])
+
+
+def _count_line(one: dict[str, Any]) -> str:
+    """How many copies of a shape are there: the numbers that are likely enough to be mentioned."""
+    said = enumerate(one["probabilities"])
+    numbers = ", ".join(f"{number} ({share:.2f})" for number, share in said if share >= MENTIONED)
+    return f"{one['name']}, so many of {len(one['probabilities']) - 1}: {numbers}"
 
 
 def _corner(point_m: list[float]) -> str:

@@ -13,6 +13,7 @@ from pipeline.publishing.trajectory_files import seconds_text
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import Surfaces
+from scene.copies import copies_among
 from scene.diagnostics import ENOUGH_SAMPLES, Convergence, scene_convergence
 from scene.hidden.regions import regions_of
 from scene.result import FACES, SceneResult
@@ -165,6 +166,7 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
             }
             for one in np.flatnonzero(~scene.found).tolist()
         ],
+        "counts": _counts(scene),
         "graph": [
             {
                 "child": names[child],
@@ -177,6 +179,17 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
             for parent in np.flatnonzero(scene.edge_probabilities[child] > 0)
         ],
     }
+
+
+def _counts(scene: SceneResult) -> list[dict[str, Any]]:
+    """Of shapes of which several were asked for: probabilities that none, one, two and so on are there."""
+    names = scene.names.tolist()
+    told = []
+    for first, copies in enumerate(copies_among(names)):
+        if copies.sum() > 1 and copies.argmax() == first:
+            shares = scene.number_probabilities[first, : copies.sum() + 1]
+            told.append({"name": names[first], "probabilities": shares.tolist()})
+    return told
 
 
 def _regions(scene: SceneResult, one: int, middle_m: NDArray[np.float64]) -> list[dict[str, Any]]:

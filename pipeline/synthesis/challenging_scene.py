@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pipeline.errors import PipelineError
 from pipeline.synthesis.placement import Table
@@ -67,6 +67,17 @@ class ChallengingScene(SyntheticScene):
             raise ValueError(f"visible must be two shares in [0, 1], lowest first, got {self.visible}")
         if min(self.spread_m, self.table_radius_m, self.table_height_m) <= 0 or self.clutter < 0:
             raise ValueError("spread_m and the table's sizes must be positive, clutter not negative")
+
+    def seen_worse(self, noise: float, size: tuple[int, int]) -> ChallengingScene:
+        """The same with so many times the sensor's standard deviation, and images of another size."""
+        usual = self.sensor.noise
+        worse = replace(
+            usual,
+            sigma_base_m=noise * usual.sigma_base_m,
+            sigma_growth_per_m=noise * usual.sigma_growth_per_m,
+        )
+        camera = CameraConfig(width=size[0], height=size[1])
+        return replace(self, sensor=replace(self.sensor, noise=worse), camera=camera)
 
     @property
     def support(self) -> Table:

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from scene.config import ParseConfig
+from scene.copies import copies_among
 from scene.hidden.hidden_places import HiddenPlaces
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
@@ -82,4 +83,5 @@ def presence_in_scene(
     if config.unknown_solids:
         proposed = proposed_solids(compared.data, world_from_camera, MOST_SOLIDS)
         solids = solids_near(rng, frames, priors, *proposed)
-    return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden)
+    alike = copies_among([one.name for one in objects])
+    return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike)

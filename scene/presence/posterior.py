@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from scene.hidden.hidden_places import HiddenPlaces
+from scene.presence.counts import Visit, number_probabilities
 from scene.presence.depth_candidates import PresenceFrames, candidates_of
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import SolidFits
@@ -37,12 +38,14 @@ class Presence:
 
     Attributes:
         probability: (N,).
+        number: (N, N + 1) probabilities that so many are there of the shape of each.
         standard_error: (N,) of it, from how chains differ, and from the draws of hidden poses.
         seen: (N,) which are more probably there in sight than not.
         poses: (N, 7) world_from_box of these, of one chain as far as it has them.
     """
 
     probability: NDArray[np.float64]
+    number: NDArray[np.float64]
     standard_error: NDArray[np.float64]
     seen: NDArray[np.bool_]
     poses: NDArray[np.float64]
@@ -72,8 +75,8 @@ def chain_presence(
     poses: NDArray[np.float64],
     drawings: int = DRAWN,
     sweeps: int = SWEEPS,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Presence (N, 2) by a chain from the empty scene, all and hidden, and its last states, in use or not.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], list[Visit]]:
+    """Presence (N, 2) by a chain from the empty scene, all and hidden, last states, in use or not, visits.
 
     Args:
         rng: random numbers.
@@ -82,16 +85,16 @@ def chain_presence(
         drawings: of candidates.
         sweeps: with each.
     """
-    choice, sums = np.full(len(poses), ABSENT), np.zeros((len(poses), 3))
+    choice, sums, visits = np.full(len(poses), ABSENT), np.zeros((len(poses), 3)), list[Visit]()
     for drawing in range(drawings):
         drawn, candidates = draw(poses, choice >= 0)
         choice = np.where(choice >= 0, 0, choice)
         if drawing == 0:
             choice = first_scene(rng, candidates)
-        choice, expected = toggle(rng, candidates, choice, sweeps)
+        choice, expected = toggle(rng, candidates, choice, sweeps, visits=visits)
         poses = drawn[np.arange(len(poses)), np.maximum(choice, 0)]
         sums += expected
-    return sums[:, :2] / sums[:, 2:], poses, choice >= 0
+    return sums[:, :2] / sums[:, 2:], poses, choice >= 0, visits
 
 
 def presence_posterior(
@@ -102,6 +105,7 @@ def presence_posterior(
     solids: SolidFits,
     chains: int,
     hidden: HiddenPlaces,
+    alike: NDArray[np.bool_],
 ) -> Presence:
     """Presence of N objects by chains that start with the empty scene.
 
@@ -113,6 +117,7 @@ def presence_posterior(
         solids: unknown things that may be there in their place.
         chains: how many.
         hidden: what objects that were not found do to the likelihood out of sight.
+        alike: (N, N) which objects are of one shape.
     """
     with np.errstate(divide="ignore"):
         log_hidden = np.log(hidden.share)
@@ -126,7 +131,8 @@ def presence_posterior(
         return drawn, candidates_of(rng, frames, priors, *given)
 
     nowhere = np.tile([1.0, *[0.0] * 9], (objects + beside, 1))
-    by_chain, states, in_use = zip(*(chain_presence(rng, draw, nowhere) for _ in range(chains)), strict=True)
+    runs = [chain_presence(rng, draw, nowhere) for _ in range(chains)]
+    by_chain, states, in_use, visits = zip(*runs, strict=True)
     there, unseen = np.moveaxis(np.stack(by_chain)[:, :objects], 2, 0)
     told = there.mean(axis=0)
     of_share = (
@@ -136,6 +142,7 @@ def presence_posterior(
     seen = (there - unseen).mean(axis=0) >= 0.5
     return Presence(
         probability=told,
+        number=number_probabilities([one for run in visits for one in run], alike),
         standard_error=np.hypot(of_chains, of_share),
         seen=seen,
         poses=_in_one_scene(np.stack(states)[:, :objects, :7], np.stack(in_use)[:, :objects], seen),

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from scene.presence.counts import Visit
 from scene.presence.forests import ForestPrior
 
 ABSENT, HIDDEN = -1, -2
@@ -254,18 +255,22 @@ def toggle(
     choice: NDArray[np.integer],
     sweeps: int,
     power: float = 1.0,
+    visits: list[Visit] | None = None,
 ) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """A scene (N,) after moves among candidates, and sums (N, 3) as `toggled` tells them.
 
     A sweep moves every slot by itself, as many pairs of those that may be taken for each other, and some
-    slots with all that they overlap.
+    slots with all that they overlap. What moves of one slot knew is added to `visits`.
     """
     expected = np.zeros((candidates.slots, 3))
     pairs = candidates.overlapping()
     beside = [[other for one, other in candidates.shared if one == slot] for slot in range(candidates.slots)]
     for _ in range(sweeps):
         for slot in range(candidates.slots):
+            before, others = expected[slot, 0], (choice != ABSENT) & (np.arange(len(choice)) != slot)
             choice = toggled(rng, candidates, choice, [slot], expected, power)
+            if visits is not None:
+                visits.append(Visit(slot, float(expected[slot, 0] - before), others))
         for number in rng.permutation(len(pairs))[: candidates.slots]:
             choice = toggled(rng, candidates, choice, list(pairs[number]), expected, power)
         for slot in rng.permutation(candidates.slots)[:BLOCKS].tolist():

@@ -136,7 +136,7 @@ class PosePools:
             slack_share=config.slack_share,
             floating_weight=config.floating_weight,
         )
-        below = table if config.graph == "infer" else None
+        below = None if config.graph == "fixed" else table
         return replace(layers, rests=gravity.rests(self.data.view, below, self.objects, poses, 1.0))
 
     def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:

@@ -44,6 +44,7 @@ def pose_source(
     numbers: tuple[int, ...],
     challenging: int | None,
     kinds: str,
+    seen: tuple[float, tuple[int, int]],
     data: Path | None,
     split: str,
 ) -> PoseSource:
@@ -55,7 +56,9 @@ def pose_source(
         return BopImages(root=data.resolve(), split=split, shapes=shapes)
     if challenging is not None:
         chosen = tuple(words("--kinds", kinds, KINDS))
-        return challenging_images(shapes, chosen, challenging, ChallengingScene(), common.seed)
+        return challenging_images(
+            shapes, chosen, challenging, ChallengingScene().seen_worse(*seen), common.seed
+        )
     return Tables(shapes=shapes, objects=objects, seed=common.seed, numbers=numbers)
 
 
@@ -235,7 +238,11 @@ def count_copies(common: Common, shapes: MeshSource, numbers: Sequence[int]) -> 
             row = judge_copies(shapes, number, common.seed)
         if row is not None:
             rows.append(row)
-            _say(common, f"table {number}, {row.shape}: {row.found} of {row.there} told, {row.right} right")
+            _say(
+                common,
+                f"table {number}, {row.shape}: {row.found} of {row.there} told with"
+                f" {max(row.numbers):.2f}, {row.right} right",
+            )
     figures = copies_figures(rows)
     common.report(figures, copies_lines(figures))
 

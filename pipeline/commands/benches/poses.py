@@ -10,7 +10,7 @@ import click
 from pipeline.commands.benches import pose_runs
 from pipeline.commands.benches.pose_runs import KINDS, PoseFiles
 from pipeline.executors import Workers
-from pipeline.options import Common, common_options, words
+from pipeline.options import Common, common_options, image_size, words
 
 PEERS = ("fpfh", "icp24", "ppf")
 SOURCES = ("points", "masks", "both")
@@ -46,6 +46,19 @@ class NamedFile(click.ParamType):
 )
 @click.option(
     "--kinds", default=",".join(KINDS), show_default=True, metavar="KIND,...", help="Of these images."
+)
+@click.option(
+    "--noise",
+    type=click.FloatRange(min=0.1),
+    default=1.0,
+    show_default=True,
+    help="Of these images, times the usual.",
+)
+@click.option("--size", metavar="WIDTHxHEIGHT", default="640x480", show_default=True, help="Of these images.")
+@click.option(
+    "--share-search",
+    is_flag=True,
+    help="The second column, with fixed graphs, gets the first one's search, which lets things rest.",
 )
 @click.option(
     "--worlds", type=click.IntRange(min=1), metavar="N", help="N worlds like real ones instead of tables."
@@ -148,6 +161,9 @@ def command(
     objects: int,
     challenging: int | None,
     kinds: str,
+    noise: float,
+    size: str,
+    share_search: bool,
     worlds: int | None,
     unasked: Path | None,
     data: Path | None,
@@ -183,7 +199,7 @@ def command(
 
     keep_compiled_kernels()
     from pipeline.benchmarks.pose_figures import pose_figures
-    from pipeline.benchmarks.pose_methods import OURS
+    from pipeline.benchmarks.pose_methods import OURS, SEARCH_SHARED
     from pipeline.benchmarks.pose_report import report_lines
     from pipeline.mesh_source import MeshSource
 
@@ -216,12 +232,18 @@ def command(
         others = MeshSource.of(unasked, units) if unasked else None
         source = pose_runs.world_source(common, shapes, others, numbers)
     else:
-        source = pose_runs.pose_source(common, shapes, objects, numbers, challenging, kinds, data, split)
+        seen = noise, image_size(size)
+        source = pose_runs.pose_source(
+            common, shapes, objects, numbers, challenging, kinds, seen, data, split
+        )
     files = PoseFiles(keep=keep, csv=csv_path, bop=bop, curves=curves, sheets=sheets)
     if proposals:
         chosen = words("--proposals", proposals, SOURCES)
         pose_runs.compare_proposals(common, source, chosen, workers, files, watch=watch)
         return
     peers = pose_runs.other_methods(shapes, source, words("--against", against, PEERS), results)
-    methods = [*(one.of(common.seed, learned or 0) for one in OURS), *peers]
+    methods = [
+        *(one.of(common.seed, learned or 0) for one in (SEARCH_SHARED if share_search else OURS)),
+        *peers,
+    ]
     pose_runs.judge(common, source, methods, workers, files, (pose_figures, report_lines), watch=watch)

@@ -34,12 +34,17 @@ def test_a_table_holds_so_many_of_one_shape() -> None:
 
 def test_counts() -> None:
     """A table counts where as many are told as there are, whatever lies where."""
-    row = CopiesRow(table=0, shape="can", there=2, asked=3, found=2, expected=2.1, right=1)
+    row = CopiesRow(
+        table=0, shape="can", there=2, asked=3, found=2, expected=2.1, numbers=(0, 0, 0.9, 0.1), right=1
+    )
     figures = copies_figures([row, replace(row, there=3, asked=4, right=2)])
     assert (figures["counts_right"], figures["tables"]) == (1, 2)
     assert (figures["things_right"], figures["things"]) == (3, 5)
     assert figures["there"] == pytest.approx(2.5)
     assert "1 of 2 counts right" in copies_lines(figures)[0]
+    assert figures["numbers"]["likeliest_right"] == pytest.approx(0.5)
+    assert figures["numbers"]["likeliest_told"] == pytest.approx(0.9)
+    assert figures["numbers"]["log_loss"] == pytest.approx(-np.log([0.9, 0.1]).mean())
     assert copies_lines(copies_figures([])) == ["no table shows all of its copies"]
 
 

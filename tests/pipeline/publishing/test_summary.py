@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.commands.parse import _count_line
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import SceneSurface, Surfaces
@@ -22,3 +23,17 @@ def test_an_object_is_where_its_middle_is(parsed_run: RunValues) -> None:
     np.testing.assert_allclose(mug["middle_m"], [0.1, 0.05, 0.62])
     np.testing.assert_allclose(mug["middle_std_m"], 1e-3 * np.sqrt(3))
     np.testing.assert_allclose(mug["position_std_m"], 1e-3 * np.sqrt(3))
+
+
+def test_numbers_of_copies_are_told_where_some_were_asked_for(parsed_run: RunValues) -> None:
+    """Two mugs: one entry, with as many numbers as can be; none where every shape was asked for once."""
+    assert parsed_run.scene is not None
+    assert parsed_run.surfaces is not None
+    (name, surface), *_ = parsed_run.surfaces.by_name.items()
+    surfaces = Surfaces(dict.fromkeys(("mug", "box", "mug_2"), surface))
+    shares = np.array([[0.1, 0.7, 0.2, 0.0], [0.02, 0.98, 0.0, 0.0], [0.1, 0.7, 0.2, 0.0]])
+    scene = replace(parsed_run.scene, names=np.array(["mug", "box", "mug_2"]), number_probabilities=shares)
+    told = summary_of(replace(parsed_run, scene=scene, surfaces=surfaces))["parse"]["counts"]
+    assert told == [{"name": name, "probabilities": [0.1, 0.7, 0.2]}]
+    assert _count_line(told[0]) == "mug, so many of 2: 0 (0.10), 1 (0.70), 2 (0.20)"
+    assert summary_of(parsed_run)["parse"]["counts"] == []

@@ -102,10 +102,24 @@ def all_scenes(slots: int) -> np.ndarray:
 
 def exact_presence(observed_m: np.ndarray, kinds: np.ndarray, number: NumberPrior) -> np.ndarray:
     """Presence (N,) by the sum over all scenes."""
+    there, shares = _scene_shares(observed_m, kinds, number)
+    return shares @ there
+
+
+def exact_numbers(observed_m: np.ndarray, kinds: np.ndarray, number: NumberPrior) -> np.ndarray:
+    """Probabilities (N + 1,) that so many are there, by the same sum."""
+    there, shares = _scene_shares(observed_m, kinds, number)
+    return np.bincount(there.sum(axis=1), shares, minlength=len(kinds) + 1)
+
+
+def _scene_shares(
+    observed_m: np.ndarray, kinds: np.ndarray, number: NumberPrior
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which slots are there (S, N) in every scene, and its probability (S,)."""
     scenes = all_scenes(len(kinds))
     there = scenes >= 0
     log_prior = number.log_set_probabilities(len(kinds))[there.sum(axis=1)]
     shown = np.stack([depth_m(kinds, places) for places in scenes])
     log_weights = log_prior - there.sum(axis=1) * np.log(PLACES) + log_density(observed_m, shown).sum(axis=1)
     weights = np.exp(log_weights - log_weights.max())
-    return weights @ there / weights.sum()
+    return there, weights / weights.sum()

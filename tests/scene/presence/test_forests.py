@@ -149,6 +149,8 @@ def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int)
     error = told.standard_error
     assert (error < 0.03).all()
     assert (np.abs(told.probability - expected) < 5 * np.maximum(error, 1e-9)).all()
+    numbers = np.exp(number.log_set_probabilities(3)) * [1, 3, 3, 1]  # three errors told of presence, at most
+    np.testing.assert_allclose(told.number, np.tile(numbers, (3, 1)), atol=5 * 3 * error.max())
 
 
 def presence_without_data(priors: PosePriors, seed: int, chains: int = 16) -> Presence:
@@ -164,7 +166,9 @@ def presence_without_data(priors: PosePriors, seed: int, chains: int = 16) -> Pr
         ties=priors.sizes.ties,
     )
     seen, nothing = NothingSeen(), HiddenPlaces.none(3)
-    return presence_posterior(rng, seen, priors, cloud, SolidFits.none(), chains, nothing)
+    return presence_posterior(
+        rng, seen, priors, cloud, SolidFits.none(), chains, nothing, np.ones((3, 3), bool)
+    )
 
 
 @pytest.mark.parametrize("mutant", ["trees", "eight"])

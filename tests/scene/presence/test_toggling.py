@@ -7,6 +7,7 @@ import pytest
 
 from scene.model.number_prior import BinomialNumber
 from scene.presence import posterior, toggling
+from scene.presence.counts import Visit, number_probabilities
 from scene.presence.forests import ForestPrior
 from scene.presence.posterior import chain_presence
 from scene.presence.toggling import ABSENT, Candidates, SlotLayers, reseated
@@ -117,22 +118,26 @@ def test_presence_in_a_world_of_strips(kinds: tuple[int, int], seed: int) -> Non
     exact = strips.exact_presence(observed_m, which, number)
     assert ((exact > 0.02) & (exact < 0.98)).any()
 
-    told = np.stack([chain_in_strips(seed + 1000 * run, observed_m, which, number) for run in range(40)])
+    runs = [chain_in_strips(seed + 1000 * run, observed_m, which, number) for run in range(40)]
 
-    assert_mean(told, exact, detectable=0.1)
+    assert_mean([told for told, _ in runs], exact, detectable=0.1)
+    exact = strips.exact_numbers(observed_m, which, number)
+    numbers = [number_probabilities(visits, np.ones((2, 2), bool))[0] for _, visits in runs]
+    assert_mean(numbers, exact, detectable=0.1)
 
 
 def chain_in_strips(
     seed: int, observed_m: np.ndarray, kinds: np.ndarray, number: BinomialNumber
-) -> np.ndarray:
-    """Presence (N,) by one chain from the empty scene."""
+) -> tuple[np.ndarray, list[Visit]]:
+    """Presence (N,) by one chain from the empty scene, and what its moves knew."""
     rng = np.random.default_rng(seed)
 
     def draw(places: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, Candidates]:
         return strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
 
     nowhere = np.zeros(len(kinds), int)
-    return chain_presence(rng, draw, nowhere, drawings=40, sweeps=2)[0][:, 0]
+    presence, _, _, visits = chain_presence(rng, draw, nowhere, drawings=40, sweeps=2)
+    return presence[:, 0], visits
 
 
 def seats_in_strips(seed: int, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +186,7 @@ def test_presence_is_calibrated_on_worlds_of_its_own(worlds: int, seed: int) -> 
         present = rng.random(2) < 0.5
         places = np.where(present, rng.integers(strips.PLACES, size=2), -1)
         observed_m = strips.observed(rng, strips.depth_m(kinds, places))
-        told.append(chain_in_strips(int(rng.integers(2**31)) + world, observed_m, kinds, number))
+        told.append(chain_in_strips(int(rng.integers(2**31)) + world, observed_m, kinds, number)[0])
         there.append(present)
     presence, truth = np.concatenate(told), np.concatenate(there)
     bins = np.digitize(presence, [0.2, 0.4, 0.6, 0.8])
