@@ -198,12 +198,12 @@ def test_rows(judged: list[Judged], tmp_path: Path) -> None:
     assert (figures["seconds_median"], figures["seconds_most"]) == (2.0, 3.0)
     assert figures["coverage"] == {"objects": 2, "inside": {"50%": 0.5, "90%": 1.0, "95%": 1.0}}
     bins = {row["visible"]: row["objects"] for row in document["by_visible_fraction"]}
-    assert bins == {"15% to 25%": 1, "75% to 100%": 2}
+    assert bins == {"5% to 15%": 1, "75% to 100%": 2}
     whole = document["differences"][0]
     assert (whole["group"], whole["second"], whole["objects"]) == ("all", "other", 3)
     assert whole["share"] == pytest.approx(1 / 3)
     assert whole["low"] < whole["share"] < whole["high"]
-    assert any("15% to 25%" in line for line in report_lines(document))
+    assert any("5% to 15%" in line for line in report_lines(document))
     write_csv(tmp_path / "rows.csv", judged)
     assert len((tmp_path / "rows.csv").read_text().splitlines()) == 4
 
