@@ -69,7 +69,7 @@ def summarise(
     kept, runs = samples.log_posterior.shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(kept * runs, *leaf.shape[2:]), samples)
     flat = _of_all(flat, chosen)
-    box_from_object = matrices_of(np.stack([[1.0, 0, 0, 0, *(-one.centre_m)] for one in objects]))
+    box_from_object = np.stack([one.box_from_object for one in objects])
     starts, in_world = matrices_of(start.poses), matrices_of(flat.poses)
     boxes = np.where(start.found[:, None, None], np.linalg.inv(world_from_camera) @ in_world, starts[None])
     modes = [pose_modes(boxes[:, one]) for one in range(count)]

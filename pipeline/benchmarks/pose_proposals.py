@@ -80,8 +80,7 @@ class BestHypothesis:
         pools = found.after if self.refined else found.before
         poses = []
         for one in image.objects:
-            box_from_object = np.eye(4)
-            box_from_object[:3, 3] = -sought_shape(shapes, one.shape, 0, self.seed).scene_object.centre_m
+            box_from_object = sought_shape(shapes, one.shape, 0, self.seed).scene_object.box_from_object
             points_m = model_points(shapes.meshes[one.shape])[:COMPARED_POINTS]
             truth = image.camera_from_world @ one.world_from_object
             pool = matrices_of(pools[image.shapes.index(one.shape)]) @ box_from_object

@@ -89,7 +89,7 @@ class DepthImages:
         draw = np.arange(len(world_from_box)) % self.draws
         total = np.zeros(len(world_from_box))
         for image, evidence in zip(self.images, self._evidence, strict=True):
-            posed = _posed(image.camera_from_world, one, world_from_box, draw)
+            posed = _posed(image.camera_from_world, world_from_box, draw)
             total += image.weight * log_likelihood_ratio(_library(one), self.noise, evidence, posed)
         return total
 
@@ -123,9 +123,7 @@ class DepthImages:
         filled = np.minimum(np.arange(PAIRS_TOGETHER), count - 1)
         draw, total = (first + filled) % self.draws, np.zeros(PAIRS_TOGETHER)
         for image in self.images:
-            known = _posed(
-                image.camera_from_world, other, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int)
-            )
+            known = _posed(image.camera_from_world, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int))
             layers_m = render_layers(
                 _library(other), known, _cameras(image.camera, 1), *image.observed_m.shape
             )
@@ -134,7 +132,7 @@ class DepthImages:
             evidence: DepthEvidence = depth_evidence(
                 self.noise, cameras, jnp.asarray(image.observed_m)[None], rest_m
             )
-            posed = _posed(image.camera_from_world, one, world_from_box[filled], np.arange(PAIRS_TOGETHER))
+            posed = _posed(image.camera_from_world, world_from_box[filled], np.arange(PAIRS_TOGETHER))
             total += image.weight * log_likelihood_ratio(_library(one), self.noise, evidence, posed)
         return total[:count]
 
@@ -147,7 +145,7 @@ def rendered_m(
     shape: tuple[int, ...],
 ) -> NDArray[np.float32]:
     """Depth (n, H, W) of an object alone at poses (n, 4, 4); +inf where it is not. `shape` is (H, W)."""
-    posed = _posed(camera_from_world, one, world_from_box, np.zeros(len(world_from_box), int))
+    posed = _posed(camera_from_world, world_from_box, np.zeros(len(world_from_box), int))
     return np.asarray(render_layers(_library(one), posed, _cameras(camera, 1), *shape))
 
 
@@ -163,12 +161,10 @@ def _cameras(camera: Camera, count: int) -> Camera:
 
 def _posed(
     camera_from_world: NDArray[np.float64],
-    one: SceneObject,
     world_from_box: NDArray[np.float64],
     index: NDArray[np.integer],
 ) -> PosedObjects:
-    camera_from_object = camera_from_world @ world_from_box
-    camera_from_object[:, :3, 3] -= camera_from_object[:, :3, :3] @ one.centre_m
+    camera_from_box = camera_from_world @ world_from_box
     library_index = np.zeros(len(world_from_box), np.int32)
-    leaves = library_index, camera_from_object.astype(np.float32), index.astype(np.int32)
+    leaves = library_index, camera_from_box.astype(np.float32), index.astype(np.int32)
     return PosedObjects(*map(jax.device_put, leaves))

@@ -28,29 +28,24 @@ LAYERS = 128
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ObjectRenderer:
-    """The objects' library, with the step from box frames to the objects' own.
+    """The objects' library.
 
     Attributes:
-        library: N objects.
-        centres_m: (N, 3) float32, the boxes' centres in the objects' frames.
+        library: N objects, in their boxes' frames.
     """
 
     library: ObjectLibrary
-    centres_m: jax.Array
 
     @classmethod
     def of(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
         """The renderer of these objects, in order."""
-        centres = np.stack([one.centre_m for one in objects])
-        return cls(join([one.library for one in objects]), jax.device_put(centres.astype(np.float32)))
+        return cls(join([one.library for one in objects]))
 
     @classmethod
     def of_draws(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
         """The renderer of all draws of these objects' shapes: the first of each object, the second, ..."""
         draws = zip(*[one.draws or (one.library,) for one in objects], strict=True)
-        libraries = [library for draw in draws for library in draw]
-        centres = np.tile([one.centre_m for one in objects], (len(libraries) // len(objects), 1))
-        return cls(join(libraries), jax.device_put(centres.astype(np.float32)))
+        return cls(join([library for draw in draws for library in draw]))
 
     def compile(self, window: PixelWindow) -> None:
         """What `layers` runs."""
@@ -99,16 +94,8 @@ class ObjectRenderer:
         scales: jax.Array | None = None,
     ) -> PosedObjects:
         """Objects at poses (n, 7) camera_from_box, of scales (n, 3), as the engine takes them."""
-
-        def matrix(pose: jax.Array, centre_m: jax.Array) -> jax.Array:
-            back = jaxlie.SE3.from_translation(-centre_m)
-            return (jaxlie.SE3(pose.astype(jnp.float32)) @ back).as_matrix()
-
-        indices = indices.astype(jnp.int32)
-        centres_m = self.centres_m[indices]
-        centres_m = centres_m if scales is None else scales * centres_m
-        matrices = jax.vmap(matrix)(poses, centres_m)
-        return PosedObjects(indices, matrices, camera_index.astype(jnp.int32), scales)
+        matrices = jax.vmap(lambda pose: jaxlie.SE3(pose).as_matrix())(poses.astype(jnp.float32))
+        return PosedObjects(indices.astype(jnp.int32), matrices, camera_index.astype(jnp.int32), scales)
 
 
 @partial(jax.jit, static_argnames=("height", "width"))

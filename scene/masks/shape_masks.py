@@ -103,7 +103,7 @@ def _surface(one: SceneObject, rng: np.random.Generator) -> NDArray[np.float64]:
     centre = np.stack(np.unravel_index(near, size), axis=1) + 0.5
     foot = centre - distance[near, None] * np.stack(normal, axis=1)[near]
     pitch_m = float(library.pitch_m[0])
-    return np.asarray(library.grid_origin_m[0], np.float64) + pitch_m * foot - one.centre_m
+    return np.asarray(library.grid_origin_m[0], np.float64) + pitch_m * foot
 
 
 def _cells(points_m: NDArray[np.floating], pitch_m: float) -> NDArray[np.int64]:

@@ -10,6 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from scene.objects.box_frame import box_about
 from scene.objects.surface_colour import SurfaceColour, surface_colour
 from scene.objects.symmetry import spin_line, spins_freely, symmetry_lines
 from shapes.rendering.object_library import ObjectLibrary, library_of_mesh
@@ -26,20 +27,20 @@ LIBRARY_VOXELS = 2**18
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneObject:
-    """One rigid object. Its own frame is the mesh's; the box frame has the same axes, centred on the box.
+    """One rigid object. Its own frame is the mesh's; the box frame lies in the box about it, along its faces.
 
     Attributes:
         name: of the object.
         points_m: (P, 3) float32 well-spread surface points in the box frame, in random order.
         normals: (P, 3) float32 outward.
-        centre_m: (3,) the box's centre in the object's frame.
+        box_from_object: (4, 4).
         half_extents_m: (3,).
         rests: (R, 3) directions in the box frame that point down when the object lies still.
         spin_line: (2, 3) direction and point, in the box frame, of the line about which most of its surface
             is round; zeros where there is none.
         spins_freely: whether all of it is, so that no depth tells its spin.
         symmetry_lines, symmetry_orders: (3, 2, 3) and (3,) as `scene.objects.symmetry`, in the box frame.
-        library: its distance field, in the object's frame.
+        library: its distance field, in the box frame.
         draws: libraries of as likely shapes, as many for each object of a scene; none where it is certain.
         colour: of its surface; None where colours are not compared.
     """
@@ -47,7 +48,7 @@ class SceneObject:
     name: str
     points_m: NDArray[np.float32]
     normals: NDArray[np.float32]
-    centre_m: NDArray[np.float64]
+    box_from_object: NDArray[np.float64]
     half_extents_m: NDArray[np.float64]
     rests: NDArray[np.float64]
     spin_line: NDArray[np.float64]
@@ -58,6 +59,11 @@ class SceneObject:
     draws: tuple[ObjectLibrary, ...] = ()
     colour: SurfaceColour | None = None
 
+    @property
+    def centre_m(self) -> NDArray[np.float64]:
+        """The box's centre (3,) in the object's frame."""
+        return np.asarray(np.linalg.inv(self.box_from_object)[:3, 3], np.float64)
+
     def coloured(
         self,
         vertices_m: NDArray[np.floating],
@@ -66,7 +72,7 @@ class SceneObject:
         gamma: float,
     ) -> SceneObject:
         """The object with the colours (V, 3) of its mesh's vertices; None: one colour that nobody knows."""
-        mesh = trimesh.Trimesh(vertices_m - self.centre_m, faces, process=False)
+        mesh = trimesh.Trimesh(_placed(self.box_from_object, vertices_m), faces, process=False)
         lines = self.spin_line, self.symmetry_lines, self.symmetry_orders
         return replace(self, colour=surface_colour(mesh, rgb, gamma, lines))
 
@@ -88,32 +94,39 @@ def scene_object(
     Raises:
         ValueError: the mesh has no face or no extent.
     """
-    mesh = trimesh.Trimesh(vertices_m, faces, process=False)
-    low, high = mesh.bounds
-    centre, half = (low + high) / 2, (high - low) / 2
+    box_from_object, half = box_about(vertices_m[np.unique(faces)])
+    mesh = trimesh.Trimesh(_placed(box_from_object, vertices_m), faces, process=False)
     sample = trimesh.sample.sample_surface(mesh, 8 * SURFACE_POINTS, seed=0)
-    drawn, drawn_normals = np.asarray(sample[0]) - centre, mesh.face_normals[np.asarray(sample[1])]
+    drawn, drawn_normals = np.asarray(sample[0]), mesh.face_normals[np.asarray(sample[1])]
     spread = _well_spread(drawn)
     points, normals = drawn[spread], drawn_normals[spread]
     lines, orders = symmetry_lines(drawn, drawn_normals)
     line = spin_line(points, normals)
-    dense = np.asarray(trimesh.sample.sample_surface(mesh, DENSE_POINTS, seed=0)[0]) - centre
+    dense = np.asarray(trimesh.sample.sample_surface(mesh, DENSE_POINTS, seed=0)[0])
     volume = float(np.prod(2 * half))
     pitch = max((volume / LIBRARY_VOXELS) ** (1 / 3), float(half.max()) / 250)
     return SceneObject(
         name=name,
         points_m=points.astype(np.float32),
         normals=normals.astype(np.float32),
-        centre_m=centre,
+        box_from_object=box_from_object,
         half_extents_m=half,
-        rests=stable_rests(np.asarray(mesh.vertices, np.float64) - centre),
+        rests=stable_rests(np.asarray(mesh.vertices, np.float64)),
         spin_line=line,
         spins_freely=spins_freely(dense, line),
         symmetry_lines=lines,
         symmetry_orders=orders,
-        library=library_of_mesh(vertices_m, faces, pitch),
-        draws=tuple(library_of_mesh(*draw, pitch) for draw in draws),
+        library=library_of_mesh(mesh.vertices, faces, pitch),
+        draws=tuple(
+            library_of_mesh(_placed(box_from_object, drawn_m), drawn_faces, pitch)
+            for drawn_m, drawn_faces in draws
+        ),
     )
+
+
+def _placed(box_from_object: NDArray[np.float64], vertices_m: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Vertices (V, 3) of the object's frame in the box's."""
+    return vertices_m @ box_from_object[:3, :3].T + box_from_object[:3, 3]
 
 
 def stable_rests(vertices_m: NDArray[np.float64], slack_m: float = 0.003) -> NDArray[np.float64]:

@@ -101,7 +101,7 @@ MOSTLY = 0.8
 SQUARE = 0.15
 """Relative difference of two extents up to which a quarter of a turn is tried."""
 
-ROUNDS = 6
+ROUNDS = 12
 
 TURNED = 512
 """Points that are laid on the surface."""

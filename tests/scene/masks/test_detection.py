@@ -53,7 +53,8 @@ def share_found(one: SceneObject, mesh: trimesh.Trimesh, poses: int, seed: int) 
     """Share of random orientations and cells whose strongest atom has the surface where it is."""
     rng = np.random.default_rng(seed)
     masks = detector(one, PITCH_M, standing=True)
-    points_m = np.asarray(trimesh.sample.sample_surface(mesh, 20_000, seed=0)[0]) - one.centre_m
+    drawn_m = np.asarray(trimesh.sample.sample_surface(mesh, 20_000, seed=0)[0])
+    points_m = drawn_m @ one.box_from_object[:3, :3].T + one.box_from_object[:3, 3]
     found = 0
     for _ in range(poses):
         rotation = masks.fine.rotations[rng.integers(len(masks.fine.rotations))].astype(float)

@@ -31,7 +31,8 @@ def test_a_mug_spins_about_the_axis_of_its_body(seed: int) -> None:
 
     one = scene_object("mug", mesh.vertices, mesh.faces)
 
-    direction, point = one.spin_line
+    object_from_box = np.linalg.inv(one.box_from_object)
+    direction, point = one.spin_line @ object_from_box[:3, :3].T
     assert abs(direction @ turn.apply([0, 0, 1])) > np.cos(np.radians(1))
     off = one.centre_m + point - placed[:3, 3]
     assert np.linalg.norm(off - off @ direction * direction) < 0.0005

@@ -40,7 +40,8 @@ def test_colours_are_those_beside() -> None:
     painted_rgb = vertex_rgb(mesh)
     assert painted_rgb is not None
     far = np.abs(points[:, 1]) > 0.012
-    cell = ((points - one.centre_m - one.colour.origin_m) / one.colour.pitch_m).astype(int)
+    in_box = points @ one.box_from_object[:3, :3].T + one.box_from_object[:3, 3]
+    cell = ((in_box - one.colour.origin_m) / one.colour.pitch_m).astype(int)
     shown = one.colour.values[tuple(cell.T)]
     rgb = painted_rgb[mesh.faces[places][:, 0]]
     assert np.abs(shown - log_colour(rgb, 2.2))[far].max() < 0.1
