@@ -1,6 +1,6 @@
 """What is known of one depth sensor, in one file (SENSOR.toml) for slam, learn and parse alike.
 
-    format_version = 2
+    format_version = 3
     [image]        width, height, fx, fy, cx, cy of the images that it was learnt from
     [noise]        parameters of the sensor density (`recordings.types.DepthNoise`)
     [correlation]  x_px, y_px: lengths over which residuals of neighbouring pixels are alike
@@ -8,7 +8,8 @@
     [unknown]      how well pixels foretell each other (`UnknownTable`)
     [source]       recordings, frames, version
 
-A table that was not learnt is not there. Version 1 had [image] and [distortion] alone.
+A table that was not learnt is not there. Version 1 had [image] and [distortion] alone; [unknown] of version 2
+had two predictions fewer, so that it is left out and learnt anew from what is looked at.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from recordings.errors import RecordingError
 from recordings.settings import check_finite, check_within
 from recordings.types import CameraIntrinsics, DepthNoise
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Of the file."""
 
 LONGEST_PX = 1e3
 """Of a correlation: images are hardly larger."""
 
-UNKNOWN_KINDS, UNKNOWN_PARTS = 10, 6
+UNKNOWN_KINDS, UNKNOWN_PARTS = 10, 8
 """Rows and columns of the unknown layer's weights (`scene.likelihood.unknown_surfaces`)."""
 
 PITCH_RATIO = 1.6
@@ -190,8 +191,10 @@ def load_sensor_profile(path: Path) -> SensorProfile:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         version = table.pop("format_version", None)
-        if version not in (1, FORMAT_VERSION):
-            raise ValueError(f"format_version is {version}, neither 1 nor {FORMAT_VERSION}")
+        if version not in range(1, FORMAT_VERSION + 1):
+            raise ValueError(f"format_version is {version}, not 1 to {FORMAT_VERSION}")
+        if version < FORMAT_VERSION:
+            table.pop("unknown", None)
         image = _part(CameraIntrinsics, table, "image")
         if image is None:
             raise ValueError("it has no [image]")

@@ -88,8 +88,8 @@ class _Shown:
         scene: (H, W) the scene's part a.
         missing: (H, W) probability that the surface is not where it should be.
         in_front: (H, W) Phi((d - z) / sigma).
-        before: (4, H, W) of what both neighbours, the left, the upper one foretell, and of what begins here,
-            the probability that it is nearer.
+        before: (5, H, W) of what both neighbours, the left, the upper, the upper right one foretell, and of
+            what begins here, the probability that it is nearer.
     """
 
     there: jax.Array
@@ -108,9 +108,9 @@ class ImageTerms:
         observed_m: `NO_RETURN` where nothing was measured.
         rest_m: depth of the supports, +inf where none is.
         unknown: what else the pixels may show.
-        parts: (4, H, W) density at the observed depth of what both neighbours, the left, the upper one
-            foretell of unknown things, and of one that begins here.
-        shares: (3, H, W) weights of the first three.
+        parts: (5, H, W) density at the observed depth of what both neighbours, the left, the upper, the upper
+            right one foretell of unknown things, and of one that begins here.
+        shares: (4, H, W) weights of the first four.
         behind: probability that a pixel shows the supports.
         rest: what pixels show of the supports.
     """
@@ -217,9 +217,9 @@ class PixelDensity:
         within = 1 - self._shifted(covers & ~_all_beside(covers), 1 - mine)
         share = jnp.where(covers, within, self._shifted(touches & ~covers, mine))
         own, other = self._density(self._shown(one, mine), unknown), self._density(self.image.rest, unknown)
-        left, above = _left_and_above(touches)
+        beside = touches | sum(_left_and_above(touches)) | _above_right(touches)
         just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
-        shown_m = jnp.where(covers, layer_m, jnp.where(touches | left | above, just_before, jnp.inf))
+        shown_m = jnp.where(covers, layer_m, jnp.where(beside, just_before, jnp.inf))
         return jnp.log(share * own + (1 - share) * other), shown_m
 
     def shown_by(self, layer_m: jax.Array) -> jax.Array:
@@ -273,13 +273,13 @@ class PixelDensity:
         )
 
     def _unknown(self, scene: jax.Array, objects: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Probability kappa of something unknown, weights (4, H, W) of what it may be, and its density u.
+        """Probability kappa of something unknown, weights (5, H, W) of what it may be, and its density u.
 
         Args:
             scene: (H, W) probability that a pixel shows anything of the scene.
             objects: (H, W) that it shows an object.
         """
-        kept = kept_parts(*_left_and_above(objects))
+        kept = kept_parts(*_left_and_above(objects), _above_right(objects))
         weights = jnp.concatenate([kept, 1 - jnp.sum(kept * self.image.shares, axis=0, keepdims=True)])
         return self._kappa(scene), weights, jnp.sum(weights * self.image.parts, axis=0)
 
@@ -299,19 +299,25 @@ class PixelDensity:
         """The scene's part a (H, W), where pixels show this surface with probabilities (H, W)."""
         depth_m, sigma_m = surface.finite_m, self._sigma_m(surface)
         residual_m = _computed(jnp.where(surface.there, self.image.observed_m - depth_m, 0.0))
-        left_m, above_m = _left_and_above(residual_m)
-        left, above = _left_and_above(same)
         residuals_m, shown = shifts(residual_m), shifts(same)
+        beside = (0, 1), (1, 0), (1, 1), (1, -1)
+        (left_m, above_m, corner_m, _), (left, above, corner, right) = (
+            [before(*by) for by in beside] for before in (residuals_m, shown)
+        )
         plane_m, _, _ = fitted(lambda *by: (residuals_m(*by), shown(*by)))
         sensor_m = standard_deviation(self.noise, depth_m)
         after = surprised(same * (residual_m - plane_m), sensor_m)[None]
         calm, astir = (self.learned.weights[kind, :, None, None] for kind in (NO_EDGE, NO_EDGE + EDGES))
-        by_plane, by_above_plane, by_left, by_above, wide, _ = jnp.where(after, astir, calm)
+        by_plane, by_above_plane, by_left, by_above, wide, by_right_plane, by_three, _ = jnp.where(
+            after, astir, calm
+        )
         parts = (
             (by_plane + by_above_plane, plane_m, 0, 1 - (1 - left) * (1 - above)),
             (wide, plane_m, 4, 1 - (1 - left) * (1 - above)),
             (by_left, left_m, 2, left),
             (by_above, above_m, 3, above),
+            (by_right_plane, plane_m, 5, right),
+            (by_three, left_m + above_m - corner_m, 6, left * above * corner),
         )
         told, mixed = jnp.zeros_like(depth_m), jnp.zeros_like(depth_m)
         for weight, foretold_m, scale, share in parts:
@@ -358,6 +364,11 @@ _of_image = jax.jit(PixelDensity.of_image, compiler_options=FAST_COMPILE)
 def _left_and_above(image: jax.Array) -> tuple[jax.Array, jax.Array]:
     """For every pixel the value of that to the left and of that above, 0 beyond the border."""
     return jnp.pad(image, ((0, 0), (1, 0)))[:, :-1], jnp.pad(image, ((1, 0), (0, 0)))[:-1]
+
+
+def _above_right(image: jax.Array) -> jax.Array:
+    """For every pixel the value of that above to the right, 0 beyond the border."""
+    return jnp.pad(image, ((1, 0), (0, 1)))[:-1, 1:]
 
 
 def _nearest_beside(layer_m: jax.Array) -> jax.Array:

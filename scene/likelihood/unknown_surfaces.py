@@ -5,8 +5,10 @@ In raster order every pixel has the mixture
     u(z) = sum_k w_k Normal(z; m_k, s_k) + w_0 1[0 <= z <= R] / R
 
 over predictions m_k from the measured pixels to the left and above: the plane through those near by that lie
-on one surface with the left one or with that above, and these two alone. The remaining weight is that of a
-surface that begins here. On a plane inverse depth is linear in the pixel's place, so that planes are fitted
+on one surface with the left one, with that above or with that above to the right, without which outlines that
+lean to the left would be new in every row; the left one and that above alone; and their sum less the corner
+between them, which foretells errors that hang together. The remaining weight is that of a surface that begins
+here. On a plane inverse depth is linear in the pixel's place, so that planes are fitted
 in inverse depth. Weights and the scales s_k are those of the sensor, at the distance from one compared pixel
 to the next: they come with its profile, or are learned from images by expectation maximisation
 (docs/model.md).
@@ -35,7 +37,7 @@ JOINED_M = 0.02
 """Neighbours that differ more are of two surfaces: no plane goes through them."""
 FARTHEST_M = 20.0
 """Planes that predict more predict nothing."""
-FIRST_SCALES = (1.2, 1.2, 4.0, 4.0, 12.0)
+FIRST_SCALES = (1.2, 1.2, 4.0, 4.0, 12.0, 1.2, 1.2)
 """Of the predictions, in standard deviations of the sensor, before they are learned."""
 ITERATIONS = 20
 MOST_PIXELS = 200_000
@@ -51,8 +53,11 @@ SURPRISE = 3.0
 """Standard deviations of the sensor that a prediction errs by in one of a hundred or so calm pixels."""
 LIKE_ALL = 20.0
 """Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
-PREDICTIONS = (0, 1, 4), (2,), (3,)
-"""Those that look at the pixels to the left and above, at the left one alone, at that above alone."""
+PREDICTIONS = (0, 1, 4, 6), (2,), (3,), (5,)
+"""Those that look at the pixels to the left and above, at the left one alone, at that above alone, at that
+above to the right."""
+EITHER = 4
+"""The one that is there wherever one of both neighbours is, and tells of surprises."""
 assert (KINDS, len(FIRST_SCALES) + 1) == (UNKNOWN_KINDS, UNKNOWN_PARTS)  # of sensor profiles
 
 
@@ -156,11 +161,11 @@ class UnknownSurfaces:
         return cls(means_m, sigmas_m, shares / jnp.sum(shares, axis=0, keepdims=True), learned.reach_m)
 
     def density_parts(self, observed_m: jax.Array) -> jax.Array:
-        """Densities (3, H, W) at observed depths of what neighbours foretell, as `kept_parts` has them."""
+        """Densities (4, H, W) at observed depths of what neighbours foretell, as `kept_parts` has them."""
         return self._by_neighbours(normal_density(observed_m[None], self.means_m, self.sigmas_m))
 
     def shares(self) -> jax.Array:
-        """Weights (3, H, W) of what neighbours foretell, likewise."""
+        """Weights (4, H, W) of what neighbours foretell, likewise."""
         return self._by_neighbours(jnp.ones_like(self.means_m))
 
     def new_density(self, observed_m: jax.Array) -> jax.Array:
@@ -168,7 +173,7 @@ class UnknownSurfaces:
         return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
     def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
-        """Probabilities (3, H, W) that what neighbours foretell is nearer than a surface so well known."""
+        """Probabilities (4, H, W) that what neighbours foretell is nearer than a surface so well known."""
         distance = (depth_m[None] - self.means_m) / jnp.hypot(self.sigmas_m, sigma_m[None])
         return self._by_neighbours(normal_distribution(distance))
 
@@ -178,18 +183,18 @@ class UnknownSurfaces:
         return sigma_m / self.reach_m * (low - high)
 
     def _by_neighbours(self, parts: jax.Array) -> jax.Array:
-        """Weighted sums (3, H, W) of predictions (K, H, W) from both neighbours, the left, the upper."""
+        """Weighted sums (4, H, W) of predictions (K, H, W), as `kept_parts` has them."""
         weighted = self.weights[:-1] * parts
         return jnp.stack([sum(weighted[part] for part in group) for group in PREDICTIONS])
 
 
-def kept_parts(left: jax.Array, above: jax.Array) -> jax.Array:
-    """How much (3, H, W) counts of what both neighbours, the left and the upper one foretell.
+def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array) -> jax.Array:
+    """How much (4, H, W) counts of what both neighbours, the left, the upper, the upper right one foretell.
 
     An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
     probability (H, W), is left out, and a surface that begins here gets its weight.
     """
-    return jnp.stack([(1 - left) * (1 - above), 1 - left, 1 - above])
+    return jnp.stack([(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right])
 
 
 def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: DepthNoise) -> jax.Array:
@@ -202,9 +207,9 @@ def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: Dept
     along_row, along_column = (jnp.abs(near - corner) >= JOINED_M for near in (left, above))
     measured = (left != NO_RETURN) & (above != NO_RETURN) & (corner != NO_RETURN)
     edge = jnp.where(measured, NO_EDGE + along_row + 2 * along_column, EDGES - 1)
-    told = (depth_m != NO_RETURN) & (known[-1] > 0)
-    error_m = jnp.where(told, depth_m - means_m[-1], 0.0)
-    return edge + EDGES * surprised(error_m, standard_deviation(noise, means_m[-1])).astype(jnp.int32)
+    told = (depth_m != NO_RETURN) & (known[EITHER] > 0)
+    error_m = jnp.where(told, depth_m - means_m[EITHER], 0.0)
+    return edge + EDGES * surprised(error_m, standard_deviation(noise, means_m[EITHER])).astype(jnp.int32)
 
 
 def surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
@@ -227,11 +232,13 @@ def _foreseen(depth_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array, jax.Arr
 
 def _predictions(depth_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array, jax.Array]:
     """Predicted depths (K, H, W), and 1 where there are such (K, H, W)."""
-    left, above = shifted(depth_m, 0, 1), shifted(depth_m, 1, 0)
+    left, above, corner = (shifted(depth_m, *by) for by in ((0, 1), (1, 0), (1, 1)))
     on_left, (rise, _) = _plane(depth_m, left, noise)
     on_above, (_, fall) = _plane(depth_m, above, noise)
+    on_right, _ = _plane(depth_m, shifted(depth_m, 1, -1), noise)
     either = jnp.where(left != NO_RETURN, on_left, on_above)
-    means_m = jnp.stack([on_left, on_above, _farther(left, rise), _farther(above, fall), either])
+    ends = _farther(left, rise), _farther(above, fall)
+    means_m = jnp.stack([on_left, on_above, *ends, either, on_right, _three(left, above, corner)])
     known = means_m != NO_RETURN
     return jnp.where(known, means_m, 1.0), known.astype(depth_m.dtype)
 
@@ -263,6 +270,13 @@ def _plane(
 
     here = base + fitted(beside)[0]
     return _depth(here, known), (wide_x, wide_y)
+
+
+def _three(left_m: jax.Array, above_m: jax.Array, corner_m: jax.Array) -> jax.Array:
+    """Depth (H, W) of the plane through three neighbours (H, W), `NO_RETURN` where one was not measured."""
+    known = (left_m != NO_RETURN) & (above_m != NO_RETURN) & (corner_m != NO_RETURN)
+    left, above, corner = (1 / jnp.where(known, one, 1.0) for one in (left_m, above_m, corner_m))
+    return _depth(left + above - corner, known)
 
 
 def _farther(near_m: jax.Array, slope: jax.Array) -> jax.Array:

@@ -117,6 +117,16 @@ def test_a_file_of_version_1_is_read(seed, tmp_path):
     assert found.noise is None
 
 
+def test_the_unknown_layer_of_version_2_is_left_out(seed, tmp_path):
+    """It has other predictions; all the rest is as it was."""
+    table = _profile(np.random.default_rng(seed)).table()
+    table["unknown"] |= {"weights": np.full((2, 10, 6), 1 / 6).tolist(), "scales": np.ones((2, 5)).tolist()}
+    (tmp_path / "sensor.toml").write_text(tomli_w.dumps(table | {"format_version": 2}))
+    found = load_sensor_profile(tmp_path / "sensor.toml")
+    assert found.unknown is None
+    assert found.table()["noise"] == table["noise"]
+
+
 def test_the_unknown_layer_is_taken_at_the_nearest_step(seed):
     """Within a factor of 1.6; farther off it is refused in one line."""
     table = _profile(np.random.default_rng(seed)).unknown
@@ -135,7 +145,7 @@ TABLES = _profile(np.random.default_rng(0)).table()
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format_version": 3}, "format_version"),
+        ({"format_version": 4}, "format_version"),
         ({"distortion": {"disparity_per_m": [[0.0]], "sd_per_m": [[1.0]]}}, "7 rows of 9"),
         ({"distortion": {"disparity_per_m": 7 * [9 * [float("nan")]]}}, "sd_per_m is not there"),
         ({"image": {**vars(CAMERA), "fx": 70.0}}, "another camera"),
@@ -145,9 +155,9 @@ TABLES = _profile(np.random.default_rng(0)).table()
         ({"noise": {"max_range_m": float("inf")}}, "max_range_m must be a finite number"),
         ({"noise": {"sigma": 0.001}}, "there is no noise.sigma"),
         ({"correlation": {"x_px": -1.0, "y_px": 1.0}}, "x_px must lie within"),
-        ({"unknown": {**TABLES["unknown"], "scales": [[1.0]]}}, "unknown.scales must be 2 x 5"),
+        ({"unknown": {**TABLES["unknown"], "scales": [[1.0]]}}, "unknown.scales must be 2 x 7"),
         ({"unknown": {**TABLES["unknown"], "scales": [[1.0], [1.0, 2.0]]}}, "rows of as many numbers"),
-        ({"unknown": {**TABLES["unknown"], "weights": [10 * [6 * [0.1]]] * 2}}, "sum to 1"),
+        ({"unknown": {**TABLES["unknown"], "weights": [10 * [8 * [0.1]]] * 2}}, "sum to 1"),
         ({"unknown": {**TABLES["unknown"], "reach_m": 0}}, "reach_m must be positive"),
         ({"source": {"recordings": [1], "frames": 1, "version": "0"}}, "must be a word"),
     ],

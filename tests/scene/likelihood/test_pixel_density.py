@@ -1,6 +1,6 @@
 """The one density of an image sums to one over all images, and its sampler draws from it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import jax
@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import norm
 
 from recordings.types import NO_RETURN, DepthNoise
+from scene.likelihood import unknown_surfaces
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.pixel_density import MISSING, MISSING_ON, OUTLIERS, PixelDensity
 from scene.likelihood.unknown_surfaces import EDGES, UnknownWeights
@@ -25,10 +26,10 @@ NOISE = DepthNoise(
     none_miss_probability=0.7,
     max_range_m=REACH_M,
 )
-WEIGHTS, ASTIR = [0.3, 0.1, 0.1, 0.15, 0.15, 0.2], [0.1, 0.15, 0.2, 0.05, 0.3, 0.2]
+WEIGHTS, ASTIR = [0.2, 0.1, 0.1, 0.1, 0.15, 0.1, 0.1, 0.15], [0.1, 0.1, 0.15, 0.05, 0.2, 0.1, 0.15, 0.15]
 LEARNED = UnknownWeights(
     weights=jnp.array([WEIGHTS] * EDGES + [ASTIR] * EDGES),
-    scales=jnp.array([1.0, 1.05, 1.1, 1.15, 1.2]),
+    scales=jnp.array([1.0, 1.05, 1.1, 1.15, 1.2, 1.1, 1.05]),
     reach_m=REACH_M,
 )
 INF = np.inf
@@ -36,6 +37,14 @@ SCENES = {
     "an object that ends between the columns": ([[0.5, INF], [0.52, INF]], [[0.8, 0.8], [0.7, 0.7]]),
     "one in the corner, a support that ends": ([[INF, INF], [INF, 0.6]], [[0.8, INF], [0.7, 0.7]]),
 }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def near_predictions() -> Iterator[None]:
+    """Planes foretell no depths whose densities would reach beyond the cells."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(unknown_surfaces, "FARTHEST_M", 1.1)
+        yield
 
 
 def density_of(observed_m: jax.Array, rest_m: jax.Array) -> PixelDensity:

@@ -64,7 +64,7 @@ def test_a_profile_serves_other_images_of_its_sensor(seed: int) -> None:
     own = np.mean([mean_log_density([one], UnknownWeights.learned([one], NOISE)) for one in told_on])
     same = mean_log_density(told_on, UnknownWeights.learned(learned_from, NOISE))
     other = mean_log_density(told_on, UnknownWeights.learned(others, NOISE))
-    flat = UnknownWeights(jnp.full((KINDS, 6), 1 / 6), jnp.asarray(FIRST_SCALES))
+    flat = UnknownWeights(jnp.full((KINDS, 8), 1 / 8), jnp.asarray(FIRST_SCALES))
     assert own - 0.05 < same
     assert same > other + 0.01
     assert same > mean_log_density(told_on, flat) + 0.2
@@ -82,4 +82,4 @@ def test_weights_come_back_from_a_profile(seed: int) -> None:
     with pytest.raises(ValueError, match="calibrate"):
         UnknownWeights.of(table, 0.02)
     nothing = UnknownWeights.learned([np.zeros(SIZE, np.float32)], NOISE)
-    np.testing.assert_allclose(nothing.weights, 1 / 6)
+    np.testing.assert_allclose(nothing.weights, 1 / 8)
