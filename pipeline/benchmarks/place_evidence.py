@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
@@ -21,15 +20,15 @@ from scene.config import ParseConfig
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
-from scene.mcmc.chain_model import half_sizes, pose_prior, prior_space, slabs_under
-from scene.model.number_prior import UncertainBinomialNumber
+from scene.mcmc.chain_model import pose_prior, prior_space
+from scene.objects.orientations import cube_rotations
 from scene.objects.scene_object import SceneObject
 from scene.observation.segmentation import scene_data
 from scene.presence.births import born_near, distinct, solids_near
-from scene.presence.depth_candidates import PresenceFrames, candidates_of
+from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.inference import MOST_SOLIDS
 from scene.presence.pose_priors import PosePriors
-from scene.presence.posterior import CANDIDATES
+from scene.presence.posterior import drawn_candidates
 from scene.presence.size_prior import SizePrior
 from scene.presence.solid_proposals import proposed_solids
 from scene.presence.toggling import ABSENT, Candidates
@@ -98,12 +97,8 @@ class PlaceEvidence:
         mixture = born_near(rng, frames, priors, sites, lines, np.zeros(count, bool))
         proposed = proposed_solids(self.compared.data, world_from_camera, MOST_SOLIDS)
         solids = solids_near(rng, frames, priors, *proposed)
-        drawn = np.concatenate([mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
-        log_offered = [mixture.log_density(drawn[:count]), solids.log_density(drawn[count:])]
         nowhere = np.full(count, -np.inf)
-        return candidates_of(
-            rng, frames, priors, drawn, solids.is_round, np.concatenate(log_offered), nowhere
-        )
+        return drawn_candidates(rng, frames, priors, mixture, solids, nowhere)[1]
 
     def _frames(self, count: int) -> PresenceFrames:
         objects = [self.one] * count
@@ -116,15 +111,9 @@ class PlaceEvidence:
         """Of scenes with one of the places at most."""
         supports, objects = self.compared.data.supports[:1], [self.one] * count
         space = prior_space(self.compared.data.table, self._in_world(camera_from_box)[:, 4:])
-        return PosePriors(
-            prior=jax.device_get(pose_prior(supports, space, self.config)),
-            sizes=SizePrior.of(objects, self.config.model_error_m),
-            supports=slabs_under(supports, self.compared.world_from_camera),
-            slab_half_m=half_sizes(supports),
-            floating_weight=self.config.floating_weight if supports else 1.0,
-            log_sets=UncertainBinomialNumber(self.config.presence).log_set_probabilities(1),
-            grafts=True,
-        )
+        sizes = SizePrior.of(objects, self.config.model_error_m)
+        prior = pose_prior(supports, space, self.config)
+        return PosePriors.over(prior, sizes, supports, self.compared.world_from_camera, 1, self.config)
 
     def _in_world(self, camera_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
         return poses_of(self.compared.world_from_camera @ camera_from_box)
@@ -163,7 +152,7 @@ def laid_into(
 
     All 24 ways of turning it, at every corner, edge and face, flush with that from within.
     """
-    turns = np.array([turn for turn in _signed_permutations() if np.linalg.det(turn) > 0])
+    turns = cube_rotations()
     corners = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     corners = corners[(corners != 0).any(axis=1)]
     poses = np.tile(np.eye(4), (len(turns), len(corners), 1, 1))
@@ -171,10 +160,3 @@ def laid_into(
     room_m = half_m - np.abs(turns) @ own_m
     poses[..., :3, 3] = corners * room_m[:, None]
     return world_from_decoy @ poses.reshape(-1, 4, 4)
-
-
-def _signed_permutations() -> NDArray[np.float64]:
-    """(48, 3, 3) matrices that take axes to axes."""
-    signs = np.stack(np.meshgrid(*[[-1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    orders = np.eye(3)[[[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]]]
-    return (signs[:, None] * orders).reshape(-1, 3, 3)

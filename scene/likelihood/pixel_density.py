@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from scene.execution import FAST_COMPILE
-from scene.likelihood.causal_planes import fitted, shifts
+from scene.likelihood.causal_planes import fitted, shifted, shifts
 from scene.likelihood.unknown_surfaces import (
     EDGES,
     NO_EDGE,
@@ -217,7 +217,7 @@ class PixelDensity:
         within = 1 - self._shifted(covers & ~_all_beside(covers), 1 - mine)
         share = jnp.where(covers, within, self._shifted(touches & ~covers, mine))
         own, other = self._density(self._shown(one, mine), unknown), self._density(self.image.rest, unknown)
-        beside = touches | sum(_left_and_above(touches)) | _above_right(touches)
+        beside = touches | sum(_left_and_above(touches)) | shifted(touches, 1, -1)
         just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
         shown_m = jnp.where(covers, layer_m, jnp.where(beside, just_before, jnp.inf))
         return jnp.log(share * own + (1 - share) * other), shown_m
@@ -279,7 +279,7 @@ class PixelDensity:
             scene: (H, W) probability that a pixel shows anything of the scene.
             objects: (H, W) that it shows an object.
         """
-        kept = kept_parts(*_left_and_above(objects), _above_right(objects))
+        kept = kept_parts(*_left_and_above(objects), shifted(objects, 1, -1))
         weights = jnp.concatenate([kept, 1 - jnp.sum(kept * self.image.shares, axis=0, keepdims=True)])
         return self._kappa(scene), weights, jnp.sum(weights * self.image.parts, axis=0)
 
@@ -364,11 +364,6 @@ _of_image = jax.jit(PixelDensity.of_image, compiler_options=FAST_COMPILE)
 def _left_and_above(image: jax.Array) -> tuple[jax.Array, jax.Array]:
     """For every pixel the value of that to the left and of that above, 0 beyond the border."""
     return jnp.pad(image, ((0, 0), (1, 0)))[:, :-1], jnp.pad(image, ((1, 0), (0, 0)))[:-1]
-
-
-def _above_right(image: jax.Array) -> jax.Array:
-    """For every pixel the value of that above to the right, 0 beyond the border."""
-    return jnp.pad(image, ((1, 0), (0, 1)))[:-1, 1:]
 
 
 def _nearest_beside(layer_m: jax.Array) -> jax.Array:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import permutations, product
-
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
+
+from scene.objects.orientations import cube_rotations
 
 LESS = 0.9
 """Of the volume of the box along a mesh's own axes: a box that is less is along the object's faces, where the
@@ -30,19 +30,9 @@ def box_about(vertices_m: NDArray[np.floating]) -> tuple[NDArray[np.float64], ND
     vertices_m, turn = hull.points[hull.vertices], np.eye(3)
     least_from_object, extents_m = trimesh.bounds.oriented_bounds(vertices_m)
     if np.prod(extents_m) < LESS * np.prod(np.ptp(vertices_m, axis=0)):
-        turn = _nearest_to_unturned(least_from_object[:3, :3])
+        turn = max(cube_rotations() @ least_from_object[:3, :3], key=np.trace)
     turned_m = vertices_m @ turn.T
     low, high = turned_m.min(axis=0), turned_m.max(axis=0)
     box_from_object = np.eye(4)
     box_from_object[:3, :3], box_from_object[:3, 3] = turn, -(low + high) / 2
     return box_from_object, (high - low) / 2
-
-
-def _nearest_to_unturned(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation (3, 3) of least angle among those that differ in the names and signs of the box's axes."""
-    named = [
-        np.array(signs)[:, None] * rotation[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return max((one for one in named if np.linalg.det(one) > 0), key=np.trace)

@@ -72,7 +72,9 @@ class SceneObject:
         gamma: float,
     ) -> SceneObject:
         """The object with the colours (V, 3) of its mesh's vertices; None: one colour that nobody knows."""
-        mesh = trimesh.Trimesh(_placed(self.box_from_object, vertices_m), faces, process=False)
+        mesh = trimesh.Trimesh(
+            trimesh.transform_points(vertices_m, self.box_from_object), faces, process=False
+        )
         lines = self.spin_line, self.symmetry_lines, self.symmetry_orders
         return replace(self, colour=surface_colour(mesh, rgb, gamma, lines))
 
@@ -95,7 +97,7 @@ def scene_object(
         ValueError: the mesh has no face or no extent.
     """
     box_from_object, half = box_about(vertices_m[np.unique(faces)])
-    mesh = trimesh.Trimesh(_placed(box_from_object, vertices_m), faces, process=False)
+    mesh = trimesh.Trimesh(trimesh.transform_points(vertices_m, box_from_object), faces, process=False)
     sample = trimesh.sample.sample_surface(mesh, 8 * SURFACE_POINTS, seed=0)
     drawn, drawn_normals = np.asarray(sample[0]), mesh.face_normals[np.asarray(sample[1])]
     spread = _well_spread(drawn)
@@ -118,15 +120,10 @@ def scene_object(
         symmetry_orders=orders,
         library=library_of_mesh(mesh.vertices, faces, pitch),
         draws=tuple(
-            library_of_mesh(_placed(box_from_object, drawn_m), drawn_faces, pitch)
+            library_of_mesh(trimesh.transform_points(drawn_m, box_from_object), drawn_faces, pitch)
             for drawn_m, drawn_faces in draws
         ),
     )
-
-
-def _placed(box_from_object: NDArray[np.float64], vertices_m: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Vertices (V, 3) of the object's frame in the box's."""
-    return vertices_m @ box_from_object[:3, :3].T + box_from_object[:3, 3]
 
 
 def stable_rests(vertices_m: NDArray[np.float64], slack_m: float = 0.003) -> NDArray[np.float64]:

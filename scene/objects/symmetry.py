@@ -102,6 +102,7 @@ SQUARE = 0.15
 """Relative difference of two extents up to which a quarter of a turn is tried."""
 
 ROUNDS = 12
+"""Of reweighting: after six a line was 0.7 mm off where a knob moves the middle of the points by 5."""
 
 TURNED = 512
 """Points that are laid on the surface."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 
 from scene.config import ParseConfig
@@ -12,9 +11,8 @@ from scene.copies import copies_among
 from scene.hidden.hidden_places import HiddenPlaces
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.mcmc.chain_model import carrying, half_sizes, slabs_under
+from scene.mcmc.chain_model import carrying
 from scene.mcmc.sampling import SampledScenes
-from scene.model.number_prior import UncertainBinomialNumber
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.presence.births import born_near, distinct, sites_of, solids_near
@@ -64,15 +62,7 @@ def presence_in_scene(
     frames = PresenceFrames(compared=compared, renderer=draws, log_half=sizes.log_half)
     world_from_camera = compared.world_from_camera
     supports = carrying(compared.data.supports, objects, start)
-    priors = PosePriors(
-        prior=jax.device_get(chains.model.prior),
-        sizes=sizes,
-        supports=slabs_under(supports, world_from_camera),
-        slab_half_m=half_sizes(supports),
-        floating_weight=config.floating_weight if supports else 1.0,
-        log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(len(objects)),
-        grafts=config.graph == "infer",
-    )
+    priors = PosePriors.over(chains.model.prior, sizes, supports, world_from_camera, len(objects), config)
     every = [sites_of(start, one, SITES) for one in range(len(objects))]
     sites = [poses_of(world_from_camera @ matrices_of(one)) for one in every]
     for slot, one in enumerate(found.indices):

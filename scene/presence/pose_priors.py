@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from scene.config import ParseConfig
 from scene.execution import FAST_COMPILE
+from scene.mcmc.chain_model import half_sizes, slabs_under
 from scene.model.contact import TOP_FACE
+from scene.model.number_prior import UncertainBinomialNumber
 from scene.model.prior import PosePrior, densities_on, log_floating
 from scene.model.scene_graph import Bodies
+from scene.observation.detection import SupportPlane
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.size_prior import SizePrior
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
@@ -47,6 +52,27 @@ class PosePriors:
     floating_weight: float
     log_sets: NDArray[np.float64]
     grafts: bool
+
+    @classmethod
+    def over(
+        cls,
+        prior: PosePrior,
+        sizes: SizePrior,
+        supports: Sequence[SupportPlane],
+        world_from_camera: NDArray[np.float64],
+        most: int,
+        config: ParseConfig,
+    ) -> PosePriors:
+        """The priors of scenes of so many objects at most, on supports as a camera (4, 4) sees them."""
+        return cls(
+            prior=jax.device_get(prior),
+            sizes=sizes,
+            supports=slabs_under(supports, world_from_camera),
+            slab_half_m=half_sizes(supports),
+            floating_weight=config.floating_weight if supports else 1.0,
+            log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(most),
+            grafts=config.graph == "infer",
+        )
 
     def of(
         self,

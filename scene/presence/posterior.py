@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,37 @@ def chain_presence(
     return sums[:, :2] / sums[:, 2:], poses, choice >= 0, visits
 
 
+def drawn_candidates(
+    rng: np.random.Generator,
+    frames: PresenceFrames,
+    priors: PosePriors,
+    mixture: StateMixture,
+    solids: SolidFits,
+    log_hidden: NDArray[np.float64],
+    states: NDArray[np.float64] | None = None,
+    kept: NDArray[np.bool_] | None = None,
+) -> tuple[NDArray[np.float64], Candidates]:
+    """States (N, K, 10) of objects and then of solids, and what they show.
+
+    Args:
+        rng: random numbers.
+        frames: what is seen.
+        priors: of poses.
+        mixture: of the objects.
+        solids: unknown ones.
+        log_hidden: as `candidates_of` takes it.
+        states: (N, 10), the first ones where they are `kept` (N,); None keeps none.
+        kept: which are.
+    """
+    drawn = np.concatenate([mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
+    if states is not None:
+        drawn[kept, 0] = states[kept]
+    objects = len(mixture.centres)
+    log_offered = [mixture.log_density(drawn[:objects]), solids.log_density(drawn[objects:])]
+    given = drawn, solids.is_round, np.concatenate(log_offered), log_hidden
+    return drawn, candidates_of(rng, frames, priors, *given)
+
+
 def presence_posterior(
     rng: np.random.Generator,
     frames: PresenceFrames,
@@ -122,14 +154,7 @@ def presence_posterior(
     with np.errstate(divide="ignore"):
         log_hidden = np.log(hidden.share)
     objects, beside = len(mixture.centres), len(solids.is_round)
-
-    def draw(states: NDArray[np.float64], kept: NDArray[np.bool_]) -> tuple[NDArray[np.float64], Candidates]:
-        drawn = np.concatenate([mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
-        drawn[kept, 0] = states[kept]
-        log_offered = [mixture.log_density(drawn[:objects]), solids.log_density(drawn[objects:])]
-        given = drawn, solids.is_round, np.concatenate(log_offered), log_hidden
-        return drawn, candidates_of(rng, frames, priors, *given)
-
+    draw = partial(drawn_candidates, rng, frames, priors, mixture, solids, log_hidden)
     nowhere = np.tile([1.0, *[0.0] * 9], (objects + beside, 1))
     runs = [chain_presence(rng, draw, nowhere) for _ in range(chains)]
     by_chain, states, in_use, visits = zip(*runs, strict=True)

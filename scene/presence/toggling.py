@@ -267,9 +267,10 @@ def toggle(
     beside = [[other for one, other in candidates.shared if one == slot] for slot in range(candidates.slots)]
     for _ in range(sweeps):
         for slot in range(candidates.slots):
-            before, others = expected[slot, 0], (choice != ABSENT) & (np.arange(len(choice)) != slot)
+            before = expected[slot, 0]
             choice = toggled(rng, candidates, choice, [slot], expected, power)
             if visits is not None:
+                others = (choice != ABSENT) & (np.arange(len(choice)) != slot)
                 visits.append(Visit(slot, float(expected[slot, 0] - before), others))
         for number in rng.permutation(len(pairs))[: candidates.slots]:
             choice = toggled(rng, candidates, choice, list(pairs[number]), expected, power)

@@ -188,7 +188,7 @@ def optimise_with_distortion(
         exponents = exponents_of(linearised)
         step, of_field = sparse_gaussian.damped_step(tempered, HELD_DAMPING)
         gain = _gain(tempered, step, of_field)
-        least = HELD_CONVERGED * 0.5 * (step[1:].size + of_field.size)
+        least = HELD_CONVERGED * 0.5 * (step[keyframes.fixed :].size + of_field.size)
         if round_ == rounds - 1 or (inflation == 1.0 and gain < least):
             return FieldOptimum(
                 poses=poses, graph=tempered, exponents=exponents, astray=start.astray, distortion=distortion

@@ -82,13 +82,16 @@ def by_embree(mesh: trimesh.Trimesh) -> Render:
 
 def by_us(mesh: trimesh.Trimesh) -> Render:
     """Through the renderer of the search, presence and `DepthLikelihood`."""
-    renderer = ObjectRenderer.of([scene_object("one", mesh.vertices, mesh.faces)])
+    one = scene_object("one", mesh.vertices, mesh.faces)
+    renderer, object_from_box = ObjectRenderer.of([one]), np.linalg.inv(one.box_from_object)
     camera = Camera(*(jnp.float32(value) for value in (FOCAL, FOCAL, *MIDDLE_PX)))
     blank = np.zeros((HEIGHT, WIDTH), np.float32)
     window = PixelWindow(
         camera=camera, stride=STRIDE, depth_m=blank, rows=np.arange(HEIGHT), columns=np.arange(WIDTH)
     )
-    return lambda poses: renderer.layers(np.zeros(len(poses), np.int32), poses_of(poses), window)
+    return lambda poses: renderer.layers(
+        np.zeros(len(poses), np.int32), poses_of(poses @ object_from_box), window
+    )
 
 
 @dataclass(frozen=True)
