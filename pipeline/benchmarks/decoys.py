@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.benchmarks.place_evidence import PlaceEvidence, laid_into
 from pipeline.benchmarks.pose_images import ImageKey, PoseImage
@@ -97,11 +98,16 @@ def advantage(
     )
     places = weighed.likeliest(laid)
     if true is not None:
-        box = np.eye(4)
-        box[:3, 3] = sought.centre_m
-        places = np.concatenate([(image.camera_from_world @ true.world_from_object @ box)[None], places])
+        places = np.concatenate([true_box(image.camera_from_world, true, sought)[None], places])
     absent, there = weighed.log_evidence(places, seed)
     return float(there[0] - there[1:].max() if true is not None else absent - there.max())
+
+
+def true_box(
+    camera_from_world: NDArray[np.float64], true: TrueObject, sought: SceneObject
+) -> NDArray[np.float64]:
+    """camera_from_box (4, 4) of an object where it really is; its box may be turned against its mesh."""
+    return camera_from_world @ true.world_from_object @ np.linalg.inv(sought.box_from_object)
 
 
 def decoy_figures(rows: Sequence[DecoyRow]) -> dict[str, Any]:

@@ -4,11 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from pipeline.benchmarks.decoys import DecoyRow, decoy_figures, decoy_lines
+from pipeline.benchmarks.decoys import DecoyRow, decoy_figures, decoy_lines, true_box
 from pipeline.benchmarks.place_evidence import laid_into, log_scenes
+from recordings.truth import TrueObject
 from scene.model.number_prior import BinomialNumber
+from scene.objects.scene_object import scene_object
 from tests.scene.presence import strips
 from tests.scene.presence.test_toggling import log_density_and_likelihood
 from tests.statistical import assert_mean
@@ -47,6 +52,27 @@ def test_places_lie_in_a_decoy_and_touch_its_faces() -> None:
     reach = np.abs(corners) / half_m
     assert (reach < 1 + 1e-9).all()
     np.testing.assert_allclose(reach.max(axis=(1, 2)), 1)
+
+
+def test_the_true_box_is_where_the_mesh_is() -> None:
+    """Of a box that is turned in its mesh's frame, corner by corner."""
+    in_mesh, in_world, camera = np.eye(4), np.eye(4), np.eye(4)
+    in_mesh[:3, :3] = Rotation.from_euler("z", 28, degrees=True).as_matrix()
+    in_mesh[:3, 3] = 0.02, -0.01, 0.03
+    in_world[:3, :3], in_world[:3, 3] = Rotation.from_rotvec([0.4, -0.2, 0.9]).as_matrix(), (0.1, 0.2, 0.3)
+    camera[:3, :3], camera[:3, 3] = Rotation.from_rotvec([1.0, 0.3, 0.1]).as_matrix(), (0.0, -0.1, 0.8)
+    mesh = trimesh.creation.box((0.11, 0.09, 0.035))
+    mesh.apply_transform(in_mesh)
+    sought = scene_object("box", mesh.vertices, mesh.faces)
+    true = TrueObject(name="one", shape="box", world_from_object=in_world)
+    corners_m = trimesh.bounds.corners(np.stack([-sought.half_extents_m, sought.half_extents_m]))
+
+    found_m = trimesh.transform_points(corners_m, true_box(camera, true, sought))
+
+    there_m = trimesh.transform_points(mesh.vertices, camera @ in_world)
+    off_m, which = KDTree(there_m).query(found_m)
+    assert off_m.max() < 1e-9
+    assert len(np.unique(which)) == 8
 
 
 def test_what_is_right() -> None:
