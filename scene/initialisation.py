@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.execution import compile_in_background
+from scene.likelihood.object_density import compile_layer_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.objects.scene_object import SceneObject
@@ -111,7 +112,7 @@ def _kernels(pools: PosePools) -> list[Callable[[], object]]:
     layers, scene = pools.layers, np.zeros(len(pools.objects), np.int32)
     return [
         lambda: pools.renderer.compile(pools.data.window),
-        lambda: pools.pixels.compile(),
+        lambda: compile_layer_densities(pools.pixels.density),
         lambda: best_scene.lower(layers, scene, PAIRED).compile(),
         lambda: choose.lower(jax.random.key(0), layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
         lambda: rivals.lower(layers, scene, np.eye(len(scene), dtype=bool)).compile(),

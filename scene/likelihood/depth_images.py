@@ -128,7 +128,7 @@ class DepthLikelihood:
         layers_m = jnp.full((self.draws, self.objects, tiles, TILE_PIXELS), jnp.inf, jnp.float32)
         nowhere = jnp.zeros((self.draws, self.objects, tiles), bool)
         log_tiles = jnp.zeros((self.draws, tiles), jnp.float32)
-        shapes = shape_draws.draw_shapes(key, (self.draws, self.objects), self._known)
+        shapes = shape_draws.draw_shapes(key, (self.draws, self.objects), self.renderer.draws)
         shown = RenderedScene(shapes, layers_m, jnp.zeros_like(layers_m), nowhere, log_tiles)
         return Estimate(jnp.zeros((), scene.poses.dtype), shown)
 
@@ -190,15 +190,10 @@ class DepthLikelihood:
         present = replace(shown.put(body), shapes=shown.shapes[place], log_tiles=shown.log_tiles[place])
         return Estimate(offered.log_likelihood[place], present)
 
-    @property
-    def _known(self) -> int:
-        """S."""
-        return len(self.renderer.library) // self.objects
-
     def _redrawn(self, keys: jax.Array, shapes: jax.Array) -> jax.Array:
-        if self._known == 1:
+        if self.renderer.draws == 1:
             return shapes
-        return shape_draws.redraw_shapes(keys, shapes, self._known, self.fresh_share)
+        return shape_draws.redraw_shapes(keys, shapes, self.renderer.draws, self.fresh_share)
 
     def weighed(
         self, shown: CandidateScenes, stands: jax.Array, moved: jax.Array, anew: jax.Array

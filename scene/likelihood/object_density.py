@@ -12,7 +12,10 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
+from scene.execution import map_parallel
 from scene.likelihood.pixel_density import PixelDensity
 from shapes.rendering.ray_casting import sort_chosen_first
 
@@ -23,11 +26,43 @@ MARGIN_PX = 5
 PIXELS_TOGETHER = 2**14
 """Of crops that are computed together, so that they stay in a core's cache: speed."""
 
+LAYERS = 64
+"""Of a kernel; kernels run side by side, each on a core, and one size serves any number."""
+
 Layers = tuple[jax.Array, jax.Array]
 
 
 Seen = Callable[[jax.Array, jax.Array, jax.Array, jax.Array, PixelDensity], jax.Array]
 """Log factor (h, w) in a crop: number of a layer, first row and column, the layer and the density there."""
+
+
+def layer_densities(
+    density: PixelDensity, layers_m: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What `object_densities` gives for any number of layers (n, H, W) in one image."""
+
+    def weighed(first: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        count = min(LAYERS, len(layers_m) - first)
+        filled = np.full((LAYERS, *layers_m.shape[1:]), np.float32(np.inf))
+        filled[:count] = layers_m[first : first + count]
+        log_density, depth_m = jax.device_get(_layer_densities(density, filled))
+        return log_density[:count], depth_m[:count]
+
+    parts = map_parallel(weighed, range(0, len(layers_m), LAYERS))
+    log_density, depth_m = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
+    return log_density, depth_m
+
+
+def compile_layer_densities(density: PixelDensity) -> None:
+    """What `layer_densities` runs."""
+    nothing = np.full((LAYERS, *density.log_rest.shape), np.float32(np.inf))
+    _layer_densities.lower(density, nothing).compile()
+
+
+@jax.jit
+def _layer_densities(density: PixelDensity, layers_m: jax.Array) -> Layers:
+    alike = jax.tree.map(lambda leaf: leaf[None], density)
+    return object_densities(alike, layers_m, jnp.zeros(len(layers_m), jnp.int32))
 
 
 def object_densities(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import jax
@@ -23,6 +23,8 @@ from shapes.rendering.ray_casting import PosedObjects
 
 LAYERS = 128
 """Rendered in one kernel; kernels run side by side, each on a core."""
+OBJECTS = 8
+"""Libraries hold a multiple of so many, so that few kernels are compiled."""
 
 
 @jax.tree_util.register_dataclass
@@ -31,27 +33,34 @@ class ObjectRenderer:
     """The objects' library.
 
     Attributes:
-        library: N objects, in their boxes' frames.
+        library: N objects, in their boxes' frames, or one draw of all after another; then what fills up.
+        draws: of each object's shape.
     """
 
     library: ObjectLibrary
+    draws: int = field(default=1, metadata={"static": True})
 
     @classmethod
     def of(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
         """The renderer of these objects, in order."""
-        return cls(join([one.library for one in objects]))
+        return cls(_joined([one.library for one in objects]))
 
     @classmethod
     def of_draws(cls, objects: Sequence[SceneObject]) -> ObjectRenderer:
         """The renderer of all draws of these objects' shapes: the first of each object, the second, ..."""
-        draws = zip(*[one.draws or (one.library,) for one in objects], strict=True)
-        return cls(join([library for draw in draws for library in draw]))
+        draws = list(zip(*[one.draws or (one.library,) for one in objects], strict=True))
+        return cls(_joined([library for draw in draws for library in draw]), len(draws))
 
     def compile(self, window: PixelWindow) -> None:
         """What `layers` runs."""
         nowhere = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (LAYERS, 1))
         _layers.lower(
-            self, window.camera, *window.depth_m.shape, np.zeros(LAYERS, np.int32), nowhere
+            self,
+            window.camera,
+            *window.depth_m.shape,
+            np.zeros(LAYERS, np.int32),
+            nowhere,
+            np.ones((LAYERS, 3), np.float32),
         ).compile()
 
     def layers(
@@ -76,9 +85,8 @@ class ObjectRenderer:
         every = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (parts * LAYERS, 1))
         every[: len(poses)] = poses
         which = np.resize(np.asarray(indices, np.int32), parts * LAYERS)
-        given = [which, every]
-        if scales is not None:
-            given.append(np.resize(np.asarray(scales, np.float32), (parts * LAYERS, 3)))
+        scales = np.ones((1, 3)) if scales is None else scales
+        given = which, every, np.resize(np.asarray(scales, np.float32), (parts * LAYERS, 3))
 
         def rendered(part: tuple[NDArray, ...]) -> NDArray[np.float32]:
             return np.asarray(_layers(self, window.camera, *window.depth_m.shape, *part))
@@ -98,6 +106,15 @@ class ObjectRenderer:
         return PosedObjects(indices.astype(jnp.int32), matrices, camera_index.astype(jnp.int32), scales)
 
 
+def _joined(libraries: Sequence[ObjectLibrary]) -> ObjectLibrary:
+    """One library, filled up to a multiple of `OBJECTS` with its last."""
+    library = join(libraries)
+    filled = np.minimum(np.arange(-(-len(library) // OBJECTS) * OBJECTS), len(library) - 1)
+    columns = replace(library, table=library.first_voxel)
+    columns = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[filled], columns))
+    return replace(columns, table=library.table)
+
+
 @partial(jax.jit, static_argnames=("height", "width"))
 def _layers(
     renderer: ObjectRenderer,
@@ -106,7 +123,7 @@ def _layers(
     width: int,
     indices: jax.Array,
     poses: jax.Array,
-    scales: jax.Array | None = None,
+    scales: jax.Array,
 ) -> jax.Array:
     posed = renderer.posed(indices, poses, jnp.zeros(len(indices), jnp.int32), scales)
     cameras = jax.tree.map(lambda leaf: leaf[None], camera)

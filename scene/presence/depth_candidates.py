@@ -4,25 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
 from scene.likelihood.compared_frames import ComparedFrames
-from scene.likelihood.object_density import object_densities
+from scene.likelihood.object_density import LAYERS, layer_densities
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.likelihood.pixel_density import PixelDensity
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_half_sizes, solid_layers
 from scene.presence.toggling import Candidates, SlotLayers
 from shapes.geometry.poses import matrices_of, poses_of
-
-BATCH = 64
-"""Layers of a kernel, as in the search."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,11 +33,6 @@ class PresenceFrames:
     log_half: NDArray[np.float64]
 
     @property
-    def draws(self) -> int:
-        """S."""
-        return len(self.renderer.library) // len(self.log_half)
-
-    @property
     def pixels(self) -> int:
         """X."""
         return sum(view.window.depth_m.size for view in self.compared.views)
@@ -56,7 +44,7 @@ class PresenceFrames:
 
         A state is world_from_box and logs of half sizes.
         """
-        numbers = rng.integers(self.draws, size=len(slots)) * len(self.log_half) + slots
+        numbers = rng.integers(self.renderer.draws, size=len(slots)) * len(self.log_half) + slots
         scales = np.exp(states[:, 7:] - self.log_half[slots])
 
         def in_frame(
@@ -82,7 +70,7 @@ class PresenceFrames:
             frame: int, in_camera: NDArray[np.float64]
         ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             window, count = self.compared.views[frame].window, len(in_camera)
-            fill = np.resize(np.arange(count), BATCH * -(-count // BATCH)).reshape(-1, BATCH)
+            fill = np.resize(np.arange(count), LAYERS * -(-count // LAYERS)).reshape(-1, LAYERS)
             given = in_camera.astype(np.float32), solid_half_sizes(states).astype(np.float32), is_round
 
             def rendered(some: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -111,27 +99,10 @@ class PresenceFrames:
         self, frame: int, layers_m: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth and log gain (n, H, W) of layers (n, H, W) alone."""
-        show = partial(self._batch, frame, layers_m)
-        depth_m, gain = zip(*map_parallel(show, range(0, len(layers_m), BATCH)), strict=True)
-        return np.concatenate(depth_m), np.concatenate(gain)
-
-    def _batch(
-        self, frame: int, layers_m: NDArray[np.float32], first: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        count = min(BATCH, len(layers_m) - first)
-        filled = np.full((BATCH, *layers_m.shape[1:]), np.float32(np.inf))
-        filled[:count] = layers_m[first : first + count]
-        shown = _shown(self.compared.densities[frame], filled)
-        return np.asarray(shown[0])[:count], np.asarray(shown[1])[:count]
-
-
-@jax.jit
-def _shown(density: PixelDensity, layers_m: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Depth and log gain (BATCH, H, W) of layers (BATCH, H, W)."""
-    alike = jax.tree.map(lambda leaf: leaf[None], density)
-    log_density, depth_m = object_densities(alike, layers_m, jnp.zeros(BATCH, jnp.int32))
-    depth_m = jnp.where(depth_m < density.image.rest_m[None], depth_m, jnp.inf)
-    return depth_m, jnp.where(jnp.isfinite(depth_m), log_density - density.log_rest[None], 0.0)
+        density = self.compared.densities[frame]
+        log_density, depth_m = layer_densities(density, layers_m)
+        depth_m = np.where(depth_m < np.asarray(density.image.rest_m), depth_m, np.float32(np.inf))
+        return depth_m, np.where(np.isfinite(depth_m), log_density - np.asarray(density.log_rest), 0.0)
 
 
 def slot_layers(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> SlotLayers:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from scene.execution import map_parallel
-from scene.likelihood.object_density import object_densities
+from scene.likelihood.object_density import layer_densities
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.observation.frame_data import SceneData
@@ -21,9 +19,6 @@ from scene.search.support_table import SupportTable
 
 PIXELS = 2048
 """Those of the foreground are filled up to a multiple of this, so that few kernels are compiled."""
-
-BATCH = 64
-"""Poses of a kernel; kernels run side by side, each on a core, and one size serves any number."""
 
 
 @jax.tree_util.register_dataclass
@@ -112,13 +107,8 @@ class ComparedPixels:
             first: place of the first of them.
             log_colour: (M * n, H, W) what colours add where each is seen; None where they are not compared.
         """
-        parts = range(0, len(depth_m), BATCH)
-        colour = None if log_colour is None else np.asarray(log_colour)
-        shown = map_parallel(lambda part: self._shown(depth_m, colour, part), parts)
-        layer_m, density, alone = (
-            np.concatenate(leaves).reshape(*log_prior.shape, *leaves[0].shape[1:])
-            for leaves in zip(*shown, strict=True)
-        )
+        shown = self._shown(depth_m, log_colour)
+        layer_m, density, alone = (leaf.reshape(*log_prior.shape, *leaf.shape[1:]) for leaf in shown)
         places = objects[:, None], first + np.arange(log_prior.shape[1])
 
         def put(leaf: jax.Array, values: NDArray[np.floating]) -> jax.Array:
@@ -133,25 +123,21 @@ class ComparedPixels:
             log_alone=put(layers.log_alone, alone + log_prior),
         )
 
-    def compile(self) -> None:
-        """What `with_layers` runs where colours are not compared."""
-        nothing = np.full((BATCH, *self.density.log_rest.shape), np.float32(np.inf))
-        _shown.lower(self, nothing, None).compile()
-
     def _shown(
-        self, depth_m: NDArray[np.float32], log_colour: NDArray[np.float32] | None, first: int
+        self, depth_m: NDArray[np.float32], log_colour: jax.Array | None
     ) -> tuple[NDArray[np.float32], ...]:
-        """Depth and log density (n, X) of at most BATCH poses of that depth, and what they add elsewhere."""
-        count = min(BATCH, len(depth_m) - first)
-
-        def batch(images: NDArray[np.float32], beyond: float) -> NDArray[np.float32]:
-            filled = np.full((BATCH, *images.shape[1:]), np.float32(beyond))
-            filled[:count] = images[first : first + count]
-            return filled
-
-        colour = None if log_colour is None else batch(log_colour, 0.0)
-        shown = jax.device_get(_shown(self, batch(depth_m, np.inf), colour))
-        return tuple(leaf[:count] for leaf in shown)
+        """Depth and log density (n, X) of poses of that depth (n, H, W), and what they add elsewhere (n,)."""
+        log_density, layer_m = (
+            image.reshape(len(depth_m), -1) for image in layer_densities(self.density, depth_m)
+        )
+        if log_colour is not None:
+            log_density = log_density + np.asarray(log_colour).reshape(log_density.shape)
+        rest_m, log_rest = (np.ravel(one) for one in (self.density.image.rest_m, self.density.log_rest))
+        places, elsewhere = np.asarray(self.places), np.flatnonzero(self.uncontested)
+        seen = layer_m[:, elsewhere] < rest_m[elsewhere]
+        gains = np.where(seen, log_density[:, elsewhere] - log_rest[elsewhere], 0.0)
+        alone = np.asarray(self.log_odds) + gains.sum(axis=1)
+        return layer_m[:, places], log_density[:, places] * np.asarray(self.weight), alone
 
 
 @jax.jit
@@ -159,19 +145,3 @@ def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
     """Depth and log density (X,) of the background."""
     rest_m, log_rest = pixels.density.image.rest_m.ravel(), pixels.density.log_rest.ravel()
     return rest_m[pixels.places], log_rest[pixels.places] * pixels.weight
-
-
-@jax.jit
-def _shown(
-    pixels: ComparedPixels, depth_m: jax.Array, log_colour: jax.Array | None
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """What BATCH poses of that depth (BATCH, H, W) show."""
-    rest_m, log_rest = (part.ravel()[None] for part in (pixels.density.image.rest_m, pixels.density.log_rest))
-    alike = jax.tree.map(lambda leaf: leaf[None], pixels.density)
-    parts = object_densities(alike, depth_m, jnp.zeros(BATCH, jnp.int32))
-    density, layer_m = (part.reshape(BATCH, -1) for part in parts)
-    if log_colour is not None:
-        density += log_colour.reshape(BATCH, -1)
-    seen = pixels.uncontested[None] & (layer_m < rest_m)
-    alone = pixels.log_odds + jnp.sum(jnp.where(seen, density - log_rest, 0.0), axis=1)
-    return layer_m[:, pixels.places], density[:, pixels.places] * pixels.weight[None], alone
