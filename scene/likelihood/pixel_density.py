@@ -35,6 +35,7 @@ from scene.likelihood.unknown_surfaces import (
     NO_EDGE,
     UnknownSurfaces,
     UnknownWeights,
+    drawn_normal,
     kept_parts,
     normal_density,
     normal_distribution,
@@ -76,6 +77,43 @@ class _Surface:
     @property
     def finite_m(self) -> jax.Array:
         return jnp.where(self.there, self.depth_m, 1.0)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ObjectPixels:
+    """The pixels that an object has a part in, whatever is measured there; leaves (H, W).
+
+    Attributes:
+        covers: where it is nearer than the supports.
+        inner: those at its outline.
+        wide_m: its depth, and beside it that of the nearest pixel of its outline; +inf elsewhere.
+        shown_m: its depth; of the two pixels beside it, which tell that no unknown surface goes on from it,
+            just before the supports, so that other objects hide them.
+    """
+
+    covers: jax.Array
+    inner: jax.Array
+    wide_m: jax.Array
+    shown_m: jax.Array
+
+    @property
+    def touches(self) -> jax.Array:
+        """Where it is, or ends beside."""
+        return jnp.isfinite(self.wide_m)
+
+    @classmethod
+    def of(cls, layer_m: jax.Array, rest_m: jax.Array) -> ObjectPixels:
+        """Of the depth (H, W) of an object alone, +inf beside it, before supports (H, W)."""
+        covers = layer_m < rest_m
+        layer_m = jnp.where(covers, layer_m, jnp.inf)
+        nearest_m = _nearest_beside(layer_m)
+        wide_m = jnp.where(covers, layer_m, jnp.where(nearest_m < rest_m, nearest_m, jnp.inf))
+        touches = jnp.isfinite(wide_m)
+        beside = touches | sum(_left_and_above(touches)) | shifted(touches, 1, -1)
+        just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
+        shown_m = jnp.where(covers, layer_m, jnp.where(beside, just_before, jnp.inf))
+        return cls(covers, covers & ~_all_beside(covers), wide_m, shown_m)
 
 
 @jax.tree_util.register_dataclass
@@ -187,7 +225,7 @@ class PixelDensity:
         nothing = _Shown(blank, blank, blank, blank, blank)
         terms = ImageTerms(observed_m, rest_m, unknown, jnp.stack(parts), unknown.shares(), blank, nothing)
         density = cls(noise, shape_sigma_m, edge_reach, learned, terms, blank)
-        rest = _Surface(rest_m, SUPPORT_ERROR * jnp.where(jnp.isfinite(rest_m), rest_m, 0.0))
+        rest = density._rest()
         behind = density._shows(rest)
         terms = replace(terms, behind=behind, rest=density._shown(rest, behind))
         density = replace(density, image=terms)
@@ -198,29 +236,74 @@ class PixelDensity:
         """Log density (H, W) of the pixels that an object has a part in, and its depth there, else +inf.
 
         A camera shifts outlines: at one a pixel may show the other side of it, and most so beside others that
-        do. Where the object ends no unknown surface goes on from it, which two pixels beside it tell: their
-        depth is just before the supports, so that other objects hide them.
+        do. Where the object ends no unknown surface goes on from it, which two pixels beside it tell.
 
         Args:
             layer_m: (H, W) depth of the object alone, +inf beside it.
         """
-        rest_m = self.image.rest_m
-        covers = layer_m < rest_m
-        layer_m = jnp.where(covers, layer_m, jnp.inf)
-        nearest_m = _nearest_beside(layer_m)
-        wide_m = jnp.where(covers, layer_m, jnp.where(nearest_m < rest_m, nearest_m, jnp.inf))
-        touches = jnp.isfinite(wide_m)
-        one = _Surface(wide_m, jnp.where(touches, self.shape_sigma_m, 0.0))
+        pixels = ObjectPixels.of(layer_m, self.image.rest_m)
+        one = self._surface_of(pixels)
         mine = _computed(self._shows(one))
         scene = _computed(jnp.maximum(mine, self.image.behind))
         unknown = _computed(self._unknown(scene, mine))
-        within = 1 - self._shifted(covers & ~_all_beside(covers), 1 - mine)
-        share = jnp.where(covers, within, self._shifted(touches & ~covers, mine))
+        share = self._share(pixels, mine)
         own, other = self._density(self._shown(one, mine), unknown), self._density(self.image.rest, unknown)
-        beside = touches | sum(_left_and_above(touches)) | shifted(touches, 1, -1)
-        just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
-        shown_m = jnp.where(covers, layer_m, jnp.where(beside, just_before, jnp.inf))
-        return jnp.log(share * own + (1 - share) * other), shown_m
+        return jnp.log(share * own + (1 - share) * other), pixels.shown_m
+
+    def drawn(self, key: jax.Array, pixels: ObjectPixels) -> jax.Array:
+        """Every pixel (H, W) drawn given those before it, cause by cause: the law whose density this is.
+
+        Args:
+            key: random key.
+            pixels: of the object that they have a part in.
+        """
+        side_key, own_key, other_key = jax.random.split(key, 3)
+        one = self._surface_of(pixels)
+        mine = self._shows(one)
+        unknown = self._unknown(jnp.maximum(mine, self.image.behind), mine)
+        own = self._drawn_surface(own_key, one, mine, unknown)
+        other = self._drawn_surface(other_key, self._rest(), self.image.behind, unknown)
+        is_own = jax.random.uniform(side_key, mine.shape) < self._share(pixels, mine)
+        return jnp.where(is_own, own, other)
+
+    def _drawn_surface(
+        self,
+        key: jax.Array,
+        surface: _Surface,
+        same: jax.Array,
+        unknown: tuple[jax.Array, jax.Array, jax.Array],
+    ) -> jax.Array:
+        """Pixels (H, W) drawn that show a surface, each with probability (H, W), or what is unknown."""
+        keys = jax.random.split(key, 9)
+        kappa, weights, _ = unknown
+        shape = kappa.shape
+        chance = [jax.random.uniform(one, shape) for one in keys[:5]]
+        thing, behind = (self.image.unknown.drawn(one, weights) for one in keys[5:7])
+        towards = surface.finite_m + self._sigma_m(surface) * jax.random.normal(keys[7], shape)
+        is_thing = chance[0] < kappa
+        anywhere = self.noise.max_range_m * chance[1]
+        told = drawn_normal(keys[8], *map(jnp.stack, self._parts(surface, same)))
+        seen = jnp.where(chance[2] < OUTLIERS, anywhere, told)
+        seen = jnp.where(chance[3] < self._missing(surface, same), behind, seen)
+        hit = jnp.where(is_thing & (thing < towards), thing, seen)
+        miss = jnp.where(is_thing, thing, anywhere)
+        none_hit, none_miss = self.noise.none_hit_probability, self.noise.none_miss_probability
+        none = jnp.where(surface.there | is_thing, none_hit, none_miss)
+        return jnp.where(chance[4] < none, NO_RETURN, jnp.where(surface.there, hit, miss))
+
+    def _surface_of(self, pixels: ObjectPixels) -> _Surface:
+        """What they show of the object, or what is beside it of those that it ends at."""
+        return _Surface(pixels.wide_m, jnp.where(pixels.touches, self.shape_sigma_m, 0.0))
+
+    def _rest(self) -> _Surface:
+        """The supports."""
+        rest_m = self.image.rest_m
+        return _Surface(rest_m, SUPPORT_ERROR * jnp.where(jnp.isfinite(rest_m), rest_m, 0.0))
+
+    def _share(self, pixels: ObjectPixels, mine: jax.Array) -> jax.Array:
+        """Probability (H, W) of the object's side, which pixels show with probability (H, W)."""
+        within = 1 - self._shifted(pixels.inner, 1 - mine)
+        return jnp.where(pixels.covers, within, self._shifted(pixels.touches & ~pixels.covers, mine))
 
     def shown_by(self, layer_m: jax.Array) -> jax.Array:
         """Probability (H, W) that a pixel shows an object's layer (H, W), by its own depth; 0 beside it.
@@ -297,6 +380,15 @@ class PixelDensity:
 
     def _scene(self, surface: _Surface, same: jax.Array) -> jax.Array:
         """The scene's part a (H, W), where pixels show this surface with probabilities (H, W)."""
+        mixed = jnp.zeros_like(surface.depth_m)
+        for weight, mean_m, spread_m in zip(*self._parts(surface, same), strict=True):
+            mixed += weight * normal_density(self.image.observed_m, mean_m, spread_m)
+        return OUTLIERS * self._uniform() + (1 - OUTLIERS) * mixed
+
+    def _parts(
+        self, surface: _Surface, same: jax.Array
+    ) -> tuple[list[jax.Array], list[jax.Array], list[jax.Array]]:
+        """Weights, means and deviations (H, W) of what foretells the measurements of a surface."""
         depth_m, sigma_m = surface.finite_m, self._sigma_m(surface)
         residual_m = _computed(jnp.where(surface.there, self.image.observed_m - depth_m, 0.0))
         residuals_m, shown = shifts(residual_m), shifts(same)
@@ -319,13 +411,11 @@ class PixelDensity:
             (by_right_plane, plane_m, 5, right),
             (by_three, left_m + above_m - corner_m, 6, left * above * corner),
         )
-        told, mixed = jnp.zeros_like(depth_m), jnp.zeros_like(depth_m)
-        for weight, foretold_m, scale, share in parts:
-            told += weight * share
-            mean_m, spread_m = depth_m + foretold_m, self.learned.scales[scale] * sensor_m
-            mixed += weight * share * normal_density(self.image.observed_m, mean_m, spread_m)
-        mixed += (1 - told) * normal_density(self.image.observed_m, depth_m, sigma_m)
-        return OUTLIERS * self._uniform() + (1 - OUTLIERS) * mixed
+        weights = [weight * share for weight, _, _, share in parts]
+        means_m = [depth_m + foretold_m for _, foretold_m, _, _ in parts]
+        spreads_m = [self.learned.scales[scale] * sensor_m for _, _, scale, _ in parts]
+        told = sum(weights, start=jnp.zeros_like(depth_m))
+        return [*weights, 1 - told], [*means_m, depth_m], [*spreads_m, sigma_m]
 
     def _missing(self, surface: _Surface, same: jax.Array) -> jax.Array:
         """Probability (H, W) that a surface is not where it should be: what is behind it is seen there.

@@ -172,6 +172,15 @@ class UnknownSurfaces:
         """Density (H, W) at the observed depths of a surface that begins here."""
         return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
+    def drawn(self, key: jax.Array, weights: jax.Array) -> jax.Array:
+        """Depths (H, W) drawn with weights (5, H, W) of what neighbours foretell, and of what begins here."""
+        new_key, kind_key, key = jax.random.split(key, 3)
+        of_parts = {one: group for group, members in enumerate(PREDICTIONS) for one in members}
+        kept = jnp.stack([weights[of_parts[one]] for one in range(len(self.means_m))])
+        foretold = drawn_normal(key, self.weights[:-1] * kept, self.means_m, self.sigmas_m)
+        is_new = jax.random.uniform(kind_key, foretold.shape) < weights[-1]
+        return jnp.where(is_new, self.reach_m * jax.random.uniform(new_key, foretold.shape), foretold)
+
     def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
         """Probabilities (4, H, W) that what neighbours foretell is nearer than a surface so well known."""
         distance = (depth_m[None] - self.means_m) / jnp.hypot(self.sigmas_m, sigma_m[None])
@@ -288,6 +297,14 @@ def _farther(near_m: jax.Array, slope: jax.Array) -> jax.Array:
 def _depth(inverse: jax.Array, known: jax.Array) -> jax.Array:
     """Depth (H, W) of inverse depths, `NO_RETURN` where they are not known or no camera sees."""
     return jnp.where(known & (inverse > 1 / FARTHEST_M), 1 / jnp.maximum(inverse, 1 / FARTHEST_M), NO_RETURN)
+
+
+def drawn_normal(key: jax.Array, weights: jax.Array, means: jax.Array, sigmas: jax.Array) -> jax.Array:
+    """Draws (H, W) of mixtures of normals (K, H, W); weights need not sum to 1."""
+    part_key, key = jax.random.split(key)
+    part = jax.random.categorical(part_key, jnp.log(weights), axis=0)[None]
+    mean, sigma = (jnp.take_along_axis(leaf, part, axis=0)[0] for leaf in (means, sigmas))
+    return mean + sigma * jax.random.normal(key, mean.shape, mean.dtype)
 
 
 def normal_distribution(x: jax.Array) -> jax.Array:

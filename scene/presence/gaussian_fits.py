@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from scene.search.importance_sampling import WIDER, moved, tempered
+from scene.search.importance_sampling import WIDER, tempered
 
 ALIVE = 1 / 3
 """Effective number of draws to which weights are tempered, over the draws of a turn."""
@@ -174,3 +174,12 @@ def reshaped(solids: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray
     rotation = Rotation.from_quat(solids[:, :4], scalar_first=True).as_matrix()
     offsets = np.einsum("nij,nsj->nsi", rotation, 0.5 * (ahead - back))
     return moved(solids, np.concatenate([offsets, steps[..., 6:], np.log(grown / half_m)], axis=-1))
+
+
+def moved(states: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """States (n, S, 7 + D) from states (n, 7 + D) by offsets, turns of the box, and additions."""
+    turned = Rotation.from_quat(np.repeat(states[:, :4], steps.shape[1], axis=0), scalar_first=True)
+    turned *= Rotation.from_rotvec(steps[..., 3:6].reshape(-1, 3))
+    wxyz = turned.as_quat(scalar_first=True).reshape(*steps.shape[:2], 4)
+    others = states[:, None, 7:] + steps[..., 6:]
+    return np.concatenate([wxyz, states[:, None, 4:7] + steps[..., :3], others], axis=-1)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scene.search.importance_sampling import moved
+from scene.presence.gaussian_fits import moved
 from shapes.geometry.camera import Camera
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp, softmax
 
 from recordings.types import DepthNoise
@@ -146,7 +146,7 @@ def refine(
             normal = rng.standard_normal((len(places), DRAWS, 6))
             normal[:, 0] = 0.0
             tangents = np.einsum("nij,nsj->nsi", batch.factors, normal)
-            poses = moved(batch.means, tangents)
+            poses = np.asarray(_moved(batch.means, tangents), np.float64)
             log_ratio = _log_ratio(data, renderer, numbers, batch.owners, poses, rest_m, noise)
             log_weights = PIXEL_WEIGHT * log_ratio + 0.5 * (normal**2).sum(axis=-1)
             parts.append(_fitted(batch, tangents, log_weights))
@@ -231,15 +231,6 @@ def _put(fits: _Fits, places: NDArray[np.intp], parts: list[_Fits]) -> _Fits:
     return replace(fits, means=put("means"), factors=put("factors"), log_masses=put("log_masses"))
 
 
-def moved(states: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """States (n, S, 7 + D) from states (n, 7 + D) by offsets, turns of the box, and additions."""
-    turned = Rotation.from_quat(np.repeat(states[:, :4], steps.shape[1], axis=0), scalar_first=True)
-    turned *= Rotation.from_rotvec(steps[..., 3:6].reshape(-1, 3))
-    wxyz = turned.as_quat(scalar_first=True).reshape(*steps.shape[:2], 4)
-    others = states[:, None, 7:] + steps[..., 6:]
-    return np.concatenate([wxyz, states[:, None, 4:7] + steps[..., :3], others], axis=-1)
-
-
 def _fitted(fits: _Fits, tangents: NDArray[np.float64], log_weights: NDArray[np.float64]) -> _Fits:
     """The Gaussians of weighted draws (J, S, 6) from these ones, and the masses that the draws tell."""
     weights = np.stack([tempered(one, ALIVE) for one in log_weights])
@@ -249,7 +240,7 @@ def _fitted(fits: _Fits, tangents: NDArray[np.float64], log_weights: NDArray[np.
     log_volumes = np.log(np.einsum("nii->ni", fits.factors)).sum(axis=1)
     return replace(
         fits,
-        means=moved(fits.means, steps[:, None])[:, 0],
+        means=np.asarray(_moved(fits.means, steps[:, None]), np.float64)[:, 0],
         factors=WIDER * np.linalg.cholesky(covariances),
         log_masses=logsumexp(log_weights, axis=1) + log_volumes,
     )
@@ -344,3 +335,14 @@ def _posed_before_rests(
     cameras = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, len(rest_m)), camera)
     evidence = depth_evidence(noise, cameras, observed_m[None], rest_m)
     return evidence, renderer.posed(objects, poses, places)
+
+
+@jax.jit
+def _moved(poses: jax.Array, steps: jax.Array) -> jax.Array:
+    """Poses (N, S, 7) from poses (N, 7) by steps (N, S, 6)."""
+
+    def move(pose: jax.Array, step: jax.Array) -> jax.Array:
+        turned = jaxlie.SO3(pose[:4]) @ jaxlie.SO3.exp(step[3:])
+        return jnp.concatenate([turned.normalize().wxyz, pose[4:] + step[:3]])
+
+    return jax.vmap(jax.vmap(move, in_axes=(None, 0)))(poses, steps)
