@@ -216,3 +216,20 @@ def seven_scenes(folder: Path) -> Path:
         pixels = rng.integers(500, 4000, (48, 64)).astype(np.uint16)
         Image.fromarray(pixels).save(folder / f"frame-{number:06d}.depth.png")
     return folder
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--noise", "4"], "--noise needs --challenging"),
+        (["--tables", "2", "--kinds", "stacked"], "--kinds needs --challenging"),
+        (["--unasked", "others"], "--unasked needs --worlds"),
+        (["--copies", "--share-search"], "about which --share-search says nothing"),
+        (["--calibration", "--worlds", "3"], "about which --worlds says nothing"),
+    ],
+)
+def test_options_that_would_say_nothing(options: list[str], line: str) -> None:
+    """A bench that ignored them would measure something else than was asked for."""
+    told = run("bench", "poses", *options)
+    assert told.exit_code == 2
+    assert line in told.output.replace("\n", " ")

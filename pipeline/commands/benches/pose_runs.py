@@ -265,6 +265,34 @@ def judge_decoys(common: Common, shapes: MeshSource, numbers: Sequence[int]) -> 
     common.report(figures, decoy_lines(figures))
 
 
+def judge_drawn_tables(
+    common: Common, shapes: MeshSource, numbers: Sequence[int], csv_path: Path | None
+) -> None:
+    """Presences and poses of tables that are drawn from the model itself."""
+    from dataclasses import asdict, fields
+
+    from pipeline.atomic import write_table
+    from pipeline.benchmarks.calibration import (
+        CalibrationRow,
+        calibration_figures,
+        calibration_lines,
+        judge_drawn,
+    )
+    from pipeline.quiet_stdout import stdout_to_stderr
+
+    rows = []
+    for number in numbers:
+        with stdout_to_stderr():
+            table = judge_drawn(shapes, number, common.seed)
+        rows += table
+        said = (f"{one.shape}{'' if one.there else ' (absent)'} {one.presence:.2f}" for one in table)
+        _say(common, f"table {number}: {', '.join(said) or 'nothing to parse'}")
+        if csv_path:
+            write_table(csv_path, [field.name for field in fields(CalibrationRow)], map(asdict, rows))
+    figures = calibration_figures(rows)
+    common.report(figures, calibration_lines(figures))
+
+
 def _say(common: Common, line: str) -> None:
     if not (common.as_json or common.quiet):
         click.echo(line)

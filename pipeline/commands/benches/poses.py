@@ -17,6 +17,19 @@ SOURCES = ("points", "masks", "both")
 TABLES = 100
 """Unless another source is asked for."""
 
+OF_SOURCES = {
+    "kinds": "challenging",
+    "noise": "challenging",
+    "size": "challenging",
+    "unasked": "worlds",
+    "split": "data",
+}
+"""Options that say something of one source of images, and that source."""
+INSTEAD = ("growth", "absent", "lookalikes", "copies", "decoys", "calibration")
+"""Measurements that make images of their own, in one column."""
+OF_COLUMNS = ("challenging", "worlds", "data", "share_search", "learned", "proposals")
+"""Options that say nothing of these."""
+
 
 class NamedFile(click.ParamType):
     """`NAME=FILE`."""
@@ -122,6 +135,11 @@ class NamedFile(click.ParamType):
     " such place.",
 )
 @click.option(
+    "--calibration",
+    is_flag=True,
+    help="Instead: tables drawn from the model itself, image included; are presences and poses calibrated?",
+)
+@click.option(
     "--proposals",
     metavar="SOURCE,...",
     help=f"Instead: where the search's poses come from ({', '.join(SOURCES)}): the best hypothesis of each"
@@ -179,6 +197,7 @@ def command(
     lookalikes: bool,
     copies: bool,
     decoys: bool,
+    calibration: bool,
     proposals: str | None,
     keep: Path | None,
     csv_path: Path | None,
@@ -203,6 +222,7 @@ def command(
     from pipeline.benchmarks.pose_report import report_lines
     from pipeline.mesh_source import MeshSource
 
+    _refuse_unused(click.get_current_context())
     if sum(one is not None for one in (tables, challenging, worlds, data)) > 1:
         raise click.UsageError("--tables, --challenging, --worlds and --data are four sources; name one")
     if watch and keep is None:
@@ -228,6 +248,9 @@ def command(
     if decoys:
         pose_runs.judge_decoys(common, shapes, numbers)
         return
+    if calibration:
+        pose_runs.judge_drawn_tables(common, shapes, numbers, csv_path)
+        return
     if worlds is not None:
         others = MeshSource.of(unasked, units) if unasked else None
         source = pose_runs.world_source(common, shapes, others, numbers)
@@ -247,3 +270,29 @@ def command(
         *peers,
     ]
     pose_runs.judge(common, source, methods, workers, files, (pose_figures, report_lines), watch=watch)
+
+
+def _refuse_unused(context: click.Context) -> None:
+    """Refuse options that were given and would say nothing.
+
+    Raises:
+        UsageError: one was.
+    """
+    given = {
+        name
+        for name in context.params
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    }
+    for name in OF_SOURCES:
+        if name in given and OF_SOURCES[name] not in given:
+            raise click.UsageError(f"{_option(name)} needs --{OF_SOURCES[name]}, whose images it is about")
+    for measurement in INSTEAD:
+        unused = [name for name in OF_COLUMNS if name in given]
+        if measurement in given and unused:
+            raise click.UsageError(
+                f"--{measurement} makes images of its own, about which {_option(unused[0])} says nothing"
+            )
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
