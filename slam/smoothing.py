@@ -20,12 +20,11 @@ from slam.history import FRAMES_AT_ONCE, History
 from slam.pose_graph.refinement import MapMixture, PlacedKeyframes, RefinedKeyframes
 from slam.result import SlamResult
 
-UNDERSTATED, DEGREES_OF_FREEDOM = 1.5, 13.0
-"""By how much the curvature, tempered as the spread of the blocks' scores says, understates the variance that
-noise gives poses in all directions, and how surely that is known: blocks differ from image to image and room
-to room, and a Gaussian whose scale is only known to a chi-square is a Student-t. The F distribution of
-greatest likelihood for the squared distances of all frames of 411 short walks without a distortion field
-(`bench slam --only coverage`; docs/model.md, development films)."""
+DEGREES_OF_FREEDOM = 13.0
+"""How surely the variance that noise gives poses is known: blocks of pixels differ from image to image and
+room to room, and a Gaussian whose scale is only known to a chi-square is a Student-t. Of greatest likelihood
+for the squared distances of all frames of 411 short walks without a distortion field (`bench slam --only
+coverage`; docs/model.md, development films)."""
 
 
 def smoothed(
@@ -38,9 +37,9 @@ def smoothed(
     """Every frame carried by the keyframe it is anchored to, or became, where each map has it.
 
     The marginal of a frame mixes the maps' Gaussians, that of its keyframe and its own in each, and is a
-    Student-t, widened by what was learnt to be `UNDERSTATED`. Where two motions compete it reaches to the
-    other one. The draws are not widened, and are those of the images as they are. Frames follow the sensor's
-    distortion field, which is unknown. A frame whose keyframe nothing ties to the first is lost.
+    Student-t. Where two motions compete it reaches to the other one. The draws are those of the images as
+    they are. Frames follow the sensor's distortion field, which is unknown. A frame whose keyframe nothing
+    ties to the first is lost.
 
     Args:
         key: consumed.
@@ -191,8 +190,8 @@ def _spread(
 ) -> jax.Array:
     """Covariances (G, T, 6, 6) of cameras at (G, T, 7) from anchors, whose leaves are (G, T, ...).
 
-    What noise gives, that of the anchors and the frames' own, is widened by `UNDERSTATED`; what the field
-    gives is not. Camera and anchor follow one field, the camera by (G, T, 6, F) itself.
+    Noise gives that of the anchors and the frames' own. Camera and anchor follow one field, the camera by
+    (G, T, 6, F) itself.
     """
 
     def of_frame(frame: tuple[PlacedKeyframes, jax.Array, jax.Array, jax.Array]) -> jax.Array:
@@ -200,7 +199,7 @@ def _spread(
         jacobian = _to_camera(relative)
         noise = covariance + jacobian @ anchor.covariances @ jacobian.T
         field = following + jacobian @ anchor.sensitivity
-        return UNDERSTATED * noise + field @ field.T
+        return noise + field @ field.T
 
     of_map = (anchors, relative, covariances, following)
     return jax.lax.map(lambda one: jax.lax.map(of_frame, one), of_map)

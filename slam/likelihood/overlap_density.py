@@ -30,6 +30,7 @@ from shapes.geometry.vectors import cross, dot, rotate, transform
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import NEAREST_DEPTH_M
 from slam.likelihood.distortion import NodeWeights, node_products
+from slam.likelihood.score_variance import score_variance
 
 SAMPLES = 4096
 """Size of compiled arrays: pixels compared per keyframe, a fifth of a canvas."""
@@ -120,7 +121,9 @@ class OverlapTerms:
     Attributes:
         precision: (12, 12).
         gradient: (12,) of minus the log density.
-        score_variance: (12, 12) of the gradient, from the spread of blocks of pixels.
+        score_variance: (6, 6) of the gradient in the image's displacement, from blocks of pixels.
+        information: (6, 6) in the image's displacement, the precision without what noise of normals adds to
+            it: both keyframes have a normal for every pixel, and the errors of the two are independent.
         inliers: expected number of pixels on the surface.
         meeting: number of pixels that meet it.
         field: the same in the nodes of the distortion field, where it was given.
@@ -129,6 +132,7 @@ class OverlapTerms:
     precision: jax.Array
     gradient: jax.Array
     score_variance: jax.Array
+    information: jax.Array
     inliers: jax.Array
     meeting: jax.Array
     field: FieldTerms | None
@@ -291,10 +295,15 @@ def overlap_terms(
         jacobian = jnp.concatenate([*of_image, *of_surface])
         gradients = jacobian * (weight * gaps.gap_m)[None]
         blocks = gradients.reshape(12, BLOCKS, -1).sum(2)
+        of_blocks = jacobian[:6].reshape(6, BLOCKS, -1)
+        curvatures = jnp.einsum("ibn,jbn,bn->bij", of_blocks, of_blocks, weight.reshape(BLOCKS, -1))
+        by_own_normals = jnp.concatenate([sample.normals, cross(own, sample.normals)])
+        shared = (jacobian[:6] * weight[None]) @ by_own_normals.T
         terms = OverlapTerms(
             precision=(jacobian * weight[None]) @ jacobian.T,
             gradient=blocks @ jnp.ones(BLOCKS, blocks.dtype),
-            score_variance=blocks @ blocks.T,
+            score_variance=score_variance(blocks[:6].T, curvatures),
+            information=0.5 * (shared + shared.T),
             inliers=inlier.sum(),
             meeting=gaps.meets.sum(),
             field=None,

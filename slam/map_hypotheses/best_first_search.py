@@ -1,70 +1,144 @@
 """Best-first search over partial maps: keyframes are placed in order of evidence, not of time.
 
 Views a third of a circle apart share little; views of two rings, one above the other, share much but are far
-apart in the recording. The search extends partial maps, from the first keyframe alone, by any keyframe at any
-pose where it registers, and keeps the maps of highest evidence sum of log p(image | map, pose) -
-log p(image | no map), which compares maps of different keyframes. A few are kept at every size (a beam). Only
-the keyframes with the highest evidence in the smaller map are registered again in the larger one.
+apart in the recording; round an object that looks alike from many sides a pair of views fits in many ways.
+So every pair of keyframes is registered first, and the places found are put together: partial maps begin with
+the pairs of most evidence, whichever they are, and are extended by any keyframe where its place beside any
+one of theirs puts it. The maps kept are those of most evidence, sum of log p(image | map, pose) -
+log p(image | no map), which compares maps of different keyframes; a few of every size (a beam).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import GROUP_SHIFT_M
 from shapes.geometry.poses import matrices_of
 from slam.likelihood.image_density import log_image_density
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar
-from slam.registration.registered import Registration
+from slam.registration.registered import SAME_SHIFT_M, Registration
 
-KEPT_MAPS, SOUGHT = 3, 2
-"""Partial maps, and keyframes that are sought again in each."""
+KEPT_MAPS, TRIED_MAPS = 8, 64
+"""Partial maps of every size, and extensions of them that are brought to their optimum. Search effort."""
+
+COMPLETE_MAPS = 3
+"""That are settled: search effort."""
 
 PLACES = 3
-"""Of each keyframe in each map."""
+"""Of each keyframe in the map of all others."""
+
+BLUR = 0.03
+"""Relative to depth, of the surfaces by which extensions are ranked: they are put together of two ways."""
 
 SETTLING_SWEEPS = 3
 """Search effort."""
 
 
 @dataclass(frozen=True)
-class _PartialMap:
+class PartialMap:
     """Some of the keyframes.
 
     Attributes:
-        poses: (4, 4) by keyframe.
+        poses: (4, 4) by keyframe, the last one placed last.
         log_evidence: for their places.
-        foretold: by other keyframe that was sought before, the evidence that its best place had then.
     """
 
     poses: dict[int, NDArray[np.float64]]
     log_evidence: float
-    foretold: dict[int, float]
 
-    def is_like(self, other: _PartialMap) -> bool:
+    @property
+    def keyframes(self) -> tuple[int, ...]:
+        """In order."""
+        return tuple(sorted(self.poses))
+
+    @property
+    def from_first(self) -> NDArray[np.float64]:
+        """Poses (m, 4, 4) of the keyframes in order, in the first one's frame."""
+        poses = np.stack([self.poses[index] for index in self.keyframes])
+        return np.linalg.inv(poses[0]) @ poses
+
+    def is_like(self, other: PartialMap) -> bool:
         """Whether it has the same keyframes in the same places."""
-        return self.poses.keys() == other.poses.keys() and all(
-            np.linalg.norm(pose[:3, 3] - other.poses[index][:3, 3]) < GROUP_SHIFT_M
-            for index, pose in self.poses.items()
-        )
+        if self.keyframes != other.keyframes:
+            return False
+        apart = self.from_first[:, :3, 3] - other.from_first[:, :3, 3]
+        return bool((np.linalg.norm(apart, axis=1) < SAME_SHIFT_M).all())
 
 
-def place_best_first(registrar: KeyframeRegistrar) -> NDArray[np.float64] | None:
-    """Poses (N, 4, 4) of all keyframes, or None where one is found in no map.
+Ways = dict[tuple[int, int], list[NDArray[np.float64]]]
+"""By two keyframes: poses first_from_second (4, 4) where the one may stand beside the other."""
 
-    Of the maps kept it is the one that all images agree with most, improved keyframe by keyframe.
+
+def place_best_first(registrar: KeyframeRegistrar) -> list[NDArray[np.float64]]:
+    """Poses (N, 4, 4) of all keyframes from the first: maps that differ, none where one has no place.
+
+    They are settled, and the one that all images agree with most is improved keyframe by keyframe.
     """
-    maps = [_PartialMap({0: np.eye(4)}, 0.0, {})]
-    for _ in range(len(registrar) - 1):
-        maps = _best([extended for each in maps for extended in _extended(registrar, each)])
-    complete = [np.stack([each.poses[index] for index in range(len(registrar))]) for each in maps]
-    settled = [_settled(registrar, poses) for poses in complete]
-    return _improved_singly(registrar, max(settled, key=registrar.log_composite)) if settled else None
+    ways, maps = _pairs(registrar)
+    for _ in range(len(registrar) - 2):
+        maps = _surest(_extended(registrar, maps, ways))
+    settled = [_settled(registrar, each.from_first) for each in maps[:COMPLETE_MAPS]]
+    if not settled:
+        return []
+    settled.sort(key=registrar.log_composite, reverse=True)
+    return [_improved_singly(registrar, settled[0]), *settled[1:]]
+
+
+def _pairs(registrar: KeyframeRegistrar) -> tuple[Ways, list[PartialMap]]:
+    """The ways between all pairs of keyframes, and the `KEPT_MAPS` pairs of most evidence."""
+    ways: Ways = {}
+    maps: list[PartialMap] = []
+    alone = np.tile(np.eye(4), (len(registrar), 1, 1))
+    for second in range(len(registrar)):
+        for first in range(second):
+            places = registrar.register_globally(alone, second, [first])
+            found = [matrices_of(place.optimum.pose).astype(np.float64) for place in places]
+            ways[first, second] = found
+            ways[second, first] = [np.linalg.inv(way).astype(np.float64) for way in found]
+            maps += [
+                PartialMap({first: np.eye(4), second: way}, _log_evidence(place, registrar.noise))
+                for way, place in zip(found, places, strict=True)
+            ]
+    return ways, _surest(maps)
+
+
+def _extended(registrar: KeyframeRegistrar, maps: list[PartialMap], ways: Ways) -> list[PartialMap]:
+    """The maps with one keyframe more, at its optimum: those of `TRIED_MAPS` extensions that fit best."""
+    begun = [one for each in maps for one in _begun(each, ways, len(registrar))]
+    extended = []
+    for each in _distinct(begun, _fits(registrar, begun), TRIED_MAPS):
+        *others, new = each.poses
+        poses = np.stack([each.poses.get(index, np.eye(4)) for index in range(len(registrar))])
+        place = registrar.register_locally(poses, new, sorted(others))
+        if place.is_finite and place.is_plausible:
+            placed = {**each.poses, new: matrices_of(place.optimum.pose)}
+            extended.append(PartialMap(placed, each.log_evidence + _log_evidence(place, registrar.noise)))
+    return extended
+
+
+def _begun(partial: PartialMap, ways: Ways, count: int) -> Iterator[PartialMap]:
+    """A map with one of the `count` keyframes more, beside any of its own; the evidence is as before."""
+    for new in range(count):
+        if new not in partial.poses:
+            for beside, pose in partial.poses.items():
+                for way in ways[beside, new]:
+                    yield replace(partial, poses={**partial.poses, new: pose @ way})
+
+
+def _fits(registrar: KeyframeRegistrar, maps: list[PartialMap]) -> NDArray[np.float64]:
+    """Approximate evidence (C,) for partial maps: of each image in the map of the others."""
+    fits = np.zeros(len(maps))
+    for keyframes in {each.keyframes for each in maps}:
+        alike = [index for index, each in enumerate(maps) if each.keyframes == keyframes]
+        poses = np.stack([maps[index].from_first for index in alike])
+        fits[alike] = registrar.log_scores(keyframes, poses, keyframes, BLUR)
+        fits[alike] -= sum(registrar.log_score_of_unknown(index, BLUR) for index in keyframes)
+    return fits
 
 
 def _settled(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -100,28 +174,6 @@ def _with(poses: NDArray[np.float64], index: int, place: Registration) -> NDArra
     return poses
 
 
-def _extended(registrar: KeyframeRegistrar, partial: _PartialMap) -> list[_PartialMap]:
-    """The maps with one keyframe more."""
-    core = sorted(partial.poses)
-    poses = np.stack([partial.poses.get(index, np.eye(4)) for index in range(len(registrar))])
-    new = [index for index in range(len(registrar)) if index not in partial.poses | partial.foretold]
-    surest = sorted(partial.foretold, key=lambda index: -partial.foretold[index])[:SOUGHT]
-    places = {index: registrar.register_globally(poses, index, core)[:PLACES] for index in new or surest}
-    evidence = {
-        index: [_log_evidence(place, registrar.noise) for place in found] for index, found in places.items()
-    }
-    foretold = partial.foretold | {index: max(found, default=-np.inf) for index, found in evidence.items()}
-    return [
-        _PartialMap(
-            {**partial.poses, index: matrices_of(place.optimum.pose)},
-            partial.log_evidence + log_evidence,
-            {other: before for other, before in foretold.items() if other != index},
-        )
-        for index, found in places.items()
-        for place, log_evidence in zip(found, evidence[index], strict=True)
-    ]
-
-
 def _log_evidence(place: Registration, noise: DepthNoise) -> float:
     """Log p(image | map, place) - log p(image | no map)."""
     pixels, poses = place.optimum.pixels, place.local_map.keyframes_from_camera(place.optimum.pose)
@@ -129,12 +181,17 @@ def _log_evidence(place: Registration, noise: DepthNoise) -> float:
     return float(place.optimum.log_density - log_image_density(without_map, poses, noise, 1.0))
 
 
-def _best(maps: list[_PartialMap]) -> list[_PartialMap]:
-    """The `KEPT_MAPS` of most evidence that differ."""
-    kept: list[_PartialMap] = []
-    for each in sorted(maps, key=lambda one: -one.log_evidence):
-        if not any(each.is_like(other) for other in kept):
-            kept.append(each)
-        if len(kept) == KEPT_MAPS:
+def _distinct(maps: Sequence[PartialMap], scores: ArrayLike, count: int) -> list[PartialMap]:
+    """The `count` of the highest scores (C,) that differ."""
+    kept: list[PartialMap] = []
+    for index in np.argsort(-np.asarray(scores, np.float64), kind="stable").tolist():
+        if not any(maps[index].is_like(other) for other in kept):
+            kept.append(maps[index])
+        if len(kept) == count:
             break
     return kept
+
+
+def _surest(maps: Sequence[PartialMap]) -> list[PartialMap]:
+    """The `KEPT_MAPS` of most evidence that differ."""
+    return _distinct(maps, [each.log_evidence for each in maps], KEPT_MAPS)

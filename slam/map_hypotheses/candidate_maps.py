@@ -79,10 +79,9 @@ def candidate_maps(
         core = consistent_set(registrar, best)
         if len(core) == len(registrar):
             break
-        proposed = register_inconsistent(registrar, best, core) if round_ else place_best_first(registrar)
-        if proposed is not None:
-            maps.append(settle(proposed))
-            log_weights.append(log_weight(maps[-1]))
+        proposed = [register_inconsistent(registrar, best, core)] if round_ else place_best_first(registrar)
+        maps += [settle(poses) for poses in proposed]
+        log_weights += [log_weight(poses) for poses in maps[len(log_weights) :]]
     return Modes.of(maps, log_weights)
 
 
@@ -121,7 +120,8 @@ def optimise_jointly(
     """
     keyframes = keyframes_at(keyframe_map, details, poses, noise)
     for inflations, prior in ((FAR_INFLATIONS, None), (HELD_INFLATIONS, motion)):
-        found = optimise(keyframes, np.asarray(single_precision_poses(poses)), inflations, FARTHEST, prior)
+        start = np.asarray(single_precision_poses(poses))
+        found = optimise(keyframes, start, inflations, FARTHEST, prior, uphill=True)
         if found is None or not np.isfinite(found.poses).all():
             return poses
         moved = matrices_of(found.poses)

@@ -15,10 +15,8 @@ from scipy.linalg import expm
 from scipy.stats import norm, qmc
 
 from shapes.geometry import pose_sets
-from shapes.geometry.poses import single_precision_poses
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar
 from slam.registration import pose_grids
-from slam.registration.global_search import log_scores_of_maps
 
 JUDGING = 5
 """Images that a step is judged by."""
@@ -40,9 +38,6 @@ REFINING = tuple(0.05 * 0.75**round_ for round_ in range(12))
 LOG_CLOUD = 6
 """Spacing of the sampled cloud: search effort."""
 
-BATCH = 256
-"""Steps scored in one kernel: memory."""
-
 
 def circular_steps(registrar: KeyframeRegistrar, distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Steps last_from_next (S, 4, 4) of one repeated motion, those that explain the keyframes best first.
@@ -63,15 +58,9 @@ def repeat_step(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
 
 def _scores(registrar: KeyframeRegistrar, steps: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
     """Sums (C,) over the judging images of their approximate log densities in the map of all others."""
-    total, padded = np.zeros(len(steps)), pose_sets.pad_to_multiple(steps, BATCH)
-    powers = {lag: np.linalg.matrix_power(padded, lag) for lag in range(1 - len(registrar), len(registrar))}
-    for index in range(0, len(registrar), -(-len(registrar) // JUDGING)):
-        others = registrar.all_but(index)
-        poses = single_precision_poses(np.stack([powers[other - index] for other in others], axis=1))
-        surfaces = registrar.keyframe_map.stacked(np.asarray(others))
-        scores = log_scores_of_maps(surfaces, poses, registrar.view(index), registrar.noise, blur)
-        total += np.asarray(scores, np.float64)[: len(steps)]
-    return total
+    count = len(registrar)
+    paths = np.stack([np.linalg.matrix_power(steps, index) for index in range(count)], axis=1)
+    return registrar.log_scores(range(count), paths, range(0, count, -(-count // JUDGING)), blur)
 
 
 def _first_distinct(steps: NDArray[np.float64], count: int) -> NDArray[np.float64]:

@@ -9,16 +9,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.poses import matrices_of, poses_of
+from shapes.geometry.pose_sets import IDENTITY
+from shapes.geometry.poses import matrices_of, poses_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
+from slam.registration.global_search import log_map_scores, log_scores_of_maps
+from slam.registration.local_map import LocalMap
 from slam.registration.pose_grids import ORBIT_DISTANCES
 from slam.registration.registered import Registration
 from slam.registration.search import Searcher
+
+SCORED_AT_ONCE = 256
+"""Maps scored in one kernel: memory."""
 
 LEAST_OVERLAP = 0.2
 """Share of the returns that must meet the map for an inlier ratio to mean anything. Chosen by hand."""
@@ -67,6 +74,34 @@ class KeyframeRegistrar:
         """
         located = (self.register_locally(poses, index, self.all_but(index)) for index in range(len(self)))
         return 0.5 * sum(float(one.optimum.log_density) for one in located)
+
+    def log_scores(
+        self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float
+    ) -> NDArray[np.float64]:
+        """Sums (C,) of approximate log densities of images, each in the map of the other `keyframes`.
+
+        Args:
+            keyframes: m of them.
+            poses: (C, m, 4, 4) where maps have these.
+            judged: those of them whose images count.
+            blur: of surfaces, relative to depth.
+        """
+        total, padding = np.zeros(len(poses)), -len(poses) % SCORED_AT_ONCE
+        padded = np.concatenate([poses, np.tile(poses[:1], (padding, 1, 1, 1))])
+        for index in judged:
+            here = keyframes.index(index)
+            others = np.delete(np.arange(len(keyframes)), here)
+            relative = single_precision_poses(np.linalg.inv(padded[:, [here]]) @ padded[:, others])
+            surfaces = self.keyframe_map.stacked(np.asarray(keyframes)[others])
+            scores = log_scores_of_maps(surfaces, relative, self.view(index), self.noise, blur)
+            total += np.asarray(scores, np.float64)[: len(poses)]
+        return total
+
+    def log_score_of_unknown(self, index: int, blur: float) -> float:
+        """The same of one image where no keyframe looked."""
+        here = jnp.asarray(IDENTITY, jnp.float32)[None]
+        nothing = LocalMap(self.keyframe_map.stacked(np.asarray([index])), jnp.zeros(1, bool), here)
+        return float(log_map_scores(nothing, self.view(index), self.noise, here, blur)[0])
 
     def view(self, index: int) -> CanvasView:
         """A keyframe's image."""

@@ -50,7 +50,7 @@ def optimise_coarse_to_fine(
     """
     keyframes = images.at(poses, fixed)
     if motion is not None:
-        return keyframes, optimise(keyframes, poses, HELD_INFLATIONS, motion=motion), NO_LOOPS
+        return keyframes, optimise(keyframes, poses, HELD_INFLATIONS, motion=motion, uphill=True), NO_LOOPS
     near = optimise(keyframes, poses)
     is_far = near is None or bool(near.astray.any())
     start = poses if near is None or is_far else near.poses

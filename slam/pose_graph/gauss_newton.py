@@ -115,7 +115,7 @@ def optimise(
             break
         before, poses = poses, displaced(poses, step)
         if uphill:
-            poses = _best_of_step(keyframes, before, step, exponents_of(linearised))
+            poses = _best_of_step(keyframes, before, step, exponents_of(linearised), motion)
         if np.array_equal(poses, before):
             break
         astray |= np.abs(coordinates(start, poses)).max(axis=1) > farthest
@@ -135,7 +135,7 @@ def agreement(keyframes: Keyframes, poses: NDArray[np.float32]) -> PoseGraph | N
     Of others, as between views of a floor that are taken for each other, each keyframe has the best one with
     an earlier one alone: it was placed by that.
     """
-    linearised = linearised_at(keyframes, poses, 1.0, np.zeros(len(poses), bool))
+    linearised = linearised_at(keyframes, poses, 1.0, np.zeros(len(poses), bool), told=True)
     if linearised is None:
         return None
     graph = _tempered(linearised, exponents_of(linearised), None, poses)
@@ -159,7 +159,7 @@ def with_distortion(
     None where no keyframes overlap.
     """
     field = Field(distortion=distortion, exponents=start.exponents)
-    linearised = linearised_at(keyframes, start.poses, 1.0, start.astray, field)
+    linearised = linearised_at(keyframes, start.poses, 1.0, start.astray, field, told=True)
     return None if linearised is None else _tempered(linearised, start.exponents, motion, start.poses)
 
 
@@ -219,10 +219,13 @@ def _best_of_step(
     poses: NDArray[np.float32],
     step: NDArray[np.float64],
     exponents: NDArray[np.float64],
+    motion: TrajectoryPrior | None,
 ) -> NDArray[np.float32]:
     """Where the density is greatest along a step (N, 6) from poses (N, 7), which may be there."""
     along = np.stack([poses, *(displaced(poses, share * step) for share in STEP_SHARES)])
     log_densities = keyframes.log_densities(along, np.zeros((len(along), NODES)), exponents)
+    if motion is not None:
+        log_densities += [motion.log_density(matrices_of(each)) for each in along]
     return along[int(np.argmax(log_densities))]
 
 

@@ -25,12 +25,14 @@ class Linearised:
 
     Attributes:
         graph: not tempered, but for what it says of the field.
-        score_variance: (E, 6, 6) of the gradients in the image's displacement.
+        curvature: (E, 6, 6) in the image's displacement, by Gauss-Newton.
+        score_variance: (E, 6, 6) of the gradients in it.
         inliers: (E,).
         meeting: (E,) pixels that meet the surface.
     """
 
     graph: PoseGraph
+    curvature: NDArray[np.float64]
     score_variance: NDArray[np.float64]
     inliers: NDArray[np.float64]
     meeting: NDArray[np.float64]
@@ -54,11 +56,17 @@ class _FieldSums:
         self.precision, self.gradient = np.zeros((NODES, NODES)), np.zeros(NODES)
         self.cross = np.zeros((keyframes, 6, NODES))
 
-    def add(self, terms: FieldTerms, pairs: NDArray[np.int_], exponents: NDArray[np.float64]) -> None:
-        """Terms of pairs (B, 2), to the power of exponents (B,)."""
+    def add(
+        self,
+        terms: FieldTerms,
+        pairs: NDArray[np.int_],
+        exponents: NDArray[np.float64],
+        projection: NDArray[np.float64],
+    ) -> None:
+        """Terms of pairs (B, 2), tempered by exponents (B,), displacements projected (B, 12, 12)."""
         self.precision += np.einsum("e,eij->ij", exponents, np.asarray(terms.precision)[: len(pairs)])
         self.gradient += exponents @ np.asarray(terms.gradient, np.float64)[: len(pairs)]
-        cross = np.asarray(terms.cross)[: len(pairs)] * exponents[:, None, None]
+        cross = exponents[:, None, None] * (projection @ np.asarray(terms.cross)[: len(pairs)])
         np.add.at(self.cross, pairs, cross.reshape(len(pairs), 2, 6, -1))
 
     def term(self, distortion: Distortion) -> FieldTerm:
@@ -78,8 +86,13 @@ def linearised_at(
     astray: NDArray[np.bool_],
     field: Field | None = None,
     stride: int = 1,
+    *,
+    told: bool = False,
 ) -> Linearised | None:
-    """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any."""
+    """Overlaps that agree at all; keyframes that are `astray` (N,) have no part in it. None without any.
+
+    Where they are to be `told` terms are projected on what gaps tell of displacements (`told_projections`).
+    """
     stride = stride if inflation == 1.0 else THINNED
     disparity = None if field is None else field.distortion.disparity_per_m.astype(np.float32)
     sums = None if field is None else _FieldSums(len(poses))
@@ -88,17 +101,26 @@ def linearised_at(
         relative = relative_to(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
         terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation, disparity)
         pairs, count = np.stack([images, np.full(len(images), index)], axis=1), len(images)
-        inliers = np.asarray(terms.inliers)[:count]
+        leaves = (terms.precision, terms.gradient, terms.information, terms.score_variance)
+        precision, gradient, information, score_variance = (
+            np.asarray(leaf, np.float64)[:count] for leaf in leaves
+        )
+        projection = told_projections(precision, information) if told else np.tile(np.eye(12), (count, 1, 1))
+        inliers, meeting = (np.asarray(leaf, np.float64)[:count] for leaf in (terms.inliers, terms.meeting))
         agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
         if field is not None and sums is not None and terms.field is not None:
-            sums.add(terms.field, pairs, np.where(agree, field.exponents[images], 0.0))
-        score_variance = np.asarray(terms.score_variance)[:, :6, :6]
-        leaves = (terms.precision, terms.gradient, score_variance, inliers, terms.meeting)
-        parts.append([np.asarray(leaf, np.float64)[:count][agree] for leaf in leaves])
+            exponents = np.where(agree, field.exponents[images], 0.0)
+            sums.add(terms.field, pairs, exponents, projection)
+        projected = projection @ precision @ projection.swapaxes(1, 2)
+        moved = (projection @ gradient[..., None])[..., 0]
+        kept = projected, moved, precision[:, :6, :6], score_variance, inliers, meeting
+        parts.append([leaf[agree] for leaf in kept])
         overlaps.append(pairs[agree])
     if not sum(map(len, overlaps)):
         return None
-    precision, gradient, score_variance, inliers, meeting = map(np.concatenate, zip(*parts, strict=True))
+    precision, gradient, curvature, score_variance, inliers, meeting = map(
+        np.concatenate, zip(*parts, strict=True)
+    )
     graph = PoseGraph(
         keyframes=len(poses),
         pairs=np.concatenate(overlaps),
@@ -107,7 +129,30 @@ def linearised_at(
         field=None if field is None or sums is None else sums.term(field.distortion),
         fixed=keyframes.fixed,
     )
-    return Linearised(graph=graph, score_variance=score_variance, inliers=inliers, meeting=meeting)
+    return Linearised(
+        graph=graph, curvature=curvature, score_variance=score_variance, inliers=inliers, meeting=meeting
+    )
+
+
+def told_projections(precision: NDArray[np.float64], information: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How scores (B, 12) of overlaps are to be weighed, so that they tell no more than they know (B, 12, 12).
+
+    Noise of normals adds to the curvature H of Gauss-Newton, as errors of regressors do (Fuller 1987,
+    "Measurement error models", section 1.1): along a bare wall it is all there is. With the information H_u
+    that is free of it, sum w n m^T over the normals n, m of both keyframes, the score's Godambe information
+    is H_u H^-1 H_u, that of the score H_u H^-1 s. Both ends of an overlap are displaced by one relative
+    pose, so that all of it is in the image's displacement.
+    """
+    curvature = precision[:, :6, :6]
+    inverse = np.linalg.inv(curvature + _floor(curvature))
+    both_ends = precision[:, :, :6] @ inverse
+    projected = both_ends @ information @ inverse
+    return np.concatenate([projected, np.zeros_like(projected)], axis=2)
+
+
+def _floor(of_image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What is added to curvatures (E, 6, 6) before they are inverted."""
+    return 1e-6 * (1.0 + np.trace(of_image, axis1=1, axis2=2))[:, None, None] * np.eye(6)
 
 
 def exponents_of(linearised: Linearised) -> NDArray[np.float64]:
@@ -121,8 +166,7 @@ def exponents_of(linearised: Linearised) -> NDArray[np.float64]:
     total, largest = np.zeros(graph.keyframes), np.ones(graph.keyframes)
     np.add.at(total, images, linearised.inliers)
     np.maximum.at(largest, images, linearised.inliers)
-    of_image = graph.precision[:, :6, :6]
-    floor = 1e-6 * np.trace(of_image, axis1=1, axis2=2)[:, None, None] * np.eye(6)
-    repetition = np.linalg.solve(of_image + floor, linearised.score_variance)
+    curvature = linearised.curvature
+    repetition = np.linalg.solve(curvature + _floor(curvature), linearised.score_variance)
     inflation = max(1.0, float(np.median(np.trace(repetition, axis1=1, axis2=2) / 6)))
     return 1.0 / (np.maximum(1.0, total / largest) * inflation)

@@ -22,6 +22,7 @@ from slam.likelihood.image_density import (
     unmapped_log_penalty,
 )
 from slam.likelihood.noise_calibration import BIN_EDGES_M
+from slam.likelihood.score_variance import score_variance
 from slam.registration.alignment import (
     InlierCounts,
     ModelImage,
@@ -249,21 +250,19 @@ def optimum_at(
         layer_precisions=layer_precisions,
         log_density=log_density,
         agreement=terms.agreement,
-        score_variance=block_variance(terms.scores()),
+        score_variance=_score_variance(terms),
         squared_ratio=(terms.weight * terms.residual**2) @ in_bin,
         inlier_count=terms.inlier @ in_bin,
         pixels=pixels,
     )
 
 
-def block_variance(scores: jax.Array) -> jax.Array:
-    """Variance (6, 6) of the sum of scores (6, P) of the lattice, from its blocks of pixels.
-
-    Errors of neighbouring pixels are correlated, those of blocks hardly: sum_b s_b s_b^T (Ribatet,
-    Cooley and Davison 2012, section 2.2, for composite likelihoods).
-    """
+def _score_variance(terms: PixelTerms) -> jax.Array:
+    """Variance (6, 6) of the sum of scores of the lattice, from its blocks of pixels."""
     rows, columns = CANVAS_HEIGHT // STRIDE_PX, CANVAS_WIDTH // STRIDE_PX
     row, column = np.divmod(np.arange(rows * columns), columns)
     block = (row // BLOCK_SIDE) * (columns // BLOCK_SIDE) + column // BLOCK_SIDE
-    sums = scores @ jnp.asarray(np.eye(block.max() + 1, dtype=np.float32)[block])
-    return sums @ sums.T
+    membership = jnp.asarray(np.eye(block.max() + 1, dtype=np.float32)[block])
+    products = terms.jacobian[:, None] * (terms.jacobian * terms.weight[None])[None]
+    curvatures = (products.reshape(36, -1) @ membership).T.reshape(-1, 6, 6)
+    return score_variance((terms.scores() @ membership).T, curvatures)

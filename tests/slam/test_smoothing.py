@@ -11,7 +11,7 @@ from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
 from slam.filter.state import Ties
 from slam.pose_graph.refinement import PlacedKeyframes, RefinedKeyframes
-from slam.smoothing import UNDERSTATED, _by_ties, _drawn, _marginals, _roots, _spread
+from slam.smoothing import _by_ties, _drawn, _marginals, _roots, _spread
 from tests.statistical import assert_mean
 
 
@@ -111,9 +111,9 @@ def test_the_spread_of_a_keyframe_is_carried_to_its_frames(seed):
 
     jacobian = np.asarray(jax.jacfwd(moved)(jnp.full(6, 1e-4)))
     following = of_frame + jacobian @ of_keyframe
-    expected = UNDERSTATED * (np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T)
+    expected = np.eye(6) + jacobian @ factor @ factor.T @ jacobian.T
     expected = expected + following @ following.T
-    alone = UNDERSTATED * np.eye(6) + of_frame @ of_frame.T
+    alone = np.eye(6) + of_frame @ of_frame.T
     np.testing.assert_allclose(spread[0, 1], expected, rtol=0.01, atol=0.02)
     np.testing.assert_allclose(spread[0, 0], alone, rtol=1e-4, atol=1e-4)
 

@@ -1,5 +1,7 @@
 """Terms of two keyframes' overlap against autodiff in float64; all but the gaps is taken as fixed."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -19,6 +21,7 @@ from slam.likelihood.overlap_density import (
     points_at,
     sampled_pixels,
 )
+from slam.pose_graph.linearisation import told_projections
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -105,3 +108,40 @@ def test_terms_of_an_overlap_are_those_of_autodiff():
     np.testing.assert_allclose(
         terms.gradient[0] / scale, gradient / scale, atol=0.02 * np.abs(gradient / scale).max()
     )
+
+
+WALL_M, SLOPE_SD = 2.0, 0.05
+"""A bare wall square to the camera, and noise of its inverse depth's slopes, in units of the depth."""
+
+
+def test_noise_of_normals_is_no_information_along_a_bare_wall():
+    """Gauss-Newton takes it for some, the two keyframes' normals together do not, nor what is told of it.
+
+    Of n pixels the sum of products of independent slopes has a standard deviation of n^-1/2 of that of
+    squares: 5 of them bound it, and their square what is told. Across the wall nothing changes.
+    """
+    rng = np.random.default_rng(8)
+    depth = np.full(box_room.depth_image(SURFACE).shape, WALL_M, np.float32)
+    frame = replace(box_room.frames(SURFACE[None], seed=1)[0], depth_m=depth)
+    view = view_of_frame(frame, box_room.INTRINSICS, FINE_CANVAS)
+
+    def noisy_planes() -> jax.Array:
+        slopes = SLOPE_SD / WALL_M * rng.normal(size=(2, *view.depth_m.shape))
+        offset = 1.0 / WALL_M - slopes[0] * view.rays[0] - slopes[1] * view.rays[1]
+        return jnp.asarray(np.stack([*slopes, offset]), jnp.float32)
+
+    sample = points_at(view, noisy_planes(), sampled_pixels(np.full(view.depth_m.shape, 1e4)))
+    here = single_precision_poses(np.eye(4)[None])
+    samples = jax.tree.map(lambda leaf: leaf[None], sample)
+    terms = overlap_terms(PlaneImage.of(view, noisy_planes()), samples, here, NOISE, 1.0)
+
+    precision, information = (np.asarray(leaf, np.float64) for leaf in (terms.precision, terms.information))
+    bound = 5.0 / np.sqrt(float(terms.inliers[0]))
+    projection = told_projections(precision, information)
+    told = projection @ precision @ projection.swapaxes(1, 2)
+    assert bound < 0.2
+    for along in (0, 1):
+        assert precision[0, along, along] > 0.5 * SLOPE_SD**2 * precision[0, 2, 2]
+        assert abs(information[0, along, along]) < bound * precision[0, along, along]
+        assert told[0, along, along] < bound**2 * precision[0, along, along]
+    np.testing.assert_allclose(told[0, 2, 2], precision[0, 2, 2], rtol=0.02)

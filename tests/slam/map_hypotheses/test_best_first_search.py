@@ -15,15 +15,18 @@ from recordings.types import DepthNoise
 from slam.map_hypotheses import best_first_search
 from slam.map_hypotheses.best_first_search import (
     KEPT_MAPS,
-    _best,
+    PartialMap,
     _improved_singly,
-    _PartialMap,
+    _surest,
     place_best_first,
 )
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar
 
 RING = (0, 3, 1, 4, 2, 5)
 """The keyframes as they stand on a ring; neighbours see the same."""
+
+PER_NEIGHBOUR, WRONG, MISLEADING = 100.0, 30.0, 130.0
+"""Nats: for a neighbour that stands right, for a wrong place, and for one beside the first keyframe."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class _Place:
     x: float
     evidence: float
     is_finite = True
+    is_plausible = True
 
     @property
     def optimum(self) -> _Optimum:
@@ -45,26 +49,51 @@ class _Place:
 
 
 class RingJury:
-    """Keyframe k stands at (k, 0, 0). Next to neighbours it is found there; else a wrong place beats none."""
+    """Keyframe k stands at (k, 0, 0). Beside neighbours it is found there; else wrong places beat none.
+
+    Beside the first keyframe those that are no neighbours have most evidence of all, in wrong places.
+    """
 
     noise = DepthNoise()
 
     def __len__(self) -> int:
         return len(RING)
 
+    def _right(self, places: dict[int, float], index: int) -> float:
+        """Evidence for a keyframe among those at these places."""
+        at = RING.index(index)
+        beside = {RING[at - 1], RING[(at + 1) % len(RING)]} & places.keys()
+        return PER_NEIGHBOUR * sum(
+            abs(places[index] - places[other] - (index - other)) < 1e-6 for other in beside
+        )
+
     def register_globally(
         self, poses: NDArray[np.float64], index: int, others: Sequence[int]
     ) -> list[_Place]:
-        """The right place with 100 nats for every neighbour that stands right, a wrong one with 30."""
-        at = RING.index(index)
-        beside = {RING[at - 1], RING[(at + 1) % len(RING)]}
-        right = sum(other in beside and abs(poses[other, 0, 3] - other) < 1e-6 for other in others)
-        return [*([_Place(index, 100.0 * right)] if right else []), _Place(-5.0 - index, 30.0)]
+        """The right place where neighbours stand right, and a wrong one."""
+        places = {other: float(poses[other, 0, 3]) for other in others}
+        found = {places[other] + index - other for other in others}
+        right = [_Place(x, self._right({**places, index: x}, index)) for x in sorted(found)]
+        wrong = MISLEADING if list(others) == [0] and not right[0].evidence else WRONG
+        return [*(place for place in right if place.evidence), _Place(-5.0 - index, wrong)]
 
     def register_locally(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> _Place:
         """Where it is."""
-        del others
-        return _Place(float(poses[index, 0, 3]), 0.0)
+        places = {other: float(poses[other, 0, 3]) for other in [*others, index]}
+        return _Place(places[index], self._right(places, index))
+
+    def log_scores(
+        self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float
+    ) -> NDArray[np.float64]:
+        """As much as the evidence."""
+        del blur
+        maps = [dict(zip(keyframes, one[:, 0, 3].tolist(), strict=True)) for one in poses]
+        return np.asarray([sum(self._right(places, index) for index in judged) for places in maps])
+
+    def log_score_of_unknown(self, index: int, blur: float) -> float:
+        """None."""
+        del index, blur
+        return 0.0
 
     def all_but(self, index: int) -> list[int]:
         """The other keyframes."""
@@ -75,14 +104,13 @@ class RingJury:
         return -float(np.abs(poses[:, 0, 3] - np.arange(len(RING))).sum())
 
 
-def test_the_surest_comes_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In their own order most keyframes would stand wrong: their neighbours come after them."""
+def test_the_surest_pairs_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the first keyframe on most would stand wrong: their neighbours come after them."""
     monkeypatch.setattr(best_first_search, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
 
     placed = place_best_first(cast("KeyframeRegistrar", RingJury()))
 
-    assert placed is not None
-    np.testing.assert_allclose(placed[:, 0, 3], np.arange(len(RING)), atol=1e-6)
+    np.testing.assert_allclose(placed[0][:, 0, 3], np.arange(len(RING)), atol=1e-6)
 
 
 def test_what_stands_wrong_alone_is_moved() -> None:
@@ -97,15 +125,15 @@ def test_what_stands_wrong_alone_is_moved() -> None:
 
 
 def test_the_maps_of_most_evidence_are_kept_once() -> None:
-    """The same keyframes in the same places are one map; in other places they are two, as of others."""
+    """The same keyframes in the same places from the first are one map; others are two."""
     moved = np.eye(4)
     moved[0, 3] = 1.0
-    best = _PartialMap({0: np.eye(4), 1: moved}, 9.0, {})
+    best = PartialMap({0: np.eye(4), 1: moved}, 9.0)
     same, elsewhere, others = (
-        _PartialMap({0: np.eye(4), 1: moved + 1e-4}, 8.0, {}),
-        _PartialMap({0: np.eye(4), 1: np.eye(4)}, 7.0, {}),
-        _PartialMap({0: np.eye(4), 2: moved}, 6.0, {}),
+        PartialMap({1: moved @ moved, 0: moved + 1e-4}, 8.0),
+        PartialMap({0: np.eye(4), 1: np.eye(4)}, 7.0),
+        PartialMap({0: np.eye(4), 2: moved}, 6.0),
     )
-    worst = [_PartialMap({0: np.eye(4), 3 + index: moved}, -float(index), {}) for index in range(KEPT_MAPS)]
+    worst = [PartialMap({0: np.eye(4), 3 + index: moved}, -float(index)) for index in range(KEPT_MAPS)]
 
-    assert _best([*worst, others, same, elsewhere, best]) == [best, elsewhere, others, *worst][:KEPT_MAPS]
+    assert _surest([*worst, others, same, elsewhere, best]) == [best, elsewhere, others, *worst][:KEPT_MAPS]
