@@ -31,7 +31,7 @@ from scene.mcmc.chain_model import half_sizes, pose_prior, prior_space, slabs_un
 from scene.model.contact import TOP_FACE
 from scene.model.number_prior import SHAPES
 from scene.model.scene_draws import drawn_scene
-from scene.model.scene_graph import Bodies
+from scene.model.scene_graph import ROOT, Bodies
 from scene.objects.scene_object import SceneObject
 from scene.observation.detection import SupportPlane
 from scene.observation.pixel_window import PITCH_RAD, window_of
@@ -110,12 +110,11 @@ def draw_table(
         learned: how well pixels foretell each other.
         sizes_drawn: as `ModelTable` has it.
     """
-    there, boxes, layers_m, camera_from_table = _scene(rng, objects, config, sizes_drawn=sizes_drawn)
+    there, boxes, at_rest, layers_m, camera_from_table = _scene(rng, objects, config, sizes_drawn=sizes_drawn)
     rest_m = _rest(camera_from_table)
     key = jax.random.key(int(rng.integers(2**31)))
     depth_m = drawn_image(key, layers_m, rest_m, NOISE, config.model_error_m, min(1.0, EDGE_PX), learned)
     radii_m = np.array([np.linalg.norm(one.half_extents_m) for one in objects], np.float64)
-    table_from_box = np.asarray(np.linalg.inv(camera_from_table), np.float64) @ boxes
     error_m = 0.0 if sizes_drawn else config.model_error_m
     true = with_common_errors(rng, boxes[None], radii_m, config.scale_error, error_m)[0]
     return ModelTable(
@@ -123,7 +122,7 @@ def draw_table(
         camera_from_table=camera_from_table,
         there=there,
         camera_from_box=true,
-        at_rest=np.array([_lies(*pair, config) for pair in zip(objects, table_from_box, strict=True)]),
+        at_rest=at_rest,
         sizes_drawn=sizes_drawn,
     )
 
@@ -134,7 +133,7 @@ def learned_weights(
     """Weights that foretell scenes of the prior seen with independent errors."""
     images = []
     for _ in range(LEARNED_FROM):
-        _, _, layers_m, camera_from_table = _scene(rng, objects, config, sizes_drawn=False)
+        *_, layers_m, camera_from_table = _scene(rng, objects, config, sizes_drawn=False)
         depth_m = np.minimum(layers_m.min(axis=0), _rest(camera_from_table))
         noisy_m = depth_m + NOISE.sigma_base_m * rng.standard_normal(depth_m.shape)
         images.append(np.where(np.isfinite(depth_m), noisy_m, 0.0).astype(np.float32))
@@ -154,8 +153,10 @@ def unknown_table(learned: UnknownWeights) -> UnknownTable:
 
 def _scene(
     rng: np.random.Generator, objects: Sequence[SceneObject], config: ParseConfig, *, sizes_drawn: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32], NDArray[np.float64]]:
-    """Which objects are there (N,), camera_from_box (N, 4, 4), layers (N, H, W), camera_from_table (4, 4)."""
+) -> tuple[
+    NDArray[np.bool_], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32], NDArray[np.float64]
+]:
+    """Objects that are there (N,), camera_from_box (N, 4, 4), at rest (N,), layers, camera_from_table."""
     camera_from_table = _camera_from_table(rng)
     share = rng.beta(SHAPES * config.presence, SHAPES * (1 - config.presence))
     there = rng.random(len(objects)) < share
@@ -164,19 +165,21 @@ def _scene(
     if sizes_drawn:
         states[:, 0, 7:] += sizes.sigma * rng.standard_normal(sizes.sigma.shape)
     half_m = np.exp(sizes.tied(states, np.arange(len(objects)))[:, 0, 7:])
-    boxes = np.tile(np.eye(4), (len(objects), 1, 1))
+    boxes, at_rest = np.tile(np.eye(4), (len(objects), 1, 1)), np.zeros(len(objects), bool)
     layers_m = np.full((len(objects), HEIGHT, WIDTH), np.inf, np.float32)
     present = np.flatnonzero(there)
     if len(present):
         chosen = [objects[one] for one in present.tolist()]
-        placed = _drawn_poses(rng, half_m[present], camera_from_table, config)
+        placed, floats = _drawn_poses(rng, half_m[present], camera_from_table, config)
         while not _is_possible(chosen, placed, SUNK_SIGMAS * config.contact_sigma_m):
-            placed = _drawn_poses(rng, half_m[present], camera_from_table, config)
+            placed, floats = _drawn_poses(rng, half_m[present], camera_from_table, config)
+        lies = np.array([_lies(*pair, config) for pair in zip(chosen, placed, strict=True)])
+        at_rest[present] = lies & ~floats
         boxes[present] = camera_from_table @ placed
         scales = half_m / np.exp(sizes.log_half)
         renderer, window = ObjectRenderer.of(objects), window_of(_blank(), intrinsics())
         layers_m[present] = renderer.layers(present, poses_of(boxes[present]), window, scales[present])
-    return there, boxes, layers_m, camera_from_table
+    return there, boxes, at_rest, layers_m, camera_from_table
 
 
 def _drawn_poses(
@@ -184,8 +187,8 @@ def _drawn_poses(
     half_m: NDArray[np.float64],
     camera_from_table: NDArray[np.float64],
     config: ParseConfig,
-) -> NDArray[np.float64]:
-    """table_from_box (n, 4, 4) of objects of half sizes (n, 3), by the prior over graphs and poses."""
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """table_from_box (n, 4, 4) of objects of half sizes (n, 3) by the prior, and which of them float (n,)."""
     support = _support(camera_from_table)
     prior = pose_prior([support], prior_space(support, np.zeros((0, 3))), config)
     movable = np.arange(len(half_m) + 1) < len(half_m)
@@ -196,7 +199,7 @@ def _drawn_poses(
     )
     slabs = slabs_under([support], np.asarray(np.linalg.inv(camera_from_table), np.float64))
     scene = drawn_scene(rng, prior, bodies, slabs, config.floating_weight)
-    return matrices_of(np.asarray(scene.poses, np.float64)[:-1])
+    return matrices_of(np.asarray(scene.poses, np.float64)[:-1]), np.asarray(scene.parents)[:-1] == ROOT
 
 
 def _is_possible(objects: Sequence[SceneObject], table_from_box: NDArray[np.float64], sunk_m: float) -> bool:
