@@ -88,13 +88,15 @@ class KeyframeRegistrar:
         """
         total, padding = np.zeros(len(poses)), -len(poses) % SCORED_AT_ONCE
         padded = np.concatenate([poses, np.tile(poses[:1], (padding, 1, 1, 1))])
+        placed = np.tile(np.eye(4), (len(padded), len(self), 1, 1))
+        placed[:, list(keyframes)] = padded
+        everything = self.keyframe_map.stacked(np.arange(len(self)))
         for index in judged:
-            here = keyframes.index(index)
-            others = np.delete(np.arange(len(keyframes)), here)
-            relative = single_precision_poses(np.linalg.inv(padded[:, [here]]) @ padded[:, others])
-            surfaces = self.keyframe_map.stacked(np.asarray(keyframes)[others])
-            scores = log_scores_of_maps(surfaces, relative, self.view(index), self.noise, blur)
-            total += np.asarray(scores, np.float64)[: len(poses)]
+            others = np.isin(np.arange(len(self)), keyframes)
+            others[index] = False
+            relative = single_precision_poses(np.linalg.inv(placed[:, [index]]) @ placed)
+            given = everything, others, relative, self.view(index), self.noise, blur
+            total += np.asarray(log_scores_of_maps(*given), np.float64)[: len(poses)]
         return total
 
     def log_score_of_unknown(self, index: int, blur: float) -> float:

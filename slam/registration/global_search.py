@@ -183,13 +183,27 @@ def log_map_scores(
 
 @jax.jit
 def log_scores_of_maps(
-    surfaces: SurfelImage, poses: jax.Array, view: CanvasView, noise: DepthNoise, blur: jax.Array | float
+    surfaces: SurfelImage,
+    present: jax.Array,
+    poses: jax.Array,
+    view: CanvasView,
+    noise: DepthNoise,
+    blur: jax.Array | float,
 ) -> jax.Array:
-    """Approximate log densities (C,) of a frame in maps of M surfaces at camera_from_keyframe (C, M, 7)."""
+    """Approximate log densities (C,) of a frame in maps of those of M surfaces that are present (M,).
+
+    Args:
+        surfaces: stacked.
+        present: bool; one kernel serves maps of all sizes.
+        poses: (C, M, 7) camera_from_keyframe.
+        view: the frame.
+        noise: of the sensor.
+        blur: of surfaces, relative to depth.
+    """
     frame, here = _points(view, noise), jnp.asarray(IDENTITY, jnp.float32)
 
     def score(poses: jax.Array) -> jax.Array:
-        return _score(LocalMap(surfaces, jnp.ones(len(poses), bool), poses), frame, blur, here)
+        return _score(LocalMap(surfaces, present, poses), frame, blur, here)
 
     return jax.lax.map(score, poses, batch_size=BATCH)
 
