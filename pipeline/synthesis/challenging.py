@@ -26,8 +26,8 @@ from pipeline.synthesis.world import Part, RayCaster
 from recordings.truth import TABLE
 from recordings.types import Trajectory
 
-ARRANGEMENTS = 60
-"""Arrangements of objects tried for one image."""
+ARRANGEMENTS = 300
+"""Arrangements of objects tried for one image: one of some hundred hides most of a large box behind small things."""
 EACH_ARRANGEMENT = 10
 """Cameras tried for one arrangement."""
 WANTED_FOR = 4
