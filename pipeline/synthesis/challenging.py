@@ -27,7 +27,7 @@ from recordings.truth import TABLE
 from recordings.types import Trajectory
 
 ARRANGEMENTS = 300
-"""Arrangements of objects tried for one image: one of some hundred hides most of a large box behind small things."""
+"""Arrangements of objects tried for one image: one in a hundred hides a large box behind small things."""
 EACH_ARRANGEMENT = 10
 """Cameras tried for one arrangement."""
 WANTED_FOR = 4
