@@ -40,7 +40,7 @@ FLOATING_HEIGHT_M = 0.6
 POSE_UNIFORMS = 9
 """Uniform numbers that `sample_pose` takes."""
 
-_CHILD_FACES = 6
+CHILD_FACES = 6
 
 _CIRCLE = 2 * math.pi
 
@@ -165,7 +165,7 @@ def contact_density(
     )
     in_plane = jnp.arange(3) != parent_face >> 1
     area = jnp.prod(jnp.where(in_plane, 2 * parent_half_extents_m, 1.0))
-    faces_and_plane = parent_faces[parent_face] / (area * (_CHILD_FACES * _CIRCLE))
+    faces_and_plane = parent_faces[parent_face] / (area * (CHILD_FACES * _CIRCLE))
     return jnp.where(on_face, faces_and_plane * gap_density(prior, gap_m) * eta_density(prior, eta_z), 0.0)
 
 
@@ -233,7 +233,7 @@ def densities_on(
     etas = jnp.where(alike, eta_alike[:, :, None, :, None], eta_opposed[:, :, None, :, None])
     areas = jnp.prod(2 * half_extents, axis=1, keepdims=True) / (2 * half_extents)
     parent_faces = supporting_face_probabilities(prior, bodies.supporting_faces, poses).reshape(-1, 3, 2)
-    faces_and_plane = parent_faces / (areas * (_CHILD_FACES * _CIRCLE))[..., None]
+    faces_and_plane = parent_faces / (areas * (CHILD_FACES * _CIRCLE))[..., None]
     density = gap_density(prior, gaps_m) * etas * faces_and_plane[:, :, :, None, None]
     return jnp.where(beside_elsewhere[:, :, None] == 0, density, 0.0).reshape(-1, 6, 6)
 
@@ -287,7 +287,7 @@ def log_pose_given_faces(prior: PosePrior, bodies: Bodies, scene: SceneGraph, ch
     """Log p(x | parent, faces) of the child's absolute pose (Lebesgue x rotation measure), as sampled."""
     parent = scene.parents[child]
     log_face = jnp.log(_faces_of_parent(prior, bodies, scene, child)[scene.parent_faces[child]])
-    conversion = jnp.where(parent == ROOT, 0.0, LOG_CONTACT_JACOBIAN + math.log(_CHILD_FACES) - log_face)
+    conversion = jnp.where(parent == ROOT, 0.0, LOG_CONTACT_JACOBIAN + math.log(CHILD_FACES) - log_face)
     return log_parameters(prior, bodies, scene, child) + conversion
 
 

@@ -7,10 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.model.prior import POSE_UNIFORMS, PosePrior, sample_pose, supporting_face_probabilities
+from scene.model.prior import (
+    CHILD_FACES,
+    POSE_UNIFORMS,
+    PosePrior,
+    sample_pose,
+    supporting_face_probabilities,
+)
 from scene.model.scene_graph import ROOT, Bodies, SceneGraph
-
-FACES = 6
 
 
 def drawn_parents(
@@ -59,7 +63,7 @@ def drawn_scene(
             shares = np.asarray(
                 supporting_face_probabilities(prior, carrying, jnp.asarray(poses[on])), np.float64
             )
-            faces[:, one] = rng.integers(FACES), rng.choice(FACES, p=shares / shares.sum())
+            faces[:, one] = rng.integers(CHILD_FACES), rng.choice(len(shares), p=shares / shares.sum())
         poses[one] = _sampled(
             jnp.asarray(rng.random(POSE_UNIFORMS)), prior, bodies, scene(), jnp.asarray(one)
         )

@@ -80,8 +80,9 @@ def place_best_first(registrar: KeyframeRegistrar) -> list[NDArray[np.float64]]:
     They are settled, and the one that all images agree with most is improved keyframe by keyframe.
     """
     ways, maps = _pairs(registrar)
+    unknown = np.asarray([registrar.log_score_of_unknown(index, BLUR) for index in range(len(registrar))])
     for _ in range(len(registrar) - 2):
-        maps = _surest(_extended(registrar, maps, ways))
+        maps = _surest(_extended(registrar, maps, ways, unknown))
     settled = [_settled(registrar, each.from_first) for each in maps[:COMPLETE_MAPS]]
     if not settled:
         return []
@@ -107,11 +108,13 @@ def _pairs(registrar: KeyframeRegistrar) -> tuple[Ways, list[PartialMap]]:
     return ways, _surest(maps)
 
 
-def _extended(registrar: KeyframeRegistrar, maps: list[PartialMap], ways: Ways) -> list[PartialMap]:
+def _extended(
+    registrar: KeyframeRegistrar, maps: list[PartialMap], ways: Ways, unknown: NDArray[np.float64]
+) -> list[PartialMap]:
     """The maps with one keyframe more, at its optimum: those of `TRIED_MAPS` extensions that fit best."""
     begun = [one for each in maps for one in _begun(each, ways, len(registrar))]
     extended = []
-    for each in _distinct(begun, _fits(registrar, begun), TRIED_MAPS):
+    for each in _distinct(begun, _fits(registrar, begun, unknown), TRIED_MAPS):
         *others, new = each.poses
         poses = np.stack([each.poses.get(index, np.eye(4)) for index in range(len(registrar))])
         place = registrar.register_locally(poses, new, sorted(others))
@@ -130,14 +133,16 @@ def _begun(partial: PartialMap, ways: Ways, count: int) -> Iterator[PartialMap]:
                     yield replace(partial, poses={**partial.poses, new: pose @ way})
 
 
-def _fits(registrar: KeyframeRegistrar, maps: list[PartialMap]) -> NDArray[np.float64]:
-    """Approximate evidence (C,) for partial maps: of each image in the map of the others."""
+def _fits(
+    registrar: KeyframeRegistrar, maps: list[PartialMap], unknown: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Approximate evidence (C,) for partial maps, where images beside no keyframe have `unknown` (N,)."""
     fits = np.zeros(len(maps))
     for keyframes in {each.keyframes for each in maps}:
         alike = [index for index, each in enumerate(maps) if each.keyframes == keyframes]
         poses = np.stack([maps[index].from_first for index in alike])
         fits[alike] = registrar.log_scores(keyframes, poses, keyframes, BLUR)
-        fits[alike] -= sum(registrar.log_score_of_unknown(index, BLUR) for index in keyframes)
+        fits[alike] -= unknown[list(keyframes)].sum()
     return fits
 
 

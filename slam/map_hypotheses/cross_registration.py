@@ -18,14 +18,11 @@ from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.poses import matrices_of, poses_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.registration.global_search import log_map_scores, log_scores_of_maps
+from slam.registration.global_search import BATCH, log_map_scores, log_scores_of_maps
 from slam.registration.local_map import LocalMap
 from slam.registration.pose_grids import ORBIT_DISTANCES
 from slam.registration.registered import Registration
 from slam.registration.search import Searcher
-
-SCORED_AT_ONCE = 256
-"""Maps scored in one kernel: memory."""
 
 LEAST_OVERLAP = 0.2
 """Share of the returns that must meet the map for an inlier ratio to mean anything. Chosen by hand."""
@@ -86,7 +83,7 @@ class KeyframeRegistrar:
             judged: those of them whose images count.
             blur: of surfaces, relative to depth.
         """
-        total, padding = np.zeros(len(poses)), -len(poses) % SCORED_AT_ONCE
+        total, padding = np.zeros(len(poses)), -len(poses) % BATCH
         padded = np.concatenate([poses, np.tile(poses[:1], (padding, 1, 1, 1))])
         placed = np.tile(np.eye(4), (len(padded), len(self), 1, 1))
         placed[:, list(keyframes)] = padded
@@ -95,8 +92,10 @@ class KeyframeRegistrar:
             others = np.isin(np.arange(len(self)), keyframes)
             others[index] = False
             relative = single_precision_poses(np.linalg.inv(placed[:, [index]]) @ placed)
-            given = everything, others, relative, self.view(index), self.noise, blur
-            total += np.asarray(log_scores_of_maps(*given), np.float64)[: len(poses)]
+            seen = self.view(index), self.noise, blur
+            for first in range(0, len(poses), BATCH):
+                scores = log_scores_of_maps(everything, others, relative[first : first + BATCH], *seen)
+                total[first : first + BATCH] += np.asarray(scores, np.float64)[: len(total) - first]
         return total
 
     def log_score_of_unknown(self, index: int, blur: float) -> float:
