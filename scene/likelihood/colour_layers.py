@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from scene.execution import FAST_COMPILE
 from scene.likelihood.colour_density import ANY_SD, GAIN_SD, SURFACE_SD, ColourDensity, window_colours
-from scene.likelihood.object_density import Seen
 from scene.likelihood.pixel_density import PixelDensity
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
@@ -24,6 +23,9 @@ from shapes.geometry.poses import matrices_of, poses_of
 
 COMPARED = 384
 """Pixels of a layer, drawn at random, by which turns are compared in the search: a label is many of them."""
+CROPS = (40, 40), (84, 112)
+"""Pixels of crops that hold an object and a pixel beside it; what fits none is not cut. All that comes before
+a pixel tells of an object's light, so that tiles would not do."""
 STRANGE = 3.0
 """Standard deviations from which a pixel tells no more of a turn: what hides the surface."""
 
@@ -121,29 +123,7 @@ class ColourLayers:
             depth_m: (n, H, W) of each alone, +inf beside it.
         """
         cameras_from_box = matrices_of(np.asarray(poses, np.float64)).astype(np.float32)
-        return _log_factors(self, np.asarray(numbers, np.int32), cameras_from_box, depth_m)
-
-    def in_crop(
-        self,
-        one: jax.Array,
-        camera_from_box: jax.Array,
-        first: tuple[jax.Array, jax.Array],
-        layer_m: jax.Array,
-        depth_density: PixelDensity,
-    ) -> jax.Array:
-        """Logs (h, w) of what object `one` brings in a crop that holds it, a pixel beside it and all.
-
-        Args:
-            one: number of the object.
-            camera_from_box: (4, 4).
-            first: row and column of the crop.
-            layer_m: (h, w) its depth there.
-            depth_density: of the crop.
-        """
-        camera = replace(self.camera, cx=self.camera.cx - first[1], cy=self.camera.cy - first[0])
-        model = self.tables.at(one, _in_box(camera, camera_from_box, layer_m))
-        density = self.density.cut(first, layer_m.shape)
-        return density.log_factor(model, depth_density.shown_by(layer_m), self.tables.gain_sd[one])
+        return _log_factors_alone(self, np.asarray(numbers, np.int32), cameras_from_box, depth_m)
 
     def turned(
         self,
@@ -202,18 +182,16 @@ class ComparedColours:
     weight: jax.Array
     frame: int = field(metadata={"static": True})
 
-    def beside(self, frames: jax.Array, objects: jax.Array, poses: jax.Array) -> Seen:
-        """What the colours tell of objects (n,) in frames (n,) at poses (n, 7) camera_from_box."""
+    def log_factors(
+        self, frames: jax.Array, objects: jax.Array, poses: jax.Array, layers_m: jax.Array
+    ) -> jax.Array:
+        """Logs (n, H, W) of what objects (n,) at poses (n, 7) camera_from_box bring to frames (n,).
+
+        Their layers are (n, H, W), +inf beside them; other frames than the one with colours get 0.
+        """
         cameras_from_box = jax.vmap(lambda pose: jaxlie.SE3(pose).as_matrix())(poses)
-
-        def factor(
-            which: jax.Array, row: jax.Array, column: jax.Array, layer_m: jax.Array, density: PixelDensity
-        ) -> jax.Array:
-            camera_from_box = cameras_from_box[which]
-            factors = self.layers.in_crop(objects[which], camera_from_box, (row, column), layer_m, density)
-            return jnp.where(frames[which] == self.frame, self.weight * factors, 0.0)
-
-        return factor
+        mine = jnp.where((frames == self.frame)[:, None, None], layers_m, jnp.inf)
+        return self.weight * _log_factors(self.layers, objects, cameras_from_box, mine)
 
 
 def _in_box(camera: Camera, camera_from_box: jax.Array, layer_m: jax.Array) -> jax.Array:
@@ -225,17 +203,53 @@ def _in_box(camera: Camera, camera_from_box: jax.Array, layer_m: jax.Array) -> j
     return points_m @ camera_from_box[:3, :3]
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _log_factors(
     layers: ColourLayers, numbers: jax.Array, cameras_from_box: jax.Array, depth_m: jax.Array
 ) -> jax.Array:
+    """Logs (n, H, W) of layers (n, H, W), one after the other: each in the smallest crop that holds it."""
+    size = depth_m.shape[1:]
+    crops = [*[crop for crop in CROPS if crop[0] < size[0] and crop[1] < size[1]], size]
+
     def factor(part: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        one, camera_from_box, layer_m = part
-        model = layers.tables.at(one, _in_box(layers.camera, camera_from_box, layer_m))
-        shows = layers.depth_density.shown_by(layer_m)
-        return layers.density.log_factor(model, shows, layers.tables.gain_sd[one])
+        _, _, layer_m = part
+        covered = jnp.isfinite(layer_m)
+        (top, down), (left, across) = (_bounds(jnp.any(covered, axis=axis)) for axis in (1, 0))
+        number = sum(((down > rows) | (across > columns)).astype(jnp.int32) for rows, columns in crops[:-1])
+        ways = [partial(_in_crop, layers, crop) for crop in crops]
+        nothing = jnp.zeros_like(layer_m)
+        return jax.lax.cond(down > 0, lambda: jax.lax.switch(number, ways, *part, top, left), lambda: nothing)
 
     return jax.lax.map(factor, (numbers, cameras_from_box, depth_m))
+
+
+_log_factors_alone = jax.jit(_log_factors, compiler_options=FAST_COMPILE)
+
+
+def _bounds(covered: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """First line of those that hold all that is covered (lines,) and a pixel beside it, and their number."""
+    first = jnp.maximum(jnp.argmax(covered) - 1, 0)
+    after = jnp.minimum(len(covered) - jnp.argmax(covered[::-1]) + 1, len(covered))
+    return first, jnp.where(jnp.any(covered), after - first, 0)
+
+
+def _in_crop(
+    layers: ColourLayers,
+    crop: tuple[int, int],
+    one: jax.Array,
+    camera_from_box: jax.Array,
+    layer_m: jax.Array,
+    top: jax.Array,
+    left: jax.Array,
+) -> jax.Array:
+    """Logs (H, W) of an object's layer (H, W), which a crop from a row and a column on holds."""
+    rows, columns = crop
+    start = jnp.minimum(top, layer_m.shape[0] - rows), jnp.minimum(left, layer_m.shape[1] - columns)
+    camera = replace(layers.camera, cx=layers.camera.cx - start[1], cy=layers.camera.cy - start[0])
+    shows, nothing = layers.depth_density.shown_by(layer_m), jnp.zeros_like(layer_m)
+    layer_m, shows = (jax.lax.dynamic_slice(part, start, crop) for part in (layer_m, shows))
+    model = layers.tables.at(one, _in_box(camera, camera_from_box, layer_m))
+    factors = layers.density.cut(start, crop).log_factor(model, shows, layers.tables.gain_sd[one])
+    return jax.lax.dynamic_update_slice(nothing, factors, start)
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)

@@ -239,8 +239,10 @@ class DepthLikelihood:
         They reach to the pixels beside an object, which its outline may be shifted to. Objects (n,) stand at
         poses (n, 7) camera_from_box.
         """
-        beside = None if self.colours is None else self.colours.beside(frames, objects, poses)
-        log_density, depth_m = object_densities(self.density, layers_m, frames, beside)
+        log_density, depth_m = object_densities(self.density, layers_m, frames)
+        if self.colours is not None:
+            log_colour = self.colours.log_factors(frames, objects, poses, layers_m)
+            log_density += jnp.where(jnp.isfinite(depth_m), log_colour, 0.0)
         return depth_m, log_density
 
     def _log_density(

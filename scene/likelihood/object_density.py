@@ -1,14 +1,15 @@
-"""What objects show in images, each computed where it is and not elsewhere.
+"""What objects show in images, computed where they are and not elsewhere.
 
-`PixelDensity.of_object` looks at every pixel of the image, of which most objects cover a small part. A crop
-that holds the object and the pixels on which its factors depend gives the same numbers. Crops of one size are
-computed together: alone, starting each operation would take longer than its pixels.
+`PixelDensity.of_object` looks at every pixel of the image, of which most objects cover a small part. A factor
+depends on few pixels round its own, so that tiles with a margin of these give the same numbers. Tiles of one
+size serve objects of any: the density is compiled once. They are computed together: alone, starting each
+operation would take longer than its pixels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,24 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
+from scene.likelihood.causal_planes import COLUMNS_BESIDE, ROWS_BEFORE
 from scene.likelihood.pixel_density import PixelDensity
 from shapes.rendering.ray_casting import sort_chosen_first
 
-CROPS = (28, 28), (40, 40), (56, 64), (84, 112)
-"""Pixels of crops, each twice as many as of the one before; what fits none is not cut."""
-MARGIN_PX = 5
-"""The factors of pixels up to two beside an object look at pixels up to three further on."""
+BEYOND_PX = 2
+"""Pixels to the right of and below an object that it still has a part in; to the left and above fewer."""
+ROWS_ABOVE, ROWS_BELOW, COLUMNS_ASIDE = ROWS_BEFORE + 1, 1, COLUMNS_BESIDE + 1
+"""The margin of a tile: planes through pixels before, which tell by the pixels beside them what they show."""
+TILE = 28, 28
+"""Rows and columns with their margins. Of (20, 24) to (44, 48) all take as long; objects are as wide."""
 PIXELS_TOGETHER = 2**14
-"""Of crops that are computed together, so that they stay in a core's cache: speed."""
+"""Of tiles that are computed together, so that they stay in a core's cache: speed."""
 
 LAYERS = 64
 """Of a kernel; kernels run side by side, each on a core, and one size serves any number."""
 
 Layers = tuple[jax.Array, jax.Array]
-
-
-Seen = Callable[[jax.Array, jax.Array, jax.Array, jax.Array, PixelDensity], jax.Array]
-"""Log factor (h, w) in a crop: number of a layer, first row and column, the layer and the density there."""
 
 
 def layer_densities(
@@ -65,100 +65,116 @@ def _layer_densities(density: PixelDensity, layers_m: jax.Array) -> Layers:
     return object_densities(alike, layers_m, jnp.zeros(len(layers_m), jnp.int32))
 
 
-def object_densities(
-    density: PixelDensity, layers_m: jax.Array, frames: jax.Array, beside: Seen | None = None
-) -> Layers:
+def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Array) -> Layers:
     """What `PixelDensity.of_object` gives where depths are finite; elsewhere a log density of 0.
 
     Args:
         density: of F images, leaves (F, ...).
         layers_m: (n, H, W) depth of objects, each alone, +inf beside it.
         frames: (n,) int32 in which image each is seen.
-        beside: what else tells of the pixels that an object covers; None for nothing.
     """
-    count, height, width = layers_m.shape
+    size = layers_m.shape[1:]
+    tile = min(TILE[0], size[0]), min(TILE[1], size[1])
+    layer, row, column, number = _tiles(layers_m, _inside(tile, size))
+    together = min(max(PIXELS_TOGETHER // (tile[0] * tile[1]), 1), len(layer))
+
+    def some(turn: jax.Array, shown: Layers) -> Layers:
+        place = turn * together + jnp.arange(together, dtype=jnp.int32)
+        mine = [part[jnp.minimum(place, len(layer) - 1)] for part in (layer, row, column)]
+        parts, starts, within = jax.vmap(partial(_of_tile, density, layers_m, frames, tile))(*mine)
+        within &= (place < number)[:, None, None]
+
+        def put(one: jax.Array, shown: Layers) -> Layers:
+            start = mine[0][one], starts[0][one], starts[1][one]
+
+            def with_part(whole: jax.Array, part: jax.Array) -> jax.Array:
+                before = jax.lax.dynamic_slice(whole, start, (1, *tile))
+                return jax.lax.dynamic_update_slice(
+                    whole, jnp.where(within[one], part[one], before[0])[None], start
+                )
+
+            return jax.tree.map(with_part, shown, parts)
+
+        return jax.lax.fori_loop(0, together, put, shown)
+
+    nothing = jnp.zeros_like(layers_m), jnp.full_like(layers_m, jnp.inf)
+    return jax.lax.fori_loop(0, -(-number // together), some, nothing)
+
+
+def _inside(tile: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns of a tile without its margin; it needs none where it is as large as the image."""
+    margins = ROWS_ABOVE + ROWS_BELOW, 2 * COLUMNS_ASIDE
+    rows, columns = (
+        part if part == whole else part - margin
+        for part, whole, margin in zip(tile, size, margins, strict=True)
+    )
+    return rows, columns
+
+
+def _tiles(layers_m: jax.Array, inside: tuple[int, int]) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Layer, first row and first column (T,) of tiles, whose insides hold all that objects have a part in.
+
+    Those are the first ones; the last value tells how many.
+    """
     covered = jnp.isfinite(layers_m)
-    (top, down), (left, across) = (_bounds(jnp.any(covered, axis=axis)) for axis in (2, 1))
-    sizes = [crop for crop in CROPS if crop[0] < height and crop[1] < width]
-    way = jnp.zeros(count, jnp.int32)
-    for rows, columns in sizes:
-        way += (down > rows) | (across > columns)
-    way = jnp.where(down > 0, way, len(sizes) + 1)
-    shape = count + 1, height, width
-    shown = jnp.zeros(shape, layers_m.dtype), jnp.full(shape, jnp.inf, layers_m.dtype)
-    for number, (rows, columns) in enumerate([*sizes, (height, width)]):
-        order, mine = sort_chosen_first(way == number)
-        starts = jnp.minimum(top, height - rows), jnp.minimum(left, width - columns)
-        places = order, starts[0][order], starts[1][order]
-        shown = _of_size(density, layers_m, frames, beside, places, mine, (rows, columns), shown)
-    return shown[0][:-1], shown[1][:-1]
+    starts, taken = [], []
+    for axis, length in enumerate(inside, 1):
+        first, after = _bounds(jnp.any(covered, axis=3 - axis))
+        most = -(-layers_m.shape[axis] // length)
+        start = first[:, None] + length * jnp.arange(most, dtype=jnp.int32)[None]
+        starts.append(start)
+        taken.append(start < after[:, None])
+    rows, columns = starts
+    order, number = sort_chosen_first((taken[0][:, :, None] & taken[1][:, None]).ravel())
+    layer, which = jnp.divmod(order, rows.shape[1] * columns.shape[1])
+    return layer, rows[layer, which // columns.shape[1]], columns[layer, which % columns.shape[1]], number
 
 
 def _bounds(covered: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """First line (n,) of crops that hold all that is covered (n, lines), and how many lines they need."""
+    """The first line (n,) that objects covering lines (n, lines) have a part in, and that after the last."""
     lines = covered.shape[1]
-    first = jnp.maximum(jnp.argmax(covered, axis=1) - MARGIN_PX, 0)
-    after = jnp.minimum(lines - jnp.argmax(covered[:, ::-1], axis=1) + MARGIN_PX, lines)
-    return first, jnp.where(jnp.any(covered, axis=1), after - first, 0)
+    first = jnp.maximum(jnp.argmax(covered, axis=1) - BEYOND_PX, 0)
+    after = jnp.minimum(lines - jnp.argmax(covered[:, ::-1], axis=1) + BEYOND_PX, lines)
+    return first.astype(jnp.int32), jnp.where(jnp.any(covered, axis=1), after, 0)
 
 
-def _of_size(
+def _of_tile(
     density: PixelDensity,
     layers_m: jax.Array,
     frames: jax.Array,
-    beside: Seen | None,
-    places: tuple[jax.Array, jax.Array, jax.Array],
-    count: jax.Array,
-    crop: tuple[int, int],
-    shown: Layers,
-) -> Layers:
-    """`shown` with what the first `count` of the layers at `places` show, in crops of one size.
+    tile: tuple[int, int],
+    which: jax.Array,
+    row: jax.Array,
+    column: jax.Array,
+) -> tuple[Layers, tuple[jax.Array, jax.Array], jax.Array]:
+    """Log density and depth of a layer in a tile, its first row and column, and what is inside its margin.
 
     Args:
         density: of all images.
         layers_m: (n, H, W).
         frames: (n,).
-        beside: as `object_densities` has it.
-        places: number of a layer, first row and first column of its crop, (n,) each.
-        count: of layers whose crops have this size.
-        crop: rows and columns.
-        shown: log density and depth (n + 1, H, W); the last are written where there is no layer.
+        tile: rows and columns.
+        which: number of the layer.
+        row: first one inside the margin.
+        column: likewise.
     """
-    together = min(max(PIXELS_TOGETHER // (crop[0] * crop[1]), 1), len(frames))
+    size = layers_m.shape[1:]
+    top = jnp.clip(row - ROWS_ABOVE, 0, size[0] - tile[0])
+    left = jnp.clip(column - COLUMNS_ASIDE, 0, size[1] - tile[1])
 
-    def one(which: jax.Array, row: jax.Array, column: jax.Array) -> Layers:
-        def cut(images: jax.Array, number: jax.Array) -> jax.Array:
-            if images.ndim < 3:  # no images, but numbers
-                return images[number]
-            start = (number, *[jnp.int32(0)] * (images.ndim - 3), row, column)
-            return jax.lax.dynamic_slice(images, start, (1, *images.shape[1:-2], *crop))[0]
+    def cut(images: jax.Array, number: jax.Array) -> jax.Array:
+        if images.ndim < 3:  # no images, but numbers
+            return images[number]
+        start = (number, *[jnp.int32(0)] * (images.ndim - 3), top, left)
+        return jax.lax.dynamic_slice(images, start, (1, *images.shape[1:-2], *tile))[0]
 
-        frame = frames[which]
-        image = jax.tree.map(lambda leaf: cut(leaf, frame), density.image)
-        sensor = replace(density, image=None, log_rest=None)
-        mine = replace(jax.tree.map(lambda leaf: leaf[frame], sensor), image=image)
-        layer_m = cut(layers_m, which)
-        log_density, depth_m = mine.of_object(layer_m)
-        if beside is not None:
-            log_density += jnp.where(jnp.isfinite(layer_m), beside(which, row, column, layer_m, mine), 0.0)
-        log_density = jnp.where(jnp.isfinite(depth_m), log_density, 0.0)
-        return log_density.astype(layers_m.dtype), depth_m.astype(layers_m.dtype)
-
-    def some(turn: jax.Array, shown: Layers) -> Layers:
-        number = turn * together + jnp.arange(together, dtype=jnp.int32)
-        taken = jnp.minimum(number, len(frames) - 1)
-        which, rows, columns = (part[taken].astype(jnp.int32) for part in places)
-        parts = jax.vmap(one)(which, rows, columns)
-        target = jnp.where(number < count, which, len(frames))
-        for place in range(together):
-            start = target[place], rows[place], columns[place]
-            shown = jax.tree.map(
-                lambda whole, part, start=start, place=place: jax.lax.dynamic_update_slice(
-                    whole, part[place][None], start
-                ),
-                shown,
-                parts,
-            )
-        return shown
-
-    return jax.lax.fori_loop(0, -(-count // together), some, shown)
+    frame = frames[which]
+    image = jax.tree.map(lambda leaf: cut(leaf, frame), density.image)
+    sensor = replace(density, image=None, log_rest=None)
+    mine = replace(jax.tree.map(lambda leaf: leaf[frame], sensor), image=image)
+    log_density, depth_m = mine.of_object(cut(layers_m, which))
+    log_density = jnp.where(jnp.isfinite(depth_m), log_density, 0.0)
+    rows, columns = _inside(tile, size)
+    below, beside = top + jnp.arange(tile[0]) - row, left + jnp.arange(tile[1]) - column
+    within = ((below >= 0) & (below < rows))[:, None] & ((beside >= 0) & (beside < columns))[None]
+    return (log_density.astype(layers_m.dtype), depth_m.astype(layers_m.dtype)), (top, left), within

@@ -118,7 +118,7 @@ def test_a_plane_of_which_much_was_seen_is_known_as_well_as_a_shape(seed: int) -
     assert abs(gains[inside].mean()) < 0.1
 
 
-def test_a_crop_gives_what_the_whole_image_does(seed: int) -> None:
+def test_tiles_give_what_the_whole_image_does(seed: int) -> None:
     """Objects small and large, at the border and beyond it, holes in the image: all but rounding."""
     rng = np.random.default_rng(seed)
     size = 84, 112
@@ -133,11 +133,11 @@ def test_a_crop_gives_what_the_whole_image_does(seed: int) -> None:
             0.8, 1.1
         )
     one = jax.tree.map(lambda leaf: leaf[None], density)
-    log_cropped, depth_cropped = jax.jit(object_densities)(one, layers_m, np.zeros(24, np.int32))
+    log_tiled, depth_tiled = jax.jit(object_densities)(one, layers_m, np.zeros(24, np.int32))
     log_whole, depth_m = jax.jit(partial(jax.lax.map, density.of_object))(layers_m)
-    np.testing.assert_array_equal(depth_cropped, depth_m)
+    np.testing.assert_array_equal(depth_tiled, depth_m)
     expected = np.where(np.isfinite(depth_m), log_whole, 0.0)
-    np.testing.assert_allclose(np.asarray(log_cropped), expected, atol=2e-3)
+    np.testing.assert_allclose(np.asarray(log_tiled), expected, atol=2e-3)
 
 
 def test_the_sampler_draws_from_it(seed: int) -> None:
