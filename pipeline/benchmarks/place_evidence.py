@@ -28,7 +28,7 @@ from scene.presence.births import born_near, distinct, solids_near
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.inference import MOST_SOLIDS
 from scene.presence.pose_priors import PosePriors
-from scene.presence.posterior import drawn_candidates
+from scene.presence.posterior import drawn_ensemble
 from scene.presence.size_prior import SizePrior
 from scene.presence.solid_proposals import proposed_solids
 from scene.presence.toggling import ABSENT, Candidates
@@ -98,7 +98,7 @@ class PlaceEvidence:
         proposed = proposed_solids(self.compared.data, world_from_camera, MOST_SOLIDS)
         solids = solids_near(rng, frames, priors, *proposed)
         nowhere = np.full(count, -np.inf)
-        return drawn_candidates(rng, frames, priors, mixture, solids, nowhere)[1]
+        return drawn_ensemble(rng, frames, priors, mixture, solids, nowhere, None).candidates
 
     def _frames(self, count: int) -> PresenceFrames:
         objects = [self.one] * count

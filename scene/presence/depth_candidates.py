@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,6 +121,8 @@ def candidates_of(
     is_round: NDArray[np.bool_],
     log_offered: NDArray[np.float64],
     log_hidden: NDArray[np.float64],
+    before: Sequence[SlotLayers],
+    anew: NDArray[np.bool_],
 ) -> Candidates:
     """Candidates ready for moves.
 
@@ -132,20 +134,41 @@ def candidates_of(
         is_round: (U,) which of these are cylinders.
         log_offered: (N + U, K) log q.
         log_hidden: (N,).
+        before: what slots showed that are as before.
+        anew: (N + U,) which are not.
     """
-    slots, count = log_offered.shape
-    asked = slots - len(is_round)
-    seen = [frames.shown(rng, np.repeat(np.arange(asked), count), states[:asked].reshape(-1, 10))]
-    if len(is_round):
-        seen.append(frames.shown_solids(states[asked:].reshape(-1, 10), np.repeat(is_round, count)))
-    depth_m, gain = (np.concatenate(leaves) for leaves in zip(*seen, strict=True))
-    layers = [
-        slot_layers(depth_m[first : first + count], gain[first : first + count])
-        for first in range(0, slots * count, count)
-    ]
+    asked, slots = len(log_offered) - len(is_round), np.arange(len(log_offered))
+    some = np.flatnonzero(anew)
+    layers = dict(enumerate(before)) | dict(
+        zip(some.tolist(), _slots_shown(rng, frames, some, states[some], is_round, asked), strict=True)
+    )
     log_sizes = priors.sizes.log_density(states[:asked, :, 7:], np.arange(asked))
     log_solids = log_sizes_density(states[asked:, :, 7:], is_round[:, None])
     half_m = np.concatenate([np.exp(states[:asked, :, 7:]), solid_half_sizes(states[asked:])])
     prior = priors.of(states[..., :7], half_m, np.concatenate([log_sizes, log_solids]), asked)
     log_hidden = np.append(log_hidden, np.full(len(is_round), -np.inf))
-    return Candidates(layers, log_offered, prior, log_hidden)
+    return Candidates([layers[slot] for slot in slots.tolist()], log_offered, prior, log_hidden)
+
+
+def _slots_shown(
+    rng: np.random.Generator,
+    frames: PresenceFrames,
+    slots: NDArray[np.integer],
+    states: NDArray[np.float64],
+    is_round: NDArray[np.bool_],
+    asked: int,
+) -> list[SlotLayers]:
+    """What slots (n,) show in states (n, K, 10); the first `asked` of all are objects, the rest solids."""
+    count = states.shape[1]
+    objects, solids = slots[slots < asked], slots[slots >= asked] - asked
+    seen = []
+    if len(objects):
+        seen.append(frames.shown(rng, np.repeat(objects, count), states[: len(objects)].reshape(-1, 10)))
+    if len(solids):
+        rounds = np.repeat(is_round[solids], count)
+        seen.append(frames.shown_solids(states[len(objects) :].reshape(-1, 10), rounds))
+    return [
+        slot_layers(*one)
+        for part in seen
+        for one in zip(*(leaf.reshape(-1, count, leaf.shape[1]) for leaf in part), strict=True)
+    ]

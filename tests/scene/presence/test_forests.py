@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pipeline.benchmarks.cubes import cube_model
 from scene.hidden.hidden_places import HiddenPlaces
@@ -18,6 +19,7 @@ from scene.model.number_prior import (
 )
 from scene.model.prior import WeightedTrees
 from scene.model.scene_graph import ROOT, SceneGraph, all_trees
+from scene.objects.orientations import cube_rotations
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.pose_priors import PosePriors
@@ -154,14 +156,15 @@ def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int)
 
 
 def presence_without_data(priors: PosePriors, seed: int, chains: int = 16) -> Presence:
-    """Of three slots."""
+    """Of three slots, in a cloud of all rotations: round one alone draws would go all the way round."""
     rng = np.random.default_rng(seed)
-    centre = np.array([1.0, 0, 0, 0, 0, 0, 0.2, *np.log([0.5, 0.5, 0.5])])
-    widths = np.array([0.7, 0.7, 0.8, 1.2, 1.2, 1.2, 0.12, 0.12, 0.12])
+    wxyz = Rotation.from_matrix(cube_rotations()).as_quat(scalar_first=True)
+    centres = np.concatenate([wxyz, np.tile([0, 0, 0.2, *np.log([0.5, 0.5, 0.5])], (len(wxyz), 1))], axis=1)
+    widths = np.array([0.7, 0.7, 0.8, 0.5, 0.5, 0.5, 0.12, 0.12, 0.12])
     cloud = StateMixture(
-        log_weights=np.zeros((3, 1)),
-        centres=np.tile(centre, (3, 1, 1)),
-        factors=np.tile(np.diag(widths), (3, 1, 1, 1)),
+        log_weights=np.full((3, len(wxyz)), -np.log(len(wxyz))),
+        centres=np.tile(centres, (3, 1, 1)),
+        factors=np.tile(np.diag(widths), (3, len(wxyz), 1, 1)),
         points_m=np.zeros((3, 3)),
         ties=priors.sizes.ties,
     )

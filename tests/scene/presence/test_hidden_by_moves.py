@@ -11,7 +11,7 @@ from scene.hidden.hidden_objects import hidden_posterior
 from scene.model.number_prior import BinomialNumber
 from scene.objects.scene_object import scene_object
 from scene.presence.forests import ForestPrior
-from scene.presence.posterior import chain_presence
+from scene.presence.posterior import Ensemble, chain_presence
 from scene.presence.toggling import Candidates, SlotLayers
 
 COUNT, DRAWINGS, CHAINS = 64, 12, 16
@@ -34,17 +34,18 @@ def test_moves_tell_what_the_sum_tells(name: str, seed: int) -> None:
         number = BinomialNumber(PRESENCE)
         exact = hidden_posterior(rng, [objects[MUG]], PRIOR, behind, number, draws=8192)
 
-        def draw(poses: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, Candidates]:
+        def draw(before: Ensemble | None) -> Ensemble:
             drawn = PRIOR.draw(rng, [objects[MUG]], COUNT)
-            drawn[kept, 0] = poses[kept]
+            if before is not None and before.in_use[0]:
+                drawn[0, 0] = before.chosen[0]
             gain = behind.log_ratios(objects[MUG], drawn[0]).astype(np.float32)[:, None]
             layers = SlotLayers(np.zeros(1, np.intp), np.ones_like(gain), gain)
             alone, others = np.ones((1, COUNT)), np.zeros((1, COUNT, 1, COUNT))
             prior = ForestPrior(alone, others, np.zeros(2), number.log_set_probabilities(1), 1)
-            return drawn, Candidates([layers], np.zeros((1, COUNT)), prior, np.full(1, -np.inf))
+            candidates = Candidates([layers], np.zeros((1, COUNT)), prior, np.full(1, -np.inf))
+            return Ensemble.of(drawn, candidates, before)
 
-        nowhere = np.eye(4)[None]
-        told = [chain_presence(rng, draw, nowhere, DRAWINGS, 2)[0][0, 0] for _ in range(CHAINS)]
+        told = [chain_presence(rng, draw, None, DRAWINGS, 2)[0][0, 0] for _ in range(CHAINS)]
 
     error = np.hypot(np.std(told, ddof=1) / np.sqrt(CHAINS), exact.standard_error[0])
     print(f"{name}: moves {np.mean(told):.3f}, exact {exact.presence[0]:.3f}, error {error:.3f}")

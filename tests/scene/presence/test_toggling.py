@@ -1,6 +1,7 @@
 """Moves among candidates: a transition matrix, a world of strips, calibration on its own draws."""
 
 import itertools
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scene.model.number_prior import BinomialNumber
 from scene.presence import posterior, toggling
 from scene.presence.counts import Visit, number_probabilities
 from scene.presence.forests import ForestPrior
-from scene.presence.posterior import chain_presence
+from scene.presence.posterior import Ensemble, chain_presence
 from scene.presence.toggling import ABSENT, Candidates, SlotLayers, reseated
 from tests.scene.presence import strips
 from tests.statistical import assert_mean
@@ -132,12 +133,43 @@ def chain_in_strips(
     """Presence (N,) by one chain from the empty scene, and what its moves knew."""
     rng = np.random.default_rng(seed)
 
-    def draw(places: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, Candidates]:
-        return strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
+    def draw(before: Ensemble | None) -> Ensemble:
+        kept = np.zeros(len(kinds), bool) if before is None else before.in_use
+        places = kept if before is None else before.chosen
+        drawn = strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
+        return Ensemble.of(*drawn, before)
 
-    nowhere = np.zeros(len(kinds), int)
-    presence, _, _, visits = chain_presence(rng, draw, nowhere, drawings=40, sweeps=2)
+    presence, _, visits = chain_presence(rng, draw, drawings=40, sweeps=2)
     return presence[:, 0], visits
+
+
+def test_presence_where_slots_are_drawn_in_turn(seed: int) -> None:
+    """Candidates of one slot at a time are drawn anew: chains that go on tell the sum over 441 scenes."""
+    observed_m, kinds, number = strip(seed), np.array([0, 1]), BinomialNumber(0.5)
+    exact = strips.exact_presence(observed_m, kinds, number)
+    assert ((exact > 0.02) & (exact < 0.98)).any()
+
+    def told(run: int) -> np.ndarray:
+        rng = np.random.default_rng(seed + 1000 * run)
+
+        def draw(before: Ensemble | None, slots: np.ndarray) -> Ensemble:
+            places = rng.integers(strips.PLACES, size=(2, 8))
+            if before is not None:
+                places = np.where(slots[:, None], places, before.states)
+                kept = before.in_use & slots
+                places[kept, 0] = before.chosen[kept]
+            candidates = strips.candidates_at(observed_m, kinds, number, places)
+            return Ensemble.of(places, candidates, before, slots)
+
+        _, ensemble, _ = chain_presence(rng, partial(draw, slots=np.ones(2, bool)), None, 2, 2)
+        sums = np.zeros(2)
+        for turn in range(60):
+            one = partial(draw, slots=np.arange(2) == turn % 2)
+            presence, ensemble, _ = chain_presence(rng, one, ensemble, 1, 2)
+            sums += presence[:, 0]
+        return sums / 60
+
+    assert_mean([told(run) for run in range(40)], exact, detectable=0.1)
 
 
 def seats_in_strips(seed: int, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
