@@ -101,7 +101,7 @@ def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Arr
     return jax.lax.fori_loop(0, -(-number // together), some, nothing)
 
 
-def _inside(tile: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+def _inside(tile: tuple[int, int], size: tuple[int, ...]) -> tuple[int, int]:
     """Rows and columns of a tile without its margin; it needs none where it is as large as the image."""
     margins = ROWS_ABOVE + ROWS_BELOW, 2 * COLUMNS_ASIDE
     rows, columns = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,7 +121,7 @@ def candidates_of(
     is_round: NDArray[np.bool_],
     log_offered: NDArray[np.float64],
     log_hidden: NDArray[np.float64],
-    before: Sequence[SlotLayers],
+    before: Candidates | None,
     anew: NDArray[np.bool_],
 ) -> Candidates:
     """Candidates ready for moves.
@@ -134,18 +134,18 @@ def candidates_of(
         is_round: (U,) which of these are cylinders.
         log_offered: (N + U, K) log q.
         log_hidden: (N,).
-        before: what slots showed that are as before.
-        anew: (N + U,) which are not.
+        before: candidates of which slots that are not `anew` keep theirs.
+        anew: (N + U,) which are.
     """
     asked, slots = len(log_offered) - len(is_round), np.arange(len(log_offered))
     some = np.flatnonzero(anew)
-    layers = dict(enumerate(before)) | dict(
-        zip(some.tolist(), _slots_shown(rng, frames, some, states[some], is_round, asked), strict=True)
-    )
+    layers = {} if before is None else dict(enumerate(before.layers))
+    layers |= zip(some.tolist(), _slots_shown(rng, frames, some, states[some], is_round, asked), strict=True)
     log_sizes = priors.sizes.log_density(states[:asked, :, 7:], np.arange(asked))
     log_solids = log_sizes_density(states[asked:, :, 7:], is_round[:, None])
     half_m = np.concatenate([np.exp(states[:asked, :, 7:]), solid_half_sizes(states[asked:])])
-    prior = priors.of(states[..., :7], half_m, np.concatenate([log_sizes, log_solids]), asked)
+    log_sizes = np.concatenate([log_sizes, log_solids])
+    prior = priors.of(states[..., :7], half_m, log_sizes, asked, before and before.prior, anew)
     log_hidden = np.append(log_hidden, np.full(len(is_round), -np.inf))
     return Candidates([layers[slot] for slot in slots.tolist()], log_offered, prior, log_hidden)
 

@@ -80,6 +80,8 @@ class PosePriors:
         half_m: NDArray[np.float64],
         log_sizes: NDArray[np.float64],
         asked: int,
+        before: ForestPrior | None = None,
+        anew: NDArray[np.bool_] | None = None,
     ) -> ForestPrior:
         """Of candidates (N + U, K, 7) world_from_box of N objects that are asked for, then of solids.
 
@@ -88,18 +90,25 @@ class PosePriors:
             half_m: (N + U, K, 3) half sizes of their boxes.
             log_sizes: (N + U, K) log density of these, of solids with their rate.
             asked: N.
+            before: of other candidates of the slots that are `anew`, and the same ones of the others.
+            anew: (N + U,) which are; None for all.
         """
         slots, count = poses.shape[:2]
-        rate = np.exp(log_sizes)
-        on_others = np.zeros((slots * count, slots * count))
+        anew = np.ones(slots, bool) if anew is None else anew
+        rate = np.exp(log_sizes[anew])
+        on_root = np.zeros((slots, count)) if before is None else before.on_root.copy()
+        on_root[anew] = rate * self.alone(poses[anew], half_m[anew])
+        on_others = np.zeros((slots, count, slots, count)) if before is None else before.on_others.copy()
         log_trees = np.zeros(slots + 1)
         if self.grafts:
-            child, parent = self._near(poses, half_m)
+            on_others[anew], on_others[:, :, anew] = 0.0, 0.0
+            child, parent = self._near(poses, half_m, anew)
             flat = poses.reshape(-1, 7), half_m.reshape(-1, 3)
-            on_others[child, parent] = self._contacts(*(part[np.stack([parent, child])] for part in flat))
+            densities = self._contacts(*(part[np.stack([parent, child])] for part in flat))
+            places = np.unravel_index(child, (slots, count)) + np.unravel_index(parent, (slots, count))
+            on_others[places] = np.exp(log_sizes.ravel()[child]) * densities
             log_trees = log_weighted_trees(self.floating_weight, len(self.supports), slots)
-        on_others = rate[..., None, None] * on_others.reshape(slots, count, slots, count)
-        return ForestPrior(rate * self.alone(poses, half_m), on_others, log_trees, self.log_sets, asked)
+        return ForestPrior(on_root, on_others, log_trees, self.log_sets, asked)
 
     def alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weights (n, S) of poses (n, S, 7) of boxes (n, S, 3) by themselves, floating or on a support."""
@@ -121,16 +130,17 @@ class PosePriors:
         return self.floating_weight * floating + contacts.reshape(shape).sum(axis=0).reshape(floating.shape)
 
     def _near(
-        self, poses: NDArray[np.float64], half_m: NDArray[np.float64]
+        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], anew: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Children and parents (P,) among the candidates of different slots whose boxes may touch."""
+        """Children and parents (P,) of different slots, one of them `anew`, whose boxes may touch."""
         owners = np.repeat(np.arange(len(poses)), poses.shape[1])
         places_m, radii = poses[..., 4:].reshape(-1, 3), np.linalg.norm(half_m, axis=-1).ravel()
         slack_m = TOUCHING_SIGMAS * float(self.prior.loose_sigma_m)
         near = KDTree(places_m).query_pairs(2 * radii.max() + slack_m, output_type="ndarray")
         far_m = np.linalg.norm(places_m[near[:, 0]] - places_m[near[:, 1]], axis=1)
         touch = far_m < radii[near].sum(axis=1) + slack_m
-        first, second = near[touch & (owners[near[:, 0]] != owners[near[:, 1]])].T
+        first, second = owners[near].T
+        first, second = near[touch & (first != second) & (anew[first] | anew[second])].T
         return np.append(first, second), np.append(second, first)
 
     def _contacts(

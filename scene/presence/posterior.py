@@ -164,15 +164,16 @@ def drawn_ensemble(
         slots: (N,) which get other candidates; None for all.
     """
     states = np.concatenate([mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
-    anew, layers = np.ones(len(states), bool) if slots is None else slots, ()
+    anew = np.ones(len(states), bool) if slots is None else slots
     if before is not None:
-        states, layers = np.where(anew[:, None, None], states, before.states), before.candidates.layers
+        states = np.where(anew[:, None, None], states, before.states)
         kept = before.in_use & anew
         states[kept, 0] = before.chosen[kept]
     objects = len(mixture.centres)
     log_offered = [mixture.log_density(states[:objects]), solids.log_density(states[objects:])]
     given = states, solids.is_round, np.concatenate(log_offered), log_hidden
-    return Ensemble.of(states, candidates_of(rng, frames, priors, *given, layers, anew), before, anew)
+    candidates = candidates_of(rng, frames, priors, *given, before and before.candidates, anew)
+    return Ensemble.of(states, candidates, before, anew)
 
 
 def presence_posterior(

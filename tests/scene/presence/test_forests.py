@@ -113,6 +113,23 @@ def test_the_prior_is_that_of_the_chains(seed: int) -> None:
     np.testing.assert_allclose(found, np.log(total), atol=1e-9)
 
 
+def test_what_is_drawn_anew_alone_is_weighed_as_with_all(seed: int) -> None:
+    """Three slots of four candidates, of which the second gets others: all weights are as of all at once."""
+    rng, priors = np.random.default_rng(seed), priors_of(3, BinomialNumber(0.5))
+    first, second = (random_poses(rng, 12).reshape(3, 4, 7) for _ in range(2))
+    anew = np.array([False, True, False])
+    poses = np.where(anew[:, None, None], second, first)
+    half_m, log_sizes = np.full((3, 4, 3), 0.5), rng.normal(size=(3, 4))
+
+    whole = priors.of(poses, half_m, log_sizes, 3)
+    before = priors.of(first, half_m, np.where(anew[:, None], 0.0, log_sizes), 3)
+    found = priors.of(poses, half_m, log_sizes, 3, before, anew)
+
+    assert (whole.on_others > 0).any()
+    np.testing.assert_allclose(found.on_others, whole.on_others, rtol=1e-6)
+    np.testing.assert_allclose(found.on_root, whole.on_root, rtol=1e-6)
+
+
 class NothingSeen(PresenceFrames):
     """Images that say nothing: every candidate is seen at one pixel, which it leaves as likely as it is."""
 
