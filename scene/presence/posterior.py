@@ -23,7 +23,7 @@ from scene.presence.state_mixture import StateMixture
 from scene.presence.toggling import ABSENT, Candidates, toggle
 
 CANDIDATES = 24
-"""K of a slot: of draws from a fitted Gaussian in six dimensions a third or so then counts."""
+"""K of a slot: what it takes to render them is what presence takes."""
 
 DRAWN, SWEEPS = 3, 8
 """How often candidates are drawn in a chain, and sweeps with each."""
