@@ -172,7 +172,7 @@ def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int)
     np.testing.assert_allclose(told.number, np.tile(numbers, (3, 1)), atol=5 * 3 * error.max())
 
 
-def presence_without_data(priors: PosePriors, seed: int, chains: int = 16) -> Presence:
+def presence_without_data(priors: PosePriors, seed: int, chains: int = 8) -> Presence:
     """Of three slots, in a cloud of all rotations: round one alone draws would go all the way round."""
     rng = np.random.default_rng(seed)
     wxyz = Rotation.from_matrix(cube_rotations()).as_quat(scalar_first=True)
@@ -202,5 +202,5 @@ def test_mutants_do_not_return_it(mutant: str, seed: int, monkeypatch: pytest.Mo
         )
     else:
         monkeypatch.setattr(pose_priors, "LOG_CONTACT_JACOBIAN", 0.0)
-    told = presence_without_data(priors_of(3, UncertainBinomialNumber(0.7)), seed, chains=12)
+    told = presence_without_data(priors_of(3, UncertainBinomialNumber(0.7)), seed, chains=6)
     assert np.abs(told.probability.mean() - 0.7) > 5 * told.standard_error.mean()
