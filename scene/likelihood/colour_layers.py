@@ -229,7 +229,7 @@ def _bounds(covered: jax.Array) -> tuple[jax.Array, jax.Array]:
     """First line of those that hold all that is covered (lines,) and a pixel beside it, and their number."""
     first = jnp.maximum(jnp.argmax(covered) - 1, 0)
     after = jnp.minimum(len(covered) - jnp.argmax(covered[::-1]) + 1, len(covered))
-    return first, jnp.where(jnp.any(covered), after - first, 0)
+    return first.astype(jnp.int32), jnp.where(jnp.any(covered), after - first, 0).astype(jnp.int32)
 
 
 def _in_crop(

@@ -1,0 +1,54 @@
+"""What colours tell of layers, each in a crop of its own."""
+
+import jax
+import numpy as np
+import pytest
+
+from recordings.types import DepthNoise
+from scene.likelihood import colour_layers
+from scene.likelihood.colour_density import ColourDensity
+from scene.likelihood.colour_layers import ColourLayers, ColourTables
+from scene.likelihood.pixel_density import PixelDensity
+from shapes.geometry.camera import Camera
+
+HEIGHT, WIDTH, CELLS = 90, 120, 10
+
+
+def painted_layers(rng: np.random.Generator) -> ColourLayers:
+    """Of two painted cubes of 40 cm before a wall one metre away, which the image shows in other colours."""
+    observed_m = rng.normal(1.0, 0.003, (HEIGHT, WIDTH)).astype(np.float32)
+    depth = PixelDensity.of(observed_m, np.ones_like(observed_m), DepthNoise(), 0.003, 2)
+    colours = rng.normal(scale=0.6, size=(HEIGHT, WIDTH, 3))
+    tables = ColourTables(
+        values=rng.normal(scale=0.6, size=(2 * CELLS**3, 3)).astype(np.float32),
+        first=np.array([0, CELLS**3], np.int32),
+        size=np.full((2, 3), CELLS, np.int32),
+        origin_m=np.full((2, 3), -0.2, np.float32),
+        pitch_m=np.full(2, 0.4 / CELLS, np.float32),
+        gain_sd=np.full((2, 3), 0.3, np.float32),
+    )
+    camera = Camera(*(np.float32(part) for part in (140.0, 140.0, WIDTH / 2, HEIGHT / 2)))
+    known = np.ones((HEIGHT, WIDTH), bool)
+    return ColourLayers(ColourDensity.of(colours, known), depth, tables, camera)
+
+
+def test_a_crop_tells_what_the_whole_window_does(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Objects small and large, at the border and beyond it, and one that is not seen: all but rounding."""
+    rng = np.random.default_rng(seed)
+    with jax.enable_x64(False):
+        layers = painted_layers(rng)
+    layers_m = np.full((16, HEIGHT, WIDTH), np.inf, np.float32)
+    for layer_m in layers_m[1:]:
+        row, column, down, across = *rng.integers((-20, -20), (HEIGHT, WIDTH)), *rng.integers(2, 100, 2)
+        layer_m[max(row, 0) : max(row + down, 0), max(column, 0) : max(column + across, 0)] = 0.99
+    numbers, poses = np.arange(16) % 2, np.tile([1.0, 0, 0, 0, 0, 0, 1.0], (16, 1))
+
+    with jax.enable_x64(False):  # as the search has it
+        cropped = np.asarray(layers.log_factors(numbers, poses, layers_m))
+        monkeypatch.setattr(colour_layers, "CROPS", ())
+        colour_layers._log_factors_alone.clear_cache()
+        whole = np.asarray(layers.log_factors(numbers, poses, layers_m))
+    colour_layers._log_factors_alone.clear_cache()
+
+    assert np.abs(whole).max() > 0.1
+    np.testing.assert_allclose(cropped, whole, atol=2e-3)
