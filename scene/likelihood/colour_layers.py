@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from scene.execution import FAST_COMPILE
 from scene.likelihood.colour_density import ANY_SD, GAIN_SD, SURFACE_SD, ColourDensity, window_colours
+from scene.likelihood.object_density import lines_around
 from scene.likelihood.pixel_density import PixelDensity
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
@@ -213,23 +214,22 @@ def _log_factors(
     def factor(part: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         _, _, layer_m = part
         covered = jnp.isfinite(layer_m)
-        (top, down), (left, across) = (_bounds(jnp.any(covered, axis=axis)) for axis in (1, 0))
-        number = sum(((down > rows) | (across > columns)).astype(jnp.int32) for rows, columns in crops[:-1])
+        (top, below), (left, right) = (lines_around(jnp.any(covered, axis=axis), 1) for axis in (1, 0))
+        number = jnp.int32(0)
+        for rows, columns in crops[:-1]:
+            number += (below - top > rows) | (right - left > columns)
+        shows = layers.depth_density.shown_by(layer_m)
         ways = [partial(_in_crop, layers, crop) for crop in crops]
-        nothing = jnp.zeros_like(layer_m)
-        return jax.lax.cond(down > 0, lambda: jax.lax.switch(number, ways, *part, top, left), lambda: nothing)
+        return jax.lax.cond(
+            below > 0,
+            lambda: jax.lax.switch(number, ways, *part, shows, top, left),
+            lambda: jnp.zeros_like(layer_m),
+        )
 
     return jax.lax.map(factor, (numbers, cameras_from_box, depth_m))
 
 
 _log_factors_alone = jax.jit(_log_factors, compiler_options=FAST_COMPILE)
-
-
-def _bounds(covered: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """First line of those that hold all that is covered (lines,) and a pixel beside it, and their number."""
-    first = jnp.maximum(jnp.argmax(covered) - 1, 0)
-    after = jnp.minimum(len(covered) - jnp.argmax(covered[::-1]) + 1, len(covered))
-    return first.astype(jnp.int32), jnp.where(jnp.any(covered), after - first, 0).astype(jnp.int32)
 
 
 def _in_crop(
@@ -238,14 +238,15 @@ def _in_crop(
     one: jax.Array,
     camera_from_box: jax.Array,
     layer_m: jax.Array,
+    shows: jax.Array,
     top: jax.Array,
     left: jax.Array,
 ) -> jax.Array:
-    """Logs (H, W) of an object's layer (H, W), which a crop from a row and a column on holds."""
+    """Logs (H, W) of a layer, in a crop from (top, left) on; pixels show it with probability (H, W)."""
     rows, columns = crop
     start = jnp.minimum(top, layer_m.shape[0] - rows), jnp.minimum(left, layer_m.shape[1] - columns)
     camera = replace(layers.camera, cx=layers.camera.cx - start[1], cy=layers.camera.cy - start[0])
-    shows, nothing = layers.depth_density.shown_by(layer_m), jnp.zeros_like(layer_m)
+    nothing = jnp.zeros_like(layer_m)
     layer_m, shows = (jax.lax.dynamic_slice(part, start, crop) for part in (layer_m, shows))
     model = layers.tables.at(one, _in_box(camera, camera_from_box, layer_m))
     factors = layers.density.cut(start, crop).log_factor(model, shows, layers.tables.gain_sd[one])

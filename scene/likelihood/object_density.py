@@ -119,7 +119,7 @@ def _tiles(layers_m: jax.Array, inside: tuple[int, int]) -> tuple[jax.Array, jax
     covered = jnp.isfinite(layers_m)
     starts, taken = [], []
     for axis, length in enumerate(inside, 1):
-        first, after = _bounds(jnp.any(covered, axis=3 - axis))
+        first, after = lines_around(jnp.any(covered, axis=3 - axis), BEYOND_PX)
         most = -(-layers_m.shape[axis] // length)
         start = first[:, None] + length * jnp.arange(most, dtype=jnp.int32)[None]
         starts.append(start)
@@ -130,12 +130,16 @@ def _tiles(layers_m: jax.Array, inside: tuple[int, int]) -> tuple[jax.Array, jax
     return layer, rows[layer, which // columns.shape[1]], columns[layer, which % columns.shape[1]], number
 
 
-def _bounds(covered: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The first line (n,) that objects covering lines (n, lines) have a part in, and that after the last."""
-    lines = covered.shape[1]
-    first = jnp.maximum(jnp.argmax(covered, axis=1) - BEYOND_PX, 0)
-    after = jnp.minimum(lines - jnp.argmax(covered[:, ::-1], axis=1) + BEYOND_PX, lines)
-    return first.astype(jnp.int32), jnp.where(jnp.any(covered, axis=1), after, 0)
+def lines_around(covered: jax.Array, beyond: int) -> tuple[jax.Array, jax.Array]:
+    """First line (...) of what is covered (..., lines) and of so many beside it, and the line after the last.
+
+    That is 0 where nothing is covered.
+    """
+    lines = covered.shape[-1]
+    first = jnp.maximum(jnp.argmax(covered, axis=-1) - beyond, 0)
+    after = jnp.minimum(lines - jnp.argmax(covered[..., ::-1], axis=-1) + beyond, lines)
+    there = jnp.any(covered, axis=-1)
+    return first.astype(jnp.int32), jnp.where(there, after, 0).astype(jnp.int32)
 
 
 def _of_tile(

@@ -137,8 +137,7 @@ def candidates_of(
         before: candidates of which slots that are not `anew` keep theirs.
         anew: (N + U,) which are.
     """
-    asked, slots = len(log_offered) - len(is_round), np.arange(len(log_offered))
-    some = np.flatnonzero(anew)
+    asked, some = len(log_offered) - len(is_round), np.flatnonzero(anew)
     layers = {} if before is None else dict(enumerate(before.layers))
     layers |= zip(some.tolist(), _slots_shown(rng, frames, some, states[some], is_round, asked), strict=True)
     log_sizes = priors.sizes.log_density(states[:asked, :, 7:], np.arange(asked))
@@ -147,7 +146,7 @@ def candidates_of(
     log_sizes = np.concatenate([log_sizes, log_solids])
     prior = priors.of(states[..., :7], half_m, log_sizes, asked, before and before.prior, anew)
     log_hidden = np.append(log_hidden, np.full(len(is_round), -np.inf))
-    return Candidates([layers[slot] for slot in slots.tolist()], log_offered, prior, log_hidden)
+    return Candidates([layers[slot] for slot in range(len(log_offered))], log_offered, prior, log_hidden)
 
 
 def _slots_shown(

@@ -4,6 +4,7 @@ import numpy as np
 
 from scene.model.number_prior import NumberPrior
 from scene.presence.forests import ForestPrior
+from scene.presence.posterior import Ensemble
 from scene.presence.toggling import Candidates, SlotLayers
 
 WIDTH, PLACES, BACKGROUND_M, SIGMA_M = 24, 20, 1.0, 0.15
@@ -52,19 +53,22 @@ def _normal(value: np.ndarray, mean: np.ndarray, sigma: float) -> np.ndarray:
     return np.exp(-0.5 * ((value - mean) / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
 
 
-def drawn_candidates(
+def drawn_ensemble(
     rng: np.random.Generator,
     observed_m: np.ndarray,
     kinds: np.ndarray,
     number: NumberPrior,
     count: int,
-    kept: np.ndarray,
-    places: np.ndarray,
-) -> tuple[np.ndarray, Candidates]:
-    """Places (N, count) drawn evenly, the first a given one where that is kept, ready for moves."""
-    drawn = rng.integers(PLACES, size=(len(kinds), count))
-    drawn[kept, 0] = places[kept]
-    return drawn, candidates_at(observed_m, kinds, number, drawn)
+    before: Ensemble | None,
+    slots: np.ndarray,
+) -> Ensemble:
+    """Places (N, count) of some slots (N,) drawn evenly, those of the others and the scene as before."""
+    places = rng.integers(PLACES, size=(len(kinds), count))
+    if before is not None:
+        places = np.where(slots[:, None], places, before.states)
+        kept = before.in_use & slots
+        places[kept, 0] = before.chosen[kept]
+    return Ensemble.of(places, candidates_at(observed_m, kinds, number, places), before, slots)
 
 
 def candidates_at(

@@ -134,10 +134,8 @@ def chain_in_strips(
     rng = np.random.default_rng(seed)
 
     def draw(before: Ensemble | None) -> Ensemble:
-        kept = np.zeros(len(kinds), bool) if before is None else before.in_use
-        places = kept if before is None else before.chosen
-        drawn = strips.drawn_candidates(rng, observed_m, kinds, number, 8, kept, places)
-        return Ensemble.of(*drawn, before)
+        every = np.ones(len(kinds), bool)
+        return strips.drawn_ensemble(rng, observed_m, kinds, number, 8, before, every)
 
     presence, _, visits = chain_presence(rng, draw, drawings=40, sweeps=2)
     return presence[:, 0], visits
@@ -153,13 +151,7 @@ def test_presence_where_slots_are_drawn_in_turn(seed: int) -> None:
         rng = np.random.default_rng(seed + 1000 * run)
 
         def draw(before: Ensemble | None, slots: np.ndarray) -> Ensemble:
-            places = rng.integers(strips.PLACES, size=(2, 8))
-            if before is not None:
-                places = np.where(slots[:, None], places, before.states)
-                kept = before.in_use & slots
-                places[kept, 0] = before.chosen[kept]
-            candidates = strips.candidates_at(observed_m, kinds, number, places)
-            return Ensemble.of(places, candidates, before, slots)
+            return strips.drawn_ensemble(rng, observed_m, kinds, number, 8, before, slots)
 
         _, ensemble, _ = chain_presence(rng, partial(draw, slots=np.ones(2, bool)), None, 2, 2)
         sums = np.zeros(2)
