@@ -144,7 +144,7 @@ def candidates_of(
     log_solids = log_sizes_density(states[asked:, :, 7:], is_round[:, None])
     half_m = np.concatenate([np.exp(states[:asked, :, 7:]), solid_half_sizes(states[asked:])])
     log_sizes = np.concatenate([log_sizes, log_solids])
-    prior = priors.of(states[..., :7], half_m, log_sizes, asked, before and before.prior, anew)
+    prior = priors.of(states[..., :7], half_m, log_sizes, asked)
     log_hidden = np.append(log_hidden, np.full(len(is_round), -np.inf))
     return Candidates([layers[slot] for slot in range(len(log_offered))], log_offered, prior, log_hidden)
 

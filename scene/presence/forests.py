@@ -9,7 +9,7 @@ with w_i the weight of object i on the root or on what does not move, and w_ij t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,14 +23,15 @@ class ForestPrior:
 
     Attributes:
         on_root: (N, K) weight of each candidate by itself: floating, or on a support.
-        on_others: (N, K, N, K) weight of a candidate on another one.
+        weights_beside: of a slot and its candidate the weights (2, N, K) of every candidate on that one, and
+            of that one on every candidate; 0 within the slot. It is asked of what is taken alone.
         log_trees: (N + 1,) log of the sum of the weights of all trees over so many objects.
         log_sets: (A + 1,) log probability of one given set of slots that are asked for, by its size.
         asked: A, the first of the slots; the others' rates are part of their weights.
     """
 
     on_root: NDArray[np.float64]
-    on_others: NDArray[np.float64]
+    weights_beside: Callable[[int, int], NDArray[np.float64]]
     log_trees: NDArray[np.float64]
     log_sets: NDArray[np.float64]
     asked: int
@@ -58,24 +59,33 @@ class ForestPrior:
         """Log sums over graphs (K,) of what is taken and one slot more, at each of its candidates."""
         count = len(taken)
         root, others = self._weights(taken)
-        slots, places = (np.array(part, np.intp) for part in zip(*taken, strict=True)) if taken else ([], [])
         candidates = self.on_root.shape[1]
         roots = np.empty((candidates, count + 1))
         roots[:, :count], roots[:, count] = root, self.on_root[slot]
         every = np.zeros((candidates, count + 1, count + 1))
         every[:, :count, :count] = others
         if taken:
-            every[:, count, :count] = self.on_others[slot][:, slots, places]
-            every[:, :count, count] = self.on_others[slots, places, slot].T
+            beside = np.stack([self._beside(*one)[:, slot] for one in taken])
+            every[:, count, :count], every[:, :count, count] = beside[:, 0].T, beside[:, 1].T
         return self._log_forests(roots, every)
 
     def _weights(self, taken: Sequence[tuple[int, int]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """On the root (n,), and of each on each (n, n)."""
         if not taken:
             return np.zeros(0), np.zeros((0, 0))
-        slots, places = (np.array(part, np.intp) for part in zip(*taken, strict=True))
-        others = self.on_others[slots[:, None], places[:, None], slots[None], places[None]]
-        return self.on_root[slots, places], np.where(np.eye(len(slots), dtype=bool), 0.0, others)
+        at = tuple(np.array(part, np.intp) for part in zip(*taken, strict=True))
+        return self.on_root[at], np.stack([self._beside(*one)[1][at] for one in taken])
+
+    def _beside(self, slot: int, place: int) -> NDArray[np.float64]:
+        """`weights_beside` (2, N, K), computed once."""
+        if (slot, place) not in self._kept_beside:
+            self._kept_beside[slot, place] = self.weights_beside(slot, place)
+        return self._kept_beside[slot, place]
+
+    @cached_property
+    def _kept_beside(self) -> dict[tuple[int, int], NDArray[np.float64]]:
+        """Of what was ever taken."""
+        return {}
 
     @staticmethod
     def _log_forests(on_root: NDArray[np.float64], on_others: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from scene.config import ParseConfig
 from scene.execution import FAST_COMPILE
@@ -24,8 +23,8 @@ from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.size_prior import SizePrior
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
-PAIRS = 256, 4096
-"""Of candidates, in one kernel; fewer in a smaller one."""
+PAIRS = 256
+"""Of boxes, in one call of the kernel: a candidate has some hundred others near it."""
 
 TOUCHING_SIGMAS = 10.0
 """Boxes further apart than so many standard deviations of a loose contact rest not on each other."""
@@ -80,8 +79,6 @@ class PosePriors:
         half_m: NDArray[np.float64],
         log_sizes: NDArray[np.float64],
         asked: int,
-        before: ForestPrior | None = None,
-        anew: NDArray[np.bool_] | None = None,
     ) -> ForestPrior:
         """Of candidates (N + U, K, 7) world_from_box of N objects that are asked for, then of solids.
 
@@ -90,25 +87,18 @@ class PosePriors:
             half_m: (N + U, K, 3) half sizes of their boxes.
             log_sizes: (N + U, K) log density of these, of solids with their rate.
             asked: N.
-            before: of other candidates of the slots that are `anew`, and the same ones of the others.
-            anew: (N + U,) which are; None for all.
         """
-        slots, count = poses.shape[:2]
-        anew = np.ones(slots, bool) if anew is None else anew
-        rate = np.exp(log_sizes[anew])
-        on_root = np.zeros((slots, count)) if before is None else before.on_root.copy()
-        on_root[anew] = rate * self.alone(poses[anew], half_m[anew])
-        on_others = np.zeros((slots, count, slots, count)) if before is None else before.on_others.copy()
+        rate, slots = np.exp(log_sizes), len(poses)
         log_trees = np.zeros(slots + 1)
         if self.grafts:
-            on_others[anew], on_others[:, :, anew] = 0.0, 0.0
-            child, parent = self._near(poses, half_m, anew)
-            flat = poses.reshape(-1, 7), half_m.reshape(-1, 3)
-            densities = self._contacts(*(part[np.stack([parent, child])] for part in flat))
-            places = np.unravel_index(child, (slots, count)) + np.unravel_index(parent, (slots, count))
-            on_others[places] = np.exp(log_sizes.ravel()[child]) * densities
             log_trees = log_weighted_trees(self.floating_weight, len(self.supports), slots)
-        return ForestPrior(on_root, on_others, log_trees, self.log_sets, asked)
+        return ForestPrior(
+            rate * self.alone(poses, half_m),
+            partial(self._weights_beside, poses, half_m, rate),
+            log_trees,
+            self.log_sets,
+            asked,
+        )
 
     def alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weights (n, S) of poses (n, S, 7) of boxes (n, S, 3) by themselves, floating or on a support."""
@@ -129,19 +119,36 @@ class PosePriors:
         contacts = self._contacts(*(part.reshape(2, -1, part.shape[-1]) for part in two), on_support=True)
         return self.floating_weight * floating + contacts.reshape(shape).sum(axis=0).reshape(floating.shape)
 
-    def _near(
-        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], anew: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Children and parents (P,) of different slots, one of them `anew`, whose boxes may touch."""
-        owners = np.repeat(np.arange(len(poses)), poses.shape[1])
-        places_m, radii = poses[..., 4:].reshape(-1, 3), np.linalg.norm(half_m, axis=-1).ravel()
+    def _weights_beside(
+        self,
+        poses: NDArray[np.float64],
+        half_m: NDArray[np.float64],
+        rate: NDArray[np.float64],
+        slot: int,
+        place: int,
+    ) -> NDArray[np.float64]:
+        """Weights (2, N, K) of each of the candidates (N, K, ...) on one of them, and of that on each."""
+        weights = np.zeros((2, *rate.shape))
+        if not self.grafts:
+            return weights
+        near = self._may_touch(poses, half_m, slot, place)
+        pairs = []
+        for part in (poses, half_m):
+            one = np.broadcast_to(part[slot, place], part[near].shape)
+            pairs.append(np.concatenate([[one, part[near]], [part[near], one]], axis=1))
+        weights[:, near] = self._contacts(*pairs).reshape(2, -1)
+        return weights * np.stack([rate, np.full_like(rate, rate[slot, place])])
+
+    def _may_touch(
+        self, poses: NDArray[np.float64], half_m: NDArray[np.float64], slot: int, place: int
+    ) -> NDArray[np.bool_]:
+        """Which boxes (N, K) of other slots may touch one."""
+        radii = np.linalg.norm(half_m, axis=-1)
+        far_m = np.linalg.norm(poses[..., 4:] - poses[slot, place, 4:], axis=-1)
         slack_m = TOUCHING_SIGMAS * float(self.prior.loose_sigma_m)
-        near = KDTree(places_m).query_pairs(2 * radii.max() + slack_m, output_type="ndarray")
-        far_m = np.linalg.norm(places_m[near[:, 0]] - places_m[near[:, 1]], axis=1)
-        touch = far_m < radii[near].sum(axis=1) + slack_m
-        first, second = owners[near].T
-        first, second = near[touch & (first != second) & (anew[first] | anew[second])].T
-        return np.append(first, second), np.append(second, first)
+        near = far_m < radii + radii[slot, place] + slack_m
+        near[slot] = False
+        return near
 
     def _contacts(
         self, poses: NDArray[np.float64], half_m: NDArray[np.float64], *, on_support: bool = False
@@ -150,12 +157,11 @@ class PosePriors:
         count = poses.shape[1]
         densities = np.empty(count)
         faces = np.arange(6) == TOP_FACE if on_support else np.ones(6, bool)
-        together = PAIRS[0] if count <= PAIRS[0] else PAIRS[1]
-        for first in range(0, count, together):
-            part = np.resize(np.arange(first, min(first + together, count)), together)
+        for first in range(0, count, PAIRS):
+            part = np.resize(np.arange(first, min(first + PAIRS, count)), PAIRS)
             given = jax.tree.map(np.float32, (self.prior, half_m[:, part], poses[:, part]))
             found = np.asarray(_on_another(given[0], faces, *given[1:]))
-            densities[first : first + together] = found[: count - first]
+            densities[first : first + PAIRS] = found[: count - first]
         return np.exp(LOG_CONTACT_JACOBIAN) * densities
 
 

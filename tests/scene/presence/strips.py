@@ -89,7 +89,7 @@ def candidates_at(
         np.full(places.shape, -np.log(PLACES)),
         ForestPrior(
             on_root=np.full(places.shape, 1 / PLACES),
-            on_others=np.zeros((slots, count, slots, count)),
+            weights_beside=lambda *_: np.zeros((2, slots, count)),
             log_trees=np.zeros(slots + 1),
             log_sets=number.log_set_probabilities(slots),
             asked=slots,

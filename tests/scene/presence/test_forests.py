@@ -64,8 +64,12 @@ def priors_of(free: int, number: NumberPrior) -> PosePriors:
 def test_forests_are_summed(seed: int) -> None:
     """Four objects with weights that are any: all graphs without a circle, to 1e-12."""
     rng = np.random.default_rng(seed)
-    root, others = rng.random((4, 1)), rng.random((4, 1, 4, 1))
-    prior = ForestPrior(root, others, np.zeros(5), np.zeros(5), 4)
+    root, others = rng.random((4, 1)), rng.random((4, 1, 4, 1)) * (1 - np.eye(4)[:, None, :, None])
+
+    def beside(slot: int, place: int) -> np.ndarray:
+        return np.stack([others[:, :, slot, place], others[slot, place]])
+
+    prior = ForestPrior(root, beside, np.zeros(5), np.zeros(5), 4)
     taken = [(slot, 0) for slot in range(4)]
 
     total = 0.0
@@ -107,27 +111,10 @@ def test_the_prior_is_that_of_the_chains(seed: int) -> None:
 
     found = (
         priors_of(2, FixedNumber(2))
-        .of(poses[:, None], np.full((2, 1, 3), 0.5), np.zeros((2, 1)), 2)
+        .of(poses[:, None], np.full((2, 1, 3), 0.5), np.array([[0.3], [-0.7]]), 2)
         .log_density([(0, 0), (1, 0)], 0)
     )
-    np.testing.assert_allclose(found, np.log(total), atol=1e-9)
-
-
-def test_what_is_drawn_anew_alone_is_weighed_as_with_all(seed: int) -> None:
-    """Three slots of four candidates, of which the second gets others: all weights are as of all at once."""
-    rng, priors = np.random.default_rng(seed), priors_of(3, BinomialNumber(0.5))
-    first, second = (random_poses(rng, 12).reshape(3, 4, 7) for _ in range(2))
-    anew = np.array([False, True, False])
-    poses = np.where(anew[:, None, None], second, first)
-    half_m, log_sizes = np.full((3, 4, 3), 0.5), rng.normal(size=(3, 4))
-
-    whole = priors.of(poses, half_m, log_sizes, 3)
-    before = priors.of(first, half_m, np.where(anew[:, None], 0.0, log_sizes), 3)
-    found = priors.of(poses, half_m, log_sizes, 3, before, anew)
-
-    assert (whole.on_others > 0).any()
-    np.testing.assert_allclose(found.on_others, whole.on_others, rtol=1e-6)
-    np.testing.assert_allclose(found.on_root, whole.on_root, rtol=1e-6)
+    np.testing.assert_allclose(found, np.log(total) + 0.3 - 0.7, atol=1e-9)
 
 
 class NothingSeen(PresenceFrames):

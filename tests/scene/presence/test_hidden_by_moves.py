@@ -40,8 +40,8 @@ def test_moves_tell_what_the_sum_tells(name: str, seed: int) -> None:
                 drawn[0, 0] = before.chosen[0]
             gain = behind.log_ratios(objects[MUG], drawn[0]).astype(np.float32)[:, None]
             layers = SlotLayers(np.zeros(1, np.intp), np.ones_like(gain), gain)
-            alone, others = np.ones((1, COUNT)), np.zeros((1, COUNT, 1, COUNT))
-            prior = ForestPrior(alone, others, np.zeros(2), number.log_set_probabilities(1), 1)
+            alone, beside = np.ones((1, COUNT)), np.zeros((2, 1, COUNT))
+            prior = ForestPrior(alone, lambda *_: beside, np.zeros(2), number.log_set_probabilities(1), 1)
             candidates = Candidates([layers], np.zeros((1, COUNT)), prior, np.full(1, -np.inf))
             return Ensemble.of(drawn, candidates, before)
 

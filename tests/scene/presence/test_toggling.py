@@ -26,9 +26,8 @@ def toy_candidates(target: np.ndarray, chances: np.ndarray, places: np.ndarray) 
         for slot, mine in enumerate(places)
     ]
     slots, count = places.shape
-    prior = ForestPrior(
-        np.ones((slots, count)), np.zeros((slots, count, slots, count)), np.zeros(3), np.zeros(3), slots
-    )
+    nothing = np.zeros((2, slots, count))
+    prior = ForestPrior(np.ones((slots, count)), lambda *_: nothing, np.zeros(3), np.zeros(3), slots)
     log_offered = np.log(chances[np.arange(2)[:, None], places])
     return Candidates(layers, log_offered, prior, np.full(2, -np.inf))
 
