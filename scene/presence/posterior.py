@@ -29,7 +29,7 @@ DRAWN, SWEEPS = 3, 8
 """How often candidates are drawn in a chain, and sweeps with each."""
 
 DOUBT = 0.02
-"""Of presence: of slots that are in doubt, as of two that stand for each other, more candidates are drawn."""
+"""Of presence in sight: of slots in doubt, as of two that stand for each other, more candidates are drawn."""
 DRAWN_AGAIN, SWEEPS_AGAIN = 16, 2
 """How often, and sweeps with each: the density is rough by two nats, so that one candidate in thirty counts,
 and what two dozen tell of an object's evidence has a standard deviation of 1.5 nats (YCB-Video's 0001/7)."""
@@ -203,7 +203,8 @@ def presence_posterior(
     objects = len(mixture.centres)
     draw = partial(drawn_ensemble, rng, frames, priors, mixture, solids, log_hidden)
     runs = [chain_presence(rng, draw) for _ in range(chains)]
-    doubted = _in_doubt(np.stack([told for told, _, _ in runs])[..., 0])
+    in_sight = np.stack([told[:, 0] - told[:, 1] for told, _, _ in runs])
+    doubted = _in_doubt(in_sight)
     if doubted[:objects].any():
         again = partial(draw, slots=doubted)
         runs = [chain_presence(rng, again, last, DRAWN_AGAIN, SWEEPS_AGAIN) for _, last, _ in runs]
@@ -228,9 +229,9 @@ def presence_posterior(
     )
 
 
-def _in_doubt(told: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which slots (N,) are neither there for certain nor absent, by what chains (C, N) told."""
-    mean = told.mean(axis=0)
+def _in_doubt(in_sight: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which slots (N,) are neither seen for certain nor certainly not, by what chains (C, N) told."""
+    mean = in_sight.mean(axis=0)
     return (mean > DOUBT) & (mean < 1 - DOUBT)
 
 
