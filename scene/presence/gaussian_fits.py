@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,16 +75,29 @@ def fitted(
         fresh = means[:, None] + np.einsum("nij,nsj->nsi", factors, normal)
         steps = np.concatenate([steps, fresh], axis=1)
         log_target = np.concatenate([log_target, log_density(moved(centres, fresh))], axis=1)
-        log_offered = np.stack([_log_normal(steps, *one) for one in offered])
-        log_weights = log_target - (logsumexp(log_offered, axis=0) - np.log(len(offered)))
-        weights = np.stack([tempered(one, draws * ALIVE) for one in log_weights])
-        means = np.einsum("ns,nsi->ni", weights, steps)
-        spread = steps - means[:, None]
-        covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread)
+        log_weights = log_target - _log_offered(steps, offered)
+        means, covariances = _moments(steps, np.stack([tempered(one, draws * ALIVE) for one in log_weights]))
         covariances[:, np.arange(size), np.arange(size)] += least**2
-        factors = WIDER * np.linalg.cholesky(covariances)
+        factors = np.asarray(WIDER * np.linalg.cholesky(covariances), np.float64)
     masses = logsumexp(log_weights, axis=1) - np.log(log_weights.shape[1])
     return Fits(centres=moved(centres, means[:, None])[:, 0], factors=factors, log_masses=masses)
+
+
+def _log_offered(
+    steps: NDArray[np.float64], offered: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
+) -> NDArray[np.float64]:
+    """Log densities (n, S) of steps (n, S, d) under the even mixture of what they were drawn from."""
+    of_each = np.stack([_log_normal(steps, *one) for one in offered])
+    return np.asarray(logsumexp(of_each, axis=0) - np.log(len(offered)))
+
+
+def _moments(
+    steps: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means (n, d) and covariances (n, d, d) of steps (n, S, d) by their weights (n, S)."""
+    means = np.asarray(np.einsum("ns,nsi->ni", weights, steps), np.float64)
+    spread = steps - means[:, None]
+    return means, np.asarray(np.einsum("ns,nsi,nsj->nij", weights, spread, spread), np.float64)
 
 
 def _log_normal(
@@ -116,23 +129,33 @@ def climbed(
     steps = np.tile(first, (len(solids), 1))
     best, value = solids, log_density(solids[:, None])[:, 0]
     for _ in range(turns):
-        probes = steps[:, None] * np.concatenate([np.eye(9), -np.eye(9)])
-        options = reshaped(best, probes)
-        values = log_density(options)
-        up, down = values[:, :9], values[:, 9:]
-        leads_up = np.maximum(up, down) > value[:, None]
-        towards = np.where(leads_up, np.sign(up - down), 0.0)
-        curvature = np.minimum(up + down - 2 * value[:, None], 0.0)
-        tops = np.clip((up - down) / 2 / np.maximum(-curvature, FLATTEST), -FURTHEST, FURTHEST)
-        tops = np.where(curvature < 0, tops, FURTHEST * towards)
-        together = np.stack([tops, 0.5 * tops, towards, 0.5 * towards, tops * leads_up], axis=1)
-        combined = reshaped(best, together * steps[:, None])
-        options = np.concatenate([best[:, None], options, combined], axis=1)
-        values = np.concatenate([value[:, None], values, log_density(combined)], axis=1)
-        chosen = np.arange(len(solids)), values.argmax(axis=1)
-        best, value = options[chosen], values[chosen]
-        steps = np.maximum(steps * np.where(leads_up, LONGER, SHORTER), LEAST_STEPS)
+        best, value, steps = _climbed_once(log_density, best, value, steps)
     return best
+
+
+def _climbed_once(
+    log_density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    solids: NDArray[np.float64],
+    value: NDArray[np.float64],
+    steps: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """A turn of `climbed`: denser boxes (n, 10), their log densities (n,), and the next steps (n, 9)."""
+    probes = steps[:, None] * np.concatenate([np.eye(9), -np.eye(9)])
+    options = reshaped(solids, probes)
+    values = log_density(options)
+    up, down = values[:, :9], values[:, 9:]
+    leads_up = np.maximum(up, down) > value[:, None]
+    towards = np.where(leads_up, np.sign(up - down), 0.0)
+    curvature = np.minimum(up + down - 2 * value[:, None], 0.0)
+    tops = np.clip((up - down) / 2 / np.maximum(-curvature, FLATTEST), -FURTHEST, FURTHEST)
+    tops = np.where(curvature < 0, tops, FURTHEST * towards)
+    together = np.stack([tops, 0.5 * tops, towards, 0.5 * towards, tops * leads_up], axis=1)
+    combined = reshaped(solids, together * steps[:, None])
+    options = np.concatenate([solids[:, None], options, combined], axis=1)
+    values = np.concatenate([value[:, None], values, log_density(combined)], axis=1)
+    chosen = np.arange(len(solids)), values.argmax(axis=1)
+    steps = np.maximum(steps * np.where(leads_up, LONGER, SHORTER), LEAST_STEPS)
+    return options[chosen], values[chosen], steps
 
 
 def face_factors(
