@@ -28,7 +28,8 @@ NEAREST_CANDIDATES = 64
 """Keyframes considered for selection: search effort."""
 
 LEAST_OVERLAP = 0.08
-"""Share of a keyframe's points that the camera must see for the keyframe to be of use."""
+"""Share of a keyframe's points that the camera must see, and of the camera's that the keyframe must, for the
+keyframe to be of use."""
 
 
 LEAST_KNOWN = 0.5
@@ -58,7 +59,7 @@ class KeyframeMap:
 
     def with_keyframe(self, surface: SurfelImage) -> KeyframeMap:
         """The map with one keyframe more."""
-        samples = (*self.samples, _sample_points(surface))
+        samples = (*self.samples, sample_points(surface))
         return replace(self, surfaces=(*self.surfaces, self.pages.hold(surface)), samples=samples)
 
     def with_refined(self, index: int, surface: SurfelImage) -> KeyframeMap:
@@ -88,9 +89,11 @@ def stacked(*trees: Tree) -> Tree:
 _SAMPLED = (..., *2 * (slice(SAMPLED_STRIDE_PX // 2, None, SAMPLED_STRIDE_PX),))
 
 
-def _sample_points(surface: SurfelImage) -> NDArray[np.float32]:
-    points = np.asarray(surface.points())[_SAMPLED].reshape(3, -1).T
-    return np.where(points[:, 2:] > 0, points, np.nan).astype(np.float32)
+def sample_points(view: CanvasView | SurfelImage) -> NDArray[np.float32]:
+    """Points (S, 3) of a view in its camera's frame, on the lattice; NaN where there is no depth."""
+    depth = np.asarray(view.depth_m)[_SAMPLED].reshape(-1, 1)
+    points = np.asarray(view.rays)[_SAMPLED].reshape(3, -1).T * depth
+    return np.where(depth > NO_RETURN, points, np.nan).astype(np.float32)
 
 
 def visible_cells(
@@ -120,12 +123,6 @@ def visible_cells(
     return share, hit
 
 
-def thumbnail(view: CanvasView) -> NDArray[np.float32]:
-    """Depth (S,) of a view where keyframes are sampled, NaN where there is none."""
-    depth = np.asarray(view.depth_m)[_SAMPLED].ravel()
-    return np.where(depth > NO_RETURN, depth, np.nan).astype(np.float32)
-
-
 def place_distances(samples: NDArray[np.float32], depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
     """Median absolute log ratios (N,) of thumbnails of depth, keyframes' samples (N, S, 3), to another (S,).
 
@@ -140,28 +137,36 @@ def place_distances(samples: NDArray[np.float32], depth_m: NDArray[np.float32]) 
 def selected_keyframes(
     samples: Sequence[NDArray[np.float32]],
     reference_from_keyframes: NDArray[np.float64],
+    seen: NDArray[np.float32],
     reference_from_camera: NDArray[np.float64],
     intrinsics: NDArray[np.float64],
     count: int,
 ) -> NDArray[np.int_]:
     """Indices (<= count,) of the keyframes to compare a camera with; the first is the closest view.
 
-    After the closest view, each keyframe is the one that covers most of what is still uncovered; among
-    equals the oldest, which anchors.
+    Views overlap as far as each has the other's points in its image: a camera far behind a keyframe has all
+    of that one's, and shows next to nothing of what it saw. After the closest view, each keyframe is the one
+    that covers most of what is still uncovered; among equals the oldest, which anchors. Where none overlaps
+    it is the nearest camera's.
 
     Args:
         samples: of the keyframes, as in `KeyframeMap`.
         reference_from_keyframes: (N, 4, 4).
+        seen: (S, 3) the same of the camera.
         reference_from_camera: (4, 4).
-        intrinsics: (6,) as in `visible_cells`.
+        intrinsics: (6,) of all, as in `visible_cells`.
         count: at most so many.
     """
     distance = np.linalg.norm(reference_from_keyframes[:, :3, 3] - reference_from_camera[:3, 3], axis=1)
     near = np.sort(np.argsort(distance, kind="stable")[:NEAREST_CANDIDATES])
-    camera_from_keyframes = np.linalg.inv(reference_from_camera) @ reference_from_keyframes[near]
+    placed = reference_from_keyframes[near]
+    camera_from_keyframes = np.linalg.inv(reference_from_camera) @ placed
+    keyframes_from_camera = np.linalg.inv(placed) @ reference_from_camera
     share, hit = visible_cells(np.stack([samples[i] for i in near]), camera_from_keyframes, intrinsics)
+    back, _ = visible_cells(np.stack([seen] * len(near)), keyframes_from_camera, intrinsics)
+    share = np.minimum(share, back)
     usable = share >= LEAST_OVERLAP
-    chosen = [int(np.argmax(share))]
+    chosen = [int(np.argmax(share) if usable.any() else np.argmin(distance[near]))]
     covered = hit[chosen[0]].copy()
     usable[chosen[0]] = False
     while len(chosen) < count and usable.any():

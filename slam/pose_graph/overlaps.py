@@ -210,9 +210,9 @@ def keyframes_at(
             candidates = candidates[together[[second], :second].toarray()[0]]
         if not len(candidates):
             continue
-        samples, before = [keyframe_map.samples[index] for index in candidates], poses[candidates]
-        frame = framing(details[second].skeleton.view)
-        chosen = selected_keyframes(samples, before, poses[second], frame, OVERLAPS)
+        samples = [keyframe_map.samples[index] for index in candidates]
+        seen, frame = keyframe_map.samples[second], framing(details[second].skeleton.view)
+        chosen = selected_keyframes(samples, poses[candidates], seen, poses[second], frame, OVERLAPS)
         for first in candidates[chosen].tolist():
             overlaps[first].add(second)
             overlaps[second].add(first)

@@ -16,7 +16,7 @@ from recordings.types import DepthNoise
 from shapes.geometry import pose_sets
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, framing
-from slam.keyframes.keyframe_map import KeyframeMap, place_distances, selected_keyframes, thumbnail
+from slam.keyframes.keyframe_map import KeyframeMap, place_distances, sample_points, selected_keyframes
 from slam.registration import pose_grids
 from slam.registration.global_search import ascend, log_map_scores
 from slam.registration.local_map import LocalMap
@@ -175,6 +175,10 @@ class Searcher:
         return suppress_duplicates(found)
 
     @cached_property
+    def _samples(self) -> NDArray[np.float32]:
+        return sample_points(self.view)
+
+    @cached_property
     def _framing(self) -> NDArray[np.float64]:
         return framing(self.view)
 
@@ -186,6 +190,7 @@ class Searcher:
         chosen = selected_keyframes(
             self.keyframe_map.samples,
             self._matrices,
+            self._samples,
             matrices_of(np.asarray(pose)),
             self._framing,
             self.compared,
@@ -233,7 +238,7 @@ class Searcher:
         """All keyframes of a map, or the `WIDE_PLACES` of a large one that resemble the view."""
         if len(self.keyframe_map) <= WIDE_PLACES:
             return np.arange(len(self.keyframe_map))
-        distances = place_distances(np.stack(self.keyframe_map.samples), thumbnail(self.view))
+        distances = place_distances(np.stack(self.keyframe_map.samples), self._samples[:, 2])
         return np.sort(np.argsort(distances, kind="stable")[:WIDE_PLACES])
 
 
