@@ -14,8 +14,12 @@ import jax
 import pytest
 
 from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+from scene.execution import FAST_COMPILE
 
 ROOT = Path(__file__).parent.parent
+
+_ALL_COMPILED_FAST = " ".join(f"--{name}={str(value).lower()}" for name, value in FAST_COMPILE.items())
+os.environ.setdefault("XLA_FLAGS", _ALL_COMPILED_FAST)  # of commands too; tests compile more than they run
 
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
