@@ -10,7 +10,7 @@ demo: venv
 	$(BIN)/voxscene demo --out demo
 
 test: venv
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist loadfile  # tests of a file share kernels
 
 lint: venv
 	$(BIN)/ruff check .
