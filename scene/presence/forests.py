@@ -24,7 +24,7 @@ class ForestPrior:
     Attributes:
         on_root: (N, K) weight of each candidate by itself: floating, or on a support.
         weights_beside: of a slot and its candidate the weights (2, N, K) of every candidate on that one, and
-            of that one on every candidate; 0 within the slot. It is asked of what is taken alone.
+            of that one on every candidate; 0 within the slot. It is asked again and again of what is taken.
         log_trees: (N + 1,) log of the sum of the weights of all trees over so many objects.
         log_sets: (A + 1,) log probability of one given set of slots that are asked for, by its size.
         asked: A, the first of the slots; the others' rates are part of their weights.
@@ -65,7 +65,7 @@ class ForestPrior:
         every = np.zeros((candidates, count + 1, count + 1))
         every[:, :count, :count] = others
         if taken:
-            beside = np.stack([self._beside(*one)[:, slot] for one in taken])
+            beside = np.stack([self.weights_beside(*one)[:, slot] for one in taken])
             every[:, count, :count], every[:, :count, count] = beside[:, 0].T, beside[:, 1].T
         return self._log_forests(roots, every)
 
@@ -74,18 +74,7 @@ class ForestPrior:
         if not taken:
             return np.zeros(0), np.zeros((0, 0))
         at = tuple(np.array(part, np.intp) for part in zip(*taken, strict=True))
-        return self.on_root[at], np.stack([self._beside(*one)[1][at] for one in taken])
-
-    def _beside(self, slot: int, place: int) -> NDArray[np.float64]:
-        """`weights_beside` (2, N, K), computed once."""
-        if (slot, place) not in self._kept_beside:
-            self._kept_beside[slot, place] = self.weights_beside(slot, place)
-        return self._kept_beside[slot, place]
-
-    @cached_property
-    def _kept_beside(self) -> dict[tuple[int, int], NDArray[np.float64]]:
-        """Of what was ever taken."""
-        return {}
+        return self.on_root[at], np.stack([self.weights_beside(*one)[1][at] for one in taken])
 
     @staticmethod
     def _log_forests(on_root: NDArray[np.float64], on_others: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -94,7 +94,7 @@ class PosePriors:
             log_trees = log_weighted_trees(self.floating_weight, len(self.supports), slots)
         return ForestPrior(
             rate * self.alone(poses, half_m),
-            partial(self._weights_beside, poses, half_m, rate),
+            cache(partial(self._weights_beside, poses, half_m, rate)),
             log_trees,
             self.log_sets,
             asked,
@@ -137,7 +137,9 @@ class PosePriors:
             one = np.broadcast_to(part[slot, place], part[near].shape)
             pairs.append(np.concatenate([[one, part[near]], [part[near], one]], axis=1))
         weights[:, near] = self._contacts(*pairs).reshape(2, -1)
-        return weights * np.stack([rate, np.full_like(rate, rate[slot, place])])
+        weights[0] *= rate
+        weights[1] *= rate[slot, place]
+        return weights
 
     def _may_touch(
         self, poses: NDArray[np.float64], half_m: NDArray[np.float64], slot: int, place: int

@@ -163,7 +163,8 @@ def selected_keyframes(
     camera_from_keyframes = np.linalg.inv(reference_from_camera) @ placed
     keyframes_from_camera = np.linalg.inv(placed) @ reference_from_camera
     share, hit = visible_cells(np.stack([samples[i] for i in near]), camera_from_keyframes, intrinsics)
-    back, _ = visible_cells(np.stack([seen] * len(near)), keyframes_from_camera, intrinsics)
+    seen = np.broadcast_to(seen, (len(near), *seen.shape))
+    back, _ = visible_cells(seen, keyframes_from_camera, intrinsics)
     share = np.minimum(share, back)
     usable = share >= LEAST_OVERLAP
     chosen = [int(np.argmax(share) if usable.any() else np.argmin(distance[near]))]
