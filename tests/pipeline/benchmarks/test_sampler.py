@@ -14,6 +14,7 @@ def test_distance_is_total_variation() -> None:
     assert bench._distance(np.array([2, 2]), np.array([0.5, 0.5])) == 0
 
 
+@pytest.mark.slow  # compiles the kernel that tests/scene/mcmc/test_structure_sampler.py runs as well
 def test_two_objects(monkeypatch: pytest.MonkeyPatch) -> None:
     """A short run is near the enumeration, and every involution returns."""
     monkeypatch.setattr(bench, "OBJECTS", (2,))

@@ -134,6 +134,9 @@ def rendered(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.n
     return np.minimum(shown, BACKGROUND_M)
 
 
+of_object = jax.jit(PixelDensity.of_object)
+
+
 def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph) -> float:
     """The log likelihood by whole images: every pixel has the factor of the nearest layer."""
     total = 0.0
@@ -142,7 +145,7 @@ def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph
         density = PixelDensity.of(observed_m[frame].astype(np.float32), rest_m, NOISE, 0.002, 2)
         log_pixels, front_m = np.array(density.log_rest), rest_m
         for layer_m in layers(likelihood, scene, frame):
-            log_mine, depth_m = (np.asarray(part) for part in density.of_object(jnp.asarray(layer_m)))
+            log_mine, depth_m = (np.asarray(part) for part in of_object(density, jnp.asarray(layer_m)))
             log_pixels = np.where(depth_m < front_m, log_mine, log_pixels)
             front_m = np.minimum(depth_m, front_m)
         total += float(log_pixels.astype(np.float64).sum())
@@ -188,17 +191,19 @@ def test_every_way_to_a_scene_has_its_likelihood(
     keys, there = candidate_keys(offer_key, 6), scene.poses[None] + steps[jnp.array([0, 1, 2, 3, 4, 0])]
     chains = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
 
-    every = jax.vmap(offered, in_axes=(None, None, None, None, 0))(likelihood, keys, scene, there, chains)
+    offered_to_each = jax.vmap(offered, in_axes=(None, None, None, None, 0))
+    every = offered_to_each(likelihood, keys, scene, there, chains)
 
     np.testing.assert_array_equal(every.log_likelihood[0], every.log_likelihood[1])
     assert float(every.log_likelihood[0, 0]) == float(start.log_likelihood)
     for place, pair in enumerate(there):
         expected = whole(likelihood, observed_m, replace(scene, poses=pair))
         assert float(every.log_likelihood[0, place]) == pytest.approx(expected, abs=1e-2)
-        after = likelihood.chosen(jax.tree.map(lambda leaf: leaf[0], every), jnp.asarray(place))
-        at, back = replace(scene, poses=pair), jnp.stack([pair, scene.poses])
-        again = offered(likelihood, candidate_keys(jax.random.clone(again_key), 2), at, back, after)
-        assert float(again.log_likelihood[1]) == pytest.approx(float(start.log_likelihood), abs=1e-2)
+        after = jax.vmap(likelihood.chosen, in_axes=(0, None))(every, jnp.asarray(place))
+        at, back = replace(scene, poses=pair), jnp.stack([pair, *[scene.poses] * 5])
+        keys = candidate_keys(jax.random.clone(again_key), 6)
+        again = offered_to_each(likelihood, keys, at, back, after)
+        assert float(again.log_likelihood[0, 1]) == pytest.approx(float(start.log_likelihood), abs=1e-2)
 
 
 def test_the_likelihood_of_frames_is_their_product(

@@ -113,7 +113,7 @@ def test_a_plane_of_which_much_was_seen_is_known_as_well_as_a_shape(seed: int) -
     observed_m = np.where(np.isfinite(layer_m), plane_m + rng.normal(0, 0.002, plane_m.shape), 1.2)
     rest_m = np.full(plane_m.shape, 1.2, np.float32)
     density = PixelDensity.of(observed_m.astype(np.float32), rest_m, noise, 0.003, 1)
-    gains = np.asarray(density.of_object(jnp.asarray(layer_m))[0] - density.log_rest)
+    gains = np.asarray(jax.jit(PixelDensity.of_object)(density, layer_m)[0] - density.log_rest)
     inside = (rows >= 14) & (columns >= 14) & (rows < 46) & (columns < 40)
     assert abs(gains[inside].mean()) < 0.1
 

@@ -1,6 +1,6 @@
 """A thing that nobody asked for is not taken for a shape that is like it, and the shape itself is."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -79,13 +79,16 @@ def evidence(data: SceneData, shape: str) -> float:
     return evidence_at(data, shape, standing(shape, 0))
 
 
+of_object = jax.jit(PixelDensity.of_object)
+
+
 def evidence_at(data: SceneData, shape: str, pose: NDArray[np.float64]) -> float:
     """The same at a pose world_from_shape."""
     whole_m, window = view_of([(shape, pose)]), data.window
     alone_m = np.where(whole_m < seen() - 1e-4, whole_m, np.inf).astype(np.float32)
     rest_m = support_depth(data.supports, window, INTRINSICS)
     density = PixelDensity.of(window.depth_m, rest_m, NOISE, SHAPE_SIGMA_M, window.stride)
-    shown, depth_m = density.of_object(jnp.asarray(window.of(alone_m)))
+    shown, depth_m = of_object(density, window.of(alone_m))
     gain = np.where(np.isfinite(depth_m), shown - density.log_rest, 0.0)
     return float(gain.sum())
 

@@ -1,5 +1,7 @@
 """Colours along surfaces, and the turns that depth cannot tell."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,13 +13,18 @@ from scene.objects.scene_object import SceneObject, scene_object
 from scene.objects.surface_colour import SPINS, log_colour
 
 
+@cache
+def bare(name: str) -> SceneObject:
+    """A built-in object without colours."""
+    mesh = built_in_object(name)
+    return scene_object(name, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
 def coloured(name: str, pattern: str = "halves") -> tuple[SceneObject, trimesh.Trimesh]:
     """A built-in object with a pattern, and its mesh."""
     mesh = painted(name, built_in_object(name), pattern)
-    bare = built_in_object(name)
     rgb = vertex_rgb(mesh)
-    one = scene_object(name, np.asarray(bare.vertices), np.asarray(bare.faces))
-    return one.coloured(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb, 2.2), mesh
+    return bare(name).coloured(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb, 2.2), mesh
 
 
 @pytest.mark.parametrize(
@@ -62,7 +69,7 @@ def test_an_unknown_colour_turns_nothing() -> None:
     """One albedo that nobody knows tells no turn from another."""
     mesh = built_in_object("can")
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    colour = scene_object("can", vertices, faces).coloured(vertices, faces, None, 2.2).colour
+    colour = bare("can").coloured(vertices, faces, None, 2.2).colour
     assert colour is not None
     assert not colour.is_known
     assert len(colour.turns) == 1

@@ -1,6 +1,7 @@
 """What hangs in the air is improbable, by how far it is over what is below it."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ import trimesh
 from scipy.stats import norm
 
 from scene.model.prior import FLOATING_HEIGHT_M
-from scene.objects.scene_object import scene_object
+from scene.objects.scene_object import SceneObject, scene_object
 from scene.observation.depth_view import PooledView
 from scene.observation.detection import SupportPlane
 from scene.search.support_prior import UNKNOWN_CARRIER, Gravity
@@ -25,6 +26,13 @@ BARE = view_of(depth_of([]))
 """The table with nothing on it."""
 
 
+@cache
+def upright_box() -> SceneObject:
+    """A box of half sizes `HALF_M`."""
+    mesh = trimesh.creation.box(2 * HALF_M)
+    return scene_object("box", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
 def expected(gap_m: float) -> float:
     """Log density of a gap, or of floating, over that of no gap."""
 
@@ -38,13 +46,11 @@ def log_rests(
     table: SupportPlane | None, *bottoms_m: tuple[float, float], view: PooledView = BARE
 ) -> list[float]:
     """Of boxes, alike, with places along x and heights of their bottoms; the last one is absent."""
-    mesh = trimesh.creation.box(2 * HALF_M)
-    box = scene_object("box", np.asarray(mesh.vertices), np.asarray(mesh.faces))
     table_from_box = np.tile(np.eye(4), (len(bottoms_m), 1, 1))
     for pose, (x_m, bottom_m) in zip(table_from_box, bottoms_m, strict=True):
         pose[:3, 3] = [x_m, 0.0, bottom_m + HALF_M[2]]
     poses = poses_of(TABLE.camera_from_table @ table_from_box)[:, None]
-    rests = GRAVITY.rests(view, table, [box] * len(bottoms_m), poses, 2.0)
+    rests = GRAVITY.rests(view, table, [upright_box()] * len(bottoms_m), poses, 2.0)
     choice = np.append(np.zeros(len(bottoms_m) - 1, int), ABSENT)
     return [float(value) / 2 for value in rests.of(jnp.asarray(choice))]
 
@@ -90,8 +96,7 @@ def test_boxes_may_rest_on_a_thing_that_is_seen_though_nobody_knows_it() -> None
 
 def test_a_box_rests_by_its_edge_on_what_its_middle_is_not_over() -> None:
     """Tilted, its lowest edge over another box."""
-    mesh = trimesh.creation.box(2 * HALF_M)
-    box = scene_object("box", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    box = upright_box()
     tilted = trimesh.transformations.rotation_matrix(0.6, [0, 1, 0])
     points = box.points_m @ tilted[:3, :3].T
     lowest = points[points[:, 2].argmin()]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from recordings.types import CameraIntrinsics
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import ObjectLibrary, join, library_of_mesh
 from tests.shapes.views import INTRINSICS, cameras, posed, random_views, ray_cast
@@ -21,28 +22,47 @@ MESHES = {
 }
 
 
-@pytest.fixture(scope="module", params=MESHES)
-def mesh_and_library(request: pytest.FixtureRequest) -> tuple[trimesh.Trimesh, ObjectLibrary]:
-    """A mesh and its voxels."""
-    mesh = MESHES[request.param]
-    return mesh, library_of_mesh(mesh.vertices, mesh.faces)
+RENDERED = 100
+"""Poses in every call: one kernel serves them all."""
 
 
-def render(library: ObjectLibrary, poses: np.ndarray) -> np.ndarray:
-    """Layers of the test camera."""
-    layers = render_layers(library, posed(poses), cameras(), INTRINSICS.height, INTRINSICS.width)
-    return np.asarray(layers)
+@pytest.fixture(scope="module")
+def library() -> ObjectLibrary:
+    """The voxels of all meshes."""
+    return join([library_of_mesh(mesh.vertices, mesh.faces) for mesh in MESHES.values()])
+
+
+@pytest.fixture(params=MESHES)
+def mesh_and_index(request: pytest.FixtureRequest) -> tuple[trimesh.Trimesh, int]:
+    """A mesh and its number in the library."""
+    return MESHES[request.param], list(MESHES).index(request.param)
+
+
+def render(
+    library: ObjectLibrary,
+    poses: np.ndarray,
+    index: int = 0,
+    *,
+    scales: np.ndarray | None = None,
+    intrinsics: CameraIntrinsics = INTRINSICS,
+) -> np.ndarray:
+    """Layers of the test camera, of at most `RENDERED` poses."""
+    given = posed(np.resize(poses, (RENDERED, 4, 4)), index)
+    if scales is not None:
+        given = replace(given, scale=jnp.asarray(np.resize(scales, (RENDERED, 3)), jnp.float32))
+    layers = render_layers(library, given, cameras(intrinsics), intrinsics.height, intrinsics.width)
+    return np.asarray(layers)[: len(poses)]
 
 
 def test_rendering_agrees_with_ray_casting(
-    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary], seed: int
+    library: ObjectLibrary, mesh_and_index: tuple[trimesh.Trimesh, int], seed: int
 ) -> None:
     """100 views, close-ups and grazing ones included: silhouette IoU >= 0.98, median error < 0.2 pitch."""
-    mesh, library = mesh_and_library
+    mesh, index = mesh_and_index
     poses = random_views(np.random.default_rng(seed), mesh, 100)
     expected = ray_cast(mesh, poses)
 
-    actual = render(library, poses)
+    actual = render(library, poses, index)
 
     hit, truth = np.isfinite(actual), np.isfinite(expected)
     overlap = (hit & truth).sum(axis=(1, 2)) / (hit | truth).sum(axis=(1, 2))
@@ -52,7 +72,7 @@ def test_rendering_agrees_with_ray_casting(
         assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[0])
 
 
-def test_scaled_objects_are_those_of_scaled_meshes(seed: int) -> None:
+def test_scaled_objects_are_those_of_scaled_meshes(library: ObjectLibrary, seed: int) -> None:
     """A cup larger and smaller along its own axes: 20 views, met as well as the mesh itself is."""
     mesh = MESHES["cup"]
     rng = np.random.default_rng(seed)
@@ -60,9 +80,7 @@ def test_scaled_objects_are_those_of_scaled_meshes(seed: int) -> None:
     larger = [mesh.copy().apply_transform(np.diag(np.append(scale, 1.0))) for scale in scales]
     expected = np.concatenate([ray_cast(one, pose[None]) for one, pose in zip(larger, poses, strict=True)])
 
-    library = library_of_mesh(mesh.vertices, mesh.faces)
-    given = replace(posed(poses), scale=jnp.asarray(scales, jnp.float32))
-    actual = np.asarray(render_layers(library, given, cameras(), INTRINSICS.height, INTRINSICS.width))
+    actual = render(library, poses, list(MESHES).index("cup"), scales=scales)
 
     hit, truth = np.isfinite(actual), np.isfinite(expected)
     overlap = (hit & truth).sum(axis=(1, 2)) / (hit | truth).sum(axis=(1, 2))
@@ -92,33 +110,33 @@ def test_rays_do_not_leap_over_thin_walls(seed: int) -> None:
 
 
 def test_what_is_rendered_does_not_depend_on_where_rays_begin(
-    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary], seed: int
+    library: ObjectLibrary, mesh_and_index: tuple[trimesh.Trimesh, int], seed: int
 ) -> None:
     """A camera whose tiles begin one pixel further on sees the same: rays skip other lengths of free space.
 
     At most 5 of 10,000 pixels differ by more than 1 mm, where a leap ends behind a sliver of the solid. Rays
     that stopped near the first plane that they came to differed in 14 and 16 of them (cup, ring).
     """
-    mesh, library = mesh_and_library
+    mesh, index = mesh_and_index
     poses = random_views(np.random.default_rng(seed), mesh, 20)
-    height, width = INTRINSICS.height + 1, INTRINSICS.width + 1
-    aside = replace(INTRINSICS, cx=INTRINSICS.cx + 1, cy=INTRINSICS.cy + 1, width=width, height=height)
+    begins = {"cx": INTRINSICS.cx + 1, "cy": INTRINSICS.cy + 1}
+    aside = replace(INTRINSICS, **begins, width=INTRINSICS.width + 1, height=INTRINSICS.height + 1)
 
-    here = render(library, poses)
-    there = np.asarray(render_layers(library, posed(poses), cameras(aside), height, width))[:, 1:, 1:]
+    here = render(library, poses, index)
+    there = render(library, poses, index, intrinsics=aside)[:, 1:, 1:]
 
     away = np.abs(np.where(np.isfinite(here), here, 10.0) - np.where(np.isfinite(there), there, 10.0))
     assert (away > 0.001).sum() < 1e-3 * np.isfinite(here).sum()
 
 
 def test_what_the_camera_cannot_see_renders_as_nothing(
-    mesh_and_library: tuple[trimesh.Trimesh, ObjectLibrary],
+    library: ObjectLibrary, mesh_and_index: tuple[trimesh.Trimesh, int]
 ) -> None:
     """Behind the camera, beside the image, or at a pose that is not a number."""
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, :3, 3] = [[0, 0, -1], [5, 0, 1], [np.nan, 0, 1]]
 
-    assert np.isinf(render(mesh_and_library[1], poses)).all()
+    assert np.isinf(render(library, poses, mesh_and_index[1])).all()
 
 
 def test_an_object_larger_than_the_image_fills_it() -> None:
@@ -133,13 +151,11 @@ def test_an_object_larger_than_the_image_fills_it() -> None:
     np.testing.assert_allclose(depth, 0.06, atol=0.2 * float(library.pitch_m[0]))
 
 
-def test_objects_of_a_library_render_as_alone() -> None:
+def test_objects_of_a_library_render_as_alone(library: ObjectLibrary) -> None:
     """Joining moves tables, not shapes."""
-    libraries = [library_of_mesh(MESHES[name].vertices, MESHES[name].faces, 0.003) for name in ("box", "can")]
-    library = join(libraries)
     pose = np.eye(4)[None].copy()
     pose[:, 2, 3] = 0.5
 
-    for index, alone in enumerate(libraries):
-        together = render_layers(library, posed(pose, index), cameras(), 96, 128)
-        np.testing.assert_array_equal(together, render(alone, pose))
+    for index, mesh in enumerate(list(MESHES.values())[:2]):
+        alone = library_of_mesh(mesh.vertices, mesh.faces)
+        np.testing.assert_array_equal(render(library, pose, index), render(alone, pose))

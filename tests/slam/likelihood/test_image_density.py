@@ -35,6 +35,41 @@ def _displaced(xi: list[float]) -> jax.Array:
     return pose_gaussian.displace(IDENTITY, jnp.asarray(xi, jnp.float32))
 
 
+@jax.jit
+def _rendered(local_map, camera_pose, view):
+    poses = local_map.keyframes_from_camera(camera_pose)
+    return render(local_map.surfaces, local_map.present, poses, view.rays, view.camera)
+
+
+@jax.jit
+def _scored(local_map, camera_pose, view):
+    poses = local_map.keyframes_from_camera(camera_pose)
+    image = _rendered(local_map, camera_pose, view)
+    return scored_pixels(view, image, local_map.surfaces, local_map.present, poses, NOISE)
+
+
+@jax.jit
+def _surfels(view):
+    return surfel_image(view, NOISE)
+
+
+def _local_map(keyframe_poses: np.ndarray) -> LocalMap:
+    views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(keyframe_poses, seed=1)]
+    surfaces = [_surfels(view) for view in views]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *surfaces)
+    return LocalMap(stacked, jnp.ones(len(views), bool), single_precision_poses(keyframe_poses))
+
+
+@jax.jit
+def _log_density(pixels, poses):
+    return log_image_density(pixels, poses, NOISE, 1.0)
+
+
+@jax.jit
+def _foreseen(image):
+    return predict_from_neighbours(image, NOISE)
+
+
 @pytest.mark.parametrize("expected", [(0.0, 0.0, 0.0), (1.52, 1.5, 1.4), (0.0, 0.0, 2.0), (0.6, 0.6, 0.6)])
 @pytest.mark.parametrize("depth", [None, 0.8, 2.0, 9.0])
 @pytest.mark.parametrize("in_front", [False, True])
@@ -61,7 +96,7 @@ def test_a_hole_is_foreseen_by_its_neighbours_and_says_nothing_of_the_place():
     depth = jnp.asarray(box_room.depth_image(box_room.pose(0, 0, 0, 0.2)))
     view = view_of_frame(box_room.frames(box_room.pose(0, 0, 0, 0.2)[None])[0], box_room.INTRINSICS)
     holed = replace(view, depth_m=view.depth_m.at[40:60, 40:60].set(0.0))
-    none = np.asarray(predict_from_neighbours(depth.at[40:60, 40:60].set(0.0)[::2, ::2], NOISE).none)
+    none = np.asarray(_foreseen(depth.at[40:60, 40:60].set(0.0)[::2, ::2]).none)
     here = single_precision_poses(box_room.pose(0, 0, 0, 0.2))
     pixels = _scored(_local_map(box_room.pose(0, 0, 0, 0.2)[None]), here, holed)
 
@@ -70,9 +105,7 @@ def test_a_hole_is_foreseen_by_its_neighbours_and_says_nothing_of_the_place():
         shown = replace(pixels, weights=weights)
         returns = replace(shown, measured=pixels.measured & (pixels.observed_m > 0))
         poses = _local_map(box_room.pose(0, 0, 0, 0.2)[None]).keyframes_from_camera(here)
-        return float(
-            log_image_density(returns, poses, NOISE, 1.0) - log_image_density(shown, poses, NOISE, 1.0)
-        )
+        return float(_log_density(returns, poses) - _log_density(shown, poses))
 
     assert none[20, 20] < 0.05 < 0.9 < none[25, 25]
     assert lost(pixels.weights) == pytest.approx(lost(jnp.zeros_like(pixels.weights)), abs=0.1)
@@ -83,7 +116,7 @@ def test_unknown_pixels_look_at_those_before_alone():
     depth = jnp.asarray(box_room.depth_image(box_room.pose(0, 0, 0, 0.2)))[::2, ::2]
     changed = depth.at[20, 30].add(0.3)
 
-    before, after = (predict_from_neighbours(image, NOISE) for image in (depth, changed))
+    before, after = (_foreseen(image) for image in (depth, changed))
     changes = [
         np.asarray(one != other).reshape(-1, *before.share.shape).any(axis=0)
         for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
@@ -110,7 +143,7 @@ def test_an_unknown_wall_is_foreseen_almost_as_well_as_a_known_one():
     seen = jnp.asarray(box_room.frames(pose[None], seed=11)[0].depth_m)[::2, ::2]
     sigma = NOISE.sigma_base_m + NOISE.sigma_growth_per_m * (true - 0.4) ** 2
 
-    foreseen = predict_from_neighbours(seen, NOISE)
+    foreseen = _foreseen(seen)
     unknown = log_density_of_unknown(seen, foreseen, NOISE)
     known = log_density_of_mapped(seen, foreseen, jnp.zeros(seen.shape, bool), true, 0.1 * sigma, NOISE)
 
@@ -228,24 +261,6 @@ def test_gradient_and_curvature_are_those_of_the_log_density(key):
     np.testing.assert_allclose(np.linalg.eigvals(relative).real, 1.0, atol=0.1)
 
 
-def _rendered(local_map, camera_pose, view):
-    poses = local_map.keyframes_from_camera(camera_pose)
-    return render(local_map.surfaces, local_map.present, poses, view.rays, view.camera)
-
-
-def _scored(local_map, camera_pose, view):
-    poses = local_map.keyframes_from_camera(camera_pose)
-    image = _rendered(local_map, camera_pose, view)
-    return scored_pixels(view, image, local_map.surfaces, local_map.present, poses, NOISE)
-
-
-def _local_map(keyframe_poses: np.ndarray) -> LocalMap:
-    views = [view_of_frame(frame, box_room.INTRINSICS) for frame in box_room.frames(keyframe_poses, seed=1)]
-    surfaces = [surfel_image(view, NOISE) for view in views]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *surfaces)
-    return LocalMap(stacked, jnp.ones(len(views), bool), single_precision_poses(keyframe_poses))
-
-
 def test_rendering_shows_what_the_camera_would_see():
     """Depth rendered from two noisy keyframes is the room's own depth, to the noise."""
     local_map = _local_map(np.stack([box_room.pose(0, 0, 0), box_room.pose(0.2, 0, 0, 0.2)]))
@@ -293,7 +308,7 @@ def test_candidates_compare_alike_under_either_of_two_renderings():
     def tempered(centre: jax.Array) -> np.ndarray:
         pixels = _scored(local_map, centre, view)
         poses = [local_map.keyframes_from_camera(pose) for pose in [optimum.pose, *candidates]]
-        return exponent * np.asarray([float(log_image_density(pixels, one, NOISE, 1.0)) for one in poses])
+        return exponent * np.asarray([float(_log_density(pixels, one)) for one in poses])
 
     here, there = tempered(optimum.pose), tempered(candidates[0])
 
@@ -312,7 +327,7 @@ def test_a_pose_that_turns_away_from_the_rendering_gains_nothing():
     turned = pose_gaussian.displace(truth, jnp.asarray([0, 0, 0, 0, 3.0, 0], jnp.float32))
 
     def density(pixels, pose):
-        return float(log_image_density(pixels, local_map.keyframes_from_camera(pose), NOISE, 1.0))
+        return float(_log_density(pixels, local_map.keyframes_from_camera(pose)))
 
     assert density(pixels, truth) > density(nowhere, truth) > density(pixels, turned) + 1000.0
 
@@ -325,16 +340,16 @@ def test_float32_differences_of_log_densities_are_those_of_float64():
     near = local_map.keyframes_from_camera(single_precision_poses(truth))
     pixels = _scored(local_map, single_precision_poses(truth), view)
     moved = near.at[0, 4:].add(jnp.asarray([0.001, -0.001, 0.001]))
-    single = float(log_image_density(pixels, moved, NOISE, 1.0))
-    single -= float(log_image_density(pixels, near, NOISE, 1.0))
+    single = float(_log_density(pixels, moved))
+    single -= float(_log_density(pixels, near))
 
     with jax.enable_x64(True):
         wide = jax.tree.map(
             lambda leaf: leaf if leaf.dtype == bool else jnp.asarray(leaf, jnp.float64), pixels
         )
         double = float(
-            log_image_density(wide, jnp.asarray(moved, jnp.float64), NOISE, 1.0)
-            - log_image_density(wide, jnp.asarray(near, jnp.float64), NOISE, 1.0)
+            _log_density(wide, jnp.asarray(moved, jnp.float64))
+            - _log_density(wide, jnp.asarray(near, jnp.float64))
         )
 
     assert single == pytest.approx(double, abs=0.1)
