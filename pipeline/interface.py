@@ -14,6 +14,7 @@ kernels are kept in the user's cache folder. Everything else in the packages may
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -151,45 +152,29 @@ def parse(
         settings: fields of `ParseConfig`, such as objects and frames.
 
     Raises:
-        PipelineError: a shape or frame is missing.
+        PipelineError: a shape or frame is missing, or has no colours where they are compared.
         ValueError: the frames show nothing to parse, or a setting cannot be used.
     """
     import numpy as np
 
     from pipeline.calibration.images import profile_of
     from pipeline.shape_folder import chosen, load_surfaces
-    from pipeline.stages.parse import drawn_shapes, frames_to_parse, relative_poses
+    from pipeline.stages.parse import parse_recording, relative_poses
     from pipeline.surfaces import Surfaces
-    from recordings.types import DepthNoise
-    from scene.objects.scene_object import scene_object
-    from scene.parsing import parse_scene
 
     _prepare()
     config = ParseConfig(**settings)
+    if config.colour == "only":
+        raise ValueError("colour 'only' is the command line's: voxscene parse --colour only")
     if len(config.frames) > 1 and trajectory is None:
         raise ValueError("several frames need a trajectory: give that of `track`")
     poses = np.eye(4)[None]
     if len(config.frames) > 1 and trajectory is not None:
         poses = relative_poses(trajectory.mean, config.frames)
     surfaces = Surfaces(chosen(load_surfaces(Path(shapes)), config.objects))
-    draws = drawn_shapes(Path(shapes), surfaces, stage_key(seed, "draws"), config)
-    objects = [
-        scene_object(name, one.vertices_m, one.faces, drawn)
-        for (name, one), drawn in zip(surfaces.by_name.items(), draws, strict=True)
-    ]
-    numbers, frames = zip(*frames_to_parse(recording, config.frames), strict=True)
     sensor = profile_of(recording, recording.statistics().frames)
-    return parse_scene(
-        stage_key(seed, "parse"),
-        frames,
-        numbers,
-        poses,
-        recording.intrinsics,
-        sensor.noise or DepthNoise(),
-        objects,
-        config,
-        unknown=sensor.unknown,
-    )
+    keys = stage_key(seed, "parse"), stage_key(seed, "draws")
+    return parse_recording(keys, recording, Path(shapes), surfaces, poses, sensor, config, warnings.warn)
 
 
 def _prepare() -> None:

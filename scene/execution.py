@@ -37,7 +37,7 @@ def compile_in_background(*kernels: Callable[[], object]) -> Iterator[None]:
         kernel.result()
 
 
-MOST_PER_SHARE = 128
+PER_SHARE = 64
 """Hypotheses of a share: as many as keep a core busy for some milliseconds, and a batch several cores."""
 
 Batch = TypeVar("Batch")
@@ -50,21 +50,19 @@ Done = TypeVar("Done")
 def score_on_all_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDArray[np.float32]:
     """The scores (N,) of a batch, leaves (N, ...).
 
-    Shares have one size, for one kernel to serve them all, and it depends on the batch alone: the number of
-    cores changes no byte.
+    Shares have one size, filled up by the last member, for one kernel to serve batches of any size. The
+    number of cores changes no byte.
     """
     count = len(jax.tree.leaves(batch)[0])
-    shares = -(-count // MOST_PER_SHARE)
-    if shares == 1 or jax.default_backend() != "cpu":
+    if jax.default_backend() != "cpu":
         return np.asarray(score(batch))
-    length = -(-count // shares)
     batch = jax.tree.map(np.asarray, batch)
 
-    def scored(share: int) -> NDArray[np.float32]:
-        mine = np.minimum(np.arange(share * length, (share + 1) * length), count - 1)
+    def scored(first: int) -> NDArray[np.float32]:
+        mine = np.minimum(np.arange(first, first + PER_SHARE), count - 1)
         return np.asarray(score(jax.tree.map(lambda leaf: leaf[mine], batch)))
 
-    return np.concatenate(map_parallel(scored, range(shares)))[:count]
+    return np.concatenate(map_parallel(scored, range(0, count, PER_SHARE)))[:count]
 
 
 def map_parallel(work: Callable[[Item], Done], items: Iterable[Item]) -> list[Done]:

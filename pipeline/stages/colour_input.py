@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from pipeline.errors import PipelineError
 from recordings.types import Frame
 
 if TYPE_CHECKING:
-    from pipeline.session import Session
     from pipeline.surfaces import SceneSurface
+    from recordings.reading import McapRecording
     from scene.config import ParseConfig
     from scene.objects.scene_object import SceneObject
 
@@ -19,9 +19,18 @@ CLIPPED = 0.05
 
 
 def check_colours(
-    session: Session, frames: Sequence[tuple[int, Frame]], surfaces: Mapping[str, SceneSurface]
+    recording: McapRecording,
+    frames: Sequence[tuple[int, Frame]],
+    surfaces: Mapping[str, SceneSurface],
+    warn: Callable[[str], None],
 ) -> None:
     """Refuse frames without colour and shapes of which none has any; tell of those that lack something.
+
+    Args:
+        recording: that the frames are of.
+        frames: with their numbers.
+        surfaces: of the shapes, by name.
+        warn: called with a sentence for the user.
 
     Raises:
         PipelineError: there is nothing to compare.
@@ -29,10 +38,10 @@ def check_colours(
     for number, frame in frames:
         if frame.rgb is None:
             raise PipelineError(
-                f"frame {number} of {session.source.path} has no colour that is registered to its depth; "
-                f"--colour add needs it{session.recording.colour_problem}"
+                f"frame {number} of {recording.decoded.bag.path} has no colour that is registered to its "
+                f"depth; --colour add needs it{recording.colour_problem}"
             )
-        tell_of_clipped(session, number, frame)
+        tell_of_clipped(number, frame, warn)
     bare = [name for name, surface in surfaces.items() if surface.rgb is None]
     if len(bare) == len(surfaces):
         raise PipelineError(
@@ -40,17 +49,17 @@ def check_colours(
             "with colour, or take meshes with colours of vertices or textures"
         )
     if bare:
-        session.warn(f"no colours are known of {', '.join(bare)}: any may be theirs")
+        warn(f"no colours are known of {', '.join(bare)}: any may be theirs")
 
 
-def tell_of_clipped(session: Session, number: int, frame: Frame) -> None:
+def tell_of_clipped(number: int, frame: Frame, warn: Callable[[str], None]) -> None:
     """Say what share of a frame's pixels is as dark or as bright as can be stored, where it is large."""
     from scene.colour.camera_view import clipped_share
 
     assert frame.rgb is not None
     clipped = clipped_share(frame.rgb)
     if clipped > CLIPPED:
-        session.warn(f"{clipped:.0%} of the pixels of frame {number} are under- or overexposed")
+        warn(f"{clipped:.0%} of the pixels of frame {number} are under- or overexposed")
 
 
 def coloured(

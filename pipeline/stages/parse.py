@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pipeline.meshes import Units
     from recordings.reading import McapRecording
     from recordings.sensor_profile import SensorProfile
+    from scene.objects.scene_object import SceneObject
     from scene.result import SceneResult
 
 SOURCES = (
@@ -105,42 +106,84 @@ def _parse(
     sensor: SensorProfile,
     config: ParseConfig,
 ) -> SceneResult:
-    from pipeline.shape_folder import holds_learned_shapes
-    from scene.objects.scene_object import scene_object
-    from scene.parsing import parse_scene
-
-    config = replace(config, unknown_solids=config.unknown_solids and not holds_learned_shapes(shapes))
-    key, draw_key = session.key("parse"), session.key("draws")
-    draws = drawn_shapes(shapes, surfaces, draw_key, config)
+    keys = session.key("parse"), session.key("draws")
     with session.common.progress("parse", "blocks") as progress:
         progress.phase("reading")
         session.look()
         progress.phase("detecting and searching, compiling once")
         try:
-            numbered = frames_to_parse(session.recording, config.frames)
-            if config.adds_colour:
-                check_colours(session, numbered, surfaces.by_name)
-            objects = [
-                scene_object(name, one.vertices_m, one.faces, drawn)
-                for (name, one), drawn in zip(surfaces.by_name.items(), draws, strict=True)
-            ]
-            if config.adds_colour:
-                objects = coloured(objects, surfaces.by_name, config)
-            numbers, frames = zip(*numbered, strict=True)
-            return parse_scene(
-                key,
-                frames,
-                numbers,
-                poses,
-                session.recording.intrinsics,
-                sensor.noise or DepthNoise(),
-                objects,
-                config,
-                progress,
-                unknown=sensor.unknown,
+            return parse_recording(
+                keys, session.recording, shapes, surfaces, poses, sensor, config, session.warn, progress
             )
         except ValueError as error:
             raise PipelineError(f"{session.source.path}: {error}") from error
+
+
+def parse_recording(
+    keys: tuple[jax.Array, jax.Array],
+    recording: McapRecording,
+    shapes: Path,
+    surfaces: Surfaces,
+    poses: NDArray[np.float64],
+    sensor: SensorProfile,
+    config: ParseConfig,
+    warn: Callable[[str], None],
+    progress: Callable[[int, int], None] | None = None,
+) -> SceneResult:
+    """The scene that depth frames of a recording show.
+
+    Args:
+        keys: of the parse and of the shapes' draws.
+        recording: the frames.
+        shapes: folder of learned shapes or meshes.
+        surfaces: of what is looked for, from there.
+        poses: (F, 4, 4) of the frames' cameras in that of the first of them.
+        sensor: what is known of it.
+        config: settings.
+        warn: called with a sentence for the user.
+        progress: called with blocks of moves done and in all.
+
+    Raises:
+        PipelineError: a frame is missing, or has no colours where they are compared.
+        ValueError: the frames show nothing to parse.
+    """
+    from pipeline.shape_folder import holds_learned_shapes
+    from scene.parsing import parse_scene
+
+    key, draw_key = keys
+    config = replace(config, unknown_solids=config.unknown_solids and not holds_learned_shapes(shapes))
+    numbered = frames_to_parse(recording, config.frames)
+    if config.adds_colour:
+        check_colours(recording, numbered, surfaces.by_name, warn)
+    objects = _objects(surfaces, drawn_shapes(shapes, surfaces, draw_key, config))
+    if config.adds_colour:
+        objects = coloured(objects, surfaces.by_name, config)
+    numbers, frames = zip(*numbered, strict=True)
+    return parse_scene(
+        key,
+        frames,
+        numbers,
+        poses,
+        recording.intrinsics,
+        sensor.noise or DepthNoise(),
+        objects,
+        config,
+        progress,
+        unknown=sensor.unknown,
+    )
+
+
+def _objects(
+    surfaces: Surfaces, draws: Sequence[Sequence[tuple[NDArray[np.float64], NDArray[np.int64]]]]
+) -> list[SceneObject]:
+    """What is looked for, with the draws of each: half a second to a second of one core an object."""
+    from scene.execution import map_parallel
+    from scene.objects.scene_object import scene_object
+
+    each = zip(surfaces.by_name.items(), draws, strict=True)
+    return map_parallel(
+        lambda given: scene_object(given[0][0], given[0][1].vertices_m, given[0][1].faces, given[1]), each
+    )
 
 
 def _surfaces(

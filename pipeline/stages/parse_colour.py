@@ -47,7 +47,7 @@ def parse_colour_frame(
         raise PipelineError("--colour only reads one frame; name one with --frames N")
     number, frame = _colour_frame(session, config.frames)
     assert frame.rgb is not None
-    tell_of_clipped(session, number, frame)
+    tell_of_clipped(number, frame, session.warn)
     if (frame.rgb == frame.rgb[..., :1]).all():
         session.warn(f"frame {number} is grey: its three channels count as one")
     seed = int(jax.random.randint(session.key("parse"), (), 0, 2**31 - 1))

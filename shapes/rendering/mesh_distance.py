@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -84,7 +83,8 @@ def nearest_sheets(
         nearest to the nearest such voxel.
     """
     triangles = _subdivided(np.asarray(vertices, np.float32)[np.asarray(faces)], LONGEST_EDGE)
-    nearest = _nearest_triangle(triangles, size)
+    reached = _Reached.of(triangles, size)
+    nearest = reached.nearest(size)
     unseen = nearest < 0
     features = np.zeros((3, *size), np.int32)
     ndimage.distance_transform_edt(unseen, return_distances=False, return_indices=True, indices=features)
@@ -96,7 +96,7 @@ def nearest_sheets(
     sign = _signs(distance, offset, outward[nearest], outside, inside)
     touching = (distance < TOUCHING)[..., None]
     gradient = offset * (sign / np.maximum(distance, 1e-9))[..., None]
-    second = _nearest_elsewhere(triangles, outward, nearest)
+    second = reached.nearest_elsewhere(outward, nearest)
     apart = triangles.mean(axis=1)[second] - triangles.mean(axis=1)[nearest]
     across = outward[second]
     convex = (second >= 0) & (((outward[nearest] - across) * apart).sum(axis=-1) < 0)
@@ -126,31 +126,61 @@ def _subdivided(triangles: NDArray[np.float32], longest: float) -> NDArray[np.fl
     return np.concatenate(done)
 
 
-def _nearest_triangle(triangles: NDArray[np.float32], size: tuple[int, int, int]) -> NDArray[np.int32]:
-    """Index of the nearest triangle for voxels within 1.5 of the surface, -1 beyond; (size)."""
-    padding = -len(triangles) % CHUNK
-    padded = np.concatenate([triangles, np.full((padding, 3, 3), -1e3, np.float32)])
-    count = int(np.prod(size))
-    best = jnp.asarray(np.full(1 << (count - 1).bit_length(), UNREACHED, np.uint32))
-    for start in range(0, len(padded), CHUNK):
-        best = _lower(best, *_reached(padded[start : start + CHUNK], start, np.asarray(size, np.int32)))
-    best = np.asarray(best)[:count].reshape(size)
-    nearest = (best & (2**20 - 1)).astype(np.int32)
-    nearest[best == UNREACHED] = -1
-    return nearest
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Reached:
+    """Voxels within `BAND` of triangles.
 
+    Attributes:
+        voxel: (P,) flat indices.
+        key: (P,) uint32, the distance in the upper bits and the triangle's number in the lower 20.
+    """
 
-@partial(jax.jit, donate_argnums=0)
-def _lower(best, index, key):
-    return best.at[index].min(key, mode="drop")
+    voxel: NDArray[np.intp]
+    key: NDArray[np.uint32]
+
+    @classmethod
+    def of(cls, triangles: NDArray[np.float32], size: tuple[int, int, int]) -> _Reached:
+        """Those of triangles (T, 3, 3) in a grid."""
+        padding = -len(triangles) % CHUNK
+        padded = np.concatenate([triangles, np.full((padding, 3, 3), -1e3, np.float32)])
+        voxels, keys = [], []
+        for start in range(0, len(padded), CHUNK):
+            index, key = map(
+                np.asarray, _reached(padded[start : start + CHUNK], start, np.asarray(size, np.int32))
+            )
+            inside = index >= 0
+            voxels.append(index[inside].astype(np.intp))
+            keys.append(key[inside])
+        return cls(voxel=np.concatenate(voxels), key=np.concatenate(keys))
+
+    @property
+    def triangle(self) -> NDArray[np.intp]:
+        """Number (P,) of the triangle."""
+        return (self.key & (2**20 - 1)).astype(np.intp)
+
+    def nearest(self, size: tuple[int, int, int]) -> NDArray[np.int32]:
+        """Index (size) of the nearest triangle, -1 where none is near."""
+        best = np.full(int(np.prod(size)), UNREACHED, np.uint32)
+        np.minimum.at(best, self.voxel, self.key)
+        nearest = (best & (2**20 - 1)).astype(np.int32)
+        nearest[best == UNREACHED] = -1
+        return nearest.reshape(size)
+
+    def nearest_elsewhere(
+        self, outward: NDArray[np.float32], nearest: NDArray[np.int32]
+    ) -> NDArray[np.int32]:
+        """The nearest triangle that faces elsewhere than that of a number (size), by normals (T, 3)."""
+        there = outward[nearest.ravel()[self.voxel]]
+        cosine = (there * outward[self.triangle]).sum(axis=1)
+        elsewhere = cosine < ELSEWHERE
+        penalty = np.where(cosine > OPPOSITE, np.uint32(SIDEWAYS * 2047) << 20, 0).astype(np.uint32)
+        others = _Reached(voxel=self.voxel[elsewhere], key=(self.key + penalty)[elsewhere])
+        return others.nearest((nearest.shape[0], nearest.shape[1], nearest.shape[2]))
 
 
 @jax.jit
 def _reached(triangles, start, size):
-    """Flat indices (T, REACH^3) and squared distances of the voxels round triangles (T, 3, 3).
-
-    Voxels that are not reached have an index past every grid's end.
-    """
+    """Flat indices (T, REACH^3) and keys of the voxels round triangles (T, 3, 3); -1 beyond `BAND`."""
     corner = jnp.floor(triangles.min(axis=1) - BAND).astype(jnp.int32)
     block = np.stack(np.meshgrid(*[np.arange(REACH)] * 3, indexing="ij")).reshape(3, -1)
     i, j, k = (corner[:, axis, None] + block[axis, None] for axis in range(3))
@@ -161,36 +191,7 @@ def _reached(triangles, start, size):
     )
     name = start + jnp.arange(len(triangles), dtype=jnp.uint32)[:, None]
     key = (jnp.sqrt(square) * 2047).astype(jnp.uint32) << 20 | name
-    return jnp.where(inside, (i * size[1] + j) * size[2] + k, np.iinfo(np.int32).max), key
-
-
-def _nearest_elsewhere(triangles, outward, nearest):
-    """For each voxel the nearest triangle within `BAND` that faces elsewhere than the nearest; -1 without."""
-    size = nearest.shape
-    padding = -len(triangles) % CHUNK
-    padded = np.concatenate([triangles, np.full((padding, 3, 3), -1e3, np.float32)])
-    normals = jnp.asarray(np.concatenate([outward, np.zeros((padding, 3), np.float32)]))
-    count = nearest.size
-    room = 1 << (count - 1).bit_length()
-    first = jnp.asarray(np.pad(nearest.ravel(), (0, room - count)))
-    best = jnp.asarray(np.full(room, UNREACHED, np.uint32))
-    for start in range(0, len(padded), CHUNK):
-        chunk = padded[start : start + CHUNK]
-        best = _lower(best, *_reached_elsewhere(chunk, start, np.asarray(size, np.int32), normals, first))
-    best = np.asarray(best)[:count].reshape(size)
-    found = (best & (2**20 - 1)).astype(np.int32)
-    found[best == UNREACHED] = -1
-    return found
-
-
-@jax.jit
-def _reached_elsewhere(triangles, start, size, normals, first):
-    index, key = _reached(triangles, start, size)
-    mine = jax.lax.dynamic_slice_in_dim(normals, start, len(triangles))
-    there = normals[first.at[index].get(mode="clip")]
-    cosine = jnp.sum(there * mine[:, None], axis=2)
-    penalty = jnp.where(cosine > OPPOSITE, jnp.uint32(SIDEWAYS * 2047), 0) << 20
-    return jnp.where(cosine < ELSEWHERE, index, np.iinfo(np.int32).max), key + penalty
+    return jnp.where(inside, (i * size[1] + j) * size[2] + k, -1), key
 
 
 def _offset_of_voxels(triangles: NDArray[np.float32], nearest: NDArray[np.int32]) -> NDArray[np.float32]:

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scene.execution import MOST_PER_SHARE, score_on_all_cores
+from scene.execution import PER_SHARE, score_on_all_cores
 
 
-@pytest.mark.parametrize("count", [1, MOST_PER_SHARE, 2 * MOST_PER_SHARE, 4 * MOST_PER_SHARE + 1, 1000])
+@pytest.mark.parametrize("count", [1, PER_SHARE, 2 * PER_SHARE, 4 * PER_SHARE + 1, 1000])
 def test_every_member_is_scored_once_in_order(count: int) -> None:
     """Batches that divide evenly or not; one kernel serves all shares."""
     batch = {"number": jnp.arange(count), "row": jnp.stack([jnp.arange(count)] * 2, axis=1)}
@@ -37,16 +37,16 @@ def test_the_number_of_cores_changes_no_share(monkeypatch: pytest.MonkeyPatch) -
         return sorted(shares)
 
     assert shares_of(1) == shares_of(5)
-    assert len(shares_of(1)) == 6
+    assert len(shares_of(1)) == 11
 
 
 def test_what_goes_wrong_in_a_share_is_told() -> None:
     """An error of one core's work is raised, not lost."""
 
     def score(batch: jax.Array) -> jax.Array:
-        if np.any(np.asarray(batch) == 4 * MOST_PER_SHARE - 1):
+        if np.any(np.asarray(batch) == 4 * PER_SHARE - 1):
             raise ValueError("the last one")
         return batch
 
     with pytest.raises(ValueError, match="the last one"):
-        score_on_all_cores(score, jnp.arange(4 * MOST_PER_SHARE))
+        score_on_all_cores(score, jnp.arange(4 * PER_SHARE))
