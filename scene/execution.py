@@ -1,4 +1,4 @@
-"""Use of the processor's cores: kernels compiled in the background, batches shared among threads.
+"""How work is run: kernels compiled in the background, batches shared among threads, progress told.
 
 JAX compiles a kernel once; whoever calls one that is being compiled waits for it. Threads must not differ in
 `jax.enable_x64` meanwhile: JAX 0.10 then hands host arrays of one precision to kernels of the other.
@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import jax
 import numpy as np
@@ -25,6 +25,16 @@ FAST_COMPILE: dict[str, bool | int] = {"xla_backend_optimization_level": 1}
 
 if jax.__version_info__ < (0, 11, 1):  # newer ones refuse it, for their compiler has no other way
     FAST_COMPILE["xla_cpu_use_fusion_emitters"] = False
+
+
+class Progress(Protocol):
+    """Whom a stage tells how far it is."""
+
+    def phase(self, name: str) -> None:
+        """What is being done now, while nothing is counted."""
+
+    def __call__(self, done: int, total: int | None = None) -> None:
+        """How many units are done, of how many."""
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from recordings.sensor_profile import UnknownTable
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
+from scene.execution import Progress
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
 from scene.initialisation import initialise
@@ -51,7 +52,7 @@ def parse_scene(
     noise: DepthNoise,
     objects: Sequence[SceneObject],
     config: ParseConfig,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     unknown: UnknownTable | None = None,
 ) -> SceneResult:
     """Parse the scene that the frames show: it is judged by all of them.
@@ -69,7 +70,7 @@ def parse_scene(
         noise: of the sensor.
         objects: what to look for.
         config: settings.
-        progress: called with blocks of moves done and in all.
+        progress: told of phases, and of blocks of moves done and in all.
         unknown: how well pixels foretell each other, of the sensor's profile; None learns it from the frames.
 
     Raises:
@@ -85,6 +86,8 @@ def parse_scene(
         learned = UnknownWeights.of(unknown, windows[0].stride / intrinsics.fx)
     else:
         learned = UnknownWeights.learned([one.depth_m for one in windows], noise)
+    tell = progress.phase if progress else _untold
+    tell("searching, compiling once")
     searched, start = _best_start(
         (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config, learned
     )
@@ -93,11 +96,14 @@ def parse_scene(
     seen_noise = with_surface_error(noise, config.model_error_m)
     sampled = partial(_sampled, rng, compared, objects, renderer, seen_noise, config, progress)
     best = sampled(refine_key, chain_key, start)
+    tell("weighing where objects may be out of sight")
     hidden = _hidden(hidden_key, compared, objects, start, seen_noise, config)
+    tell("weighing which objects are there")
     presence = presence_in_scene(rng, compared, objects, start, best.found, best.chains, hidden, config)
     if (presence.seen & ~start.found).any():
         in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera)
+        tell("sampling the scene with what was added")
         refine_key, chain_key = jax.random.split(jax.random.key(int(rng.integers(2**31))))
         best = sampled(refine_key, chain_key, start)
     scene = summarise(
@@ -115,6 +121,10 @@ def parse_scene(
         config,
     )
     return scene.in_camera(first_camera_from_camera[searched])
+
+
+def _untold(name: str) -> None:
+    """Nobody wants to know."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +151,7 @@ def _sampled(
     renderer: ObjectRenderer,
     noise: DepthNoise,
     config: ParseConfig,
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
     refine_key: jax.Array,
     chain_key: jax.Array,
     start: Initialisation,

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pipeline.meshes import Units
     from recordings.reading import McapRecording
     from recordings.sensor_profile import SensorProfile
+    from scene.execution import Progress
     from scene.objects.scene_object import SceneObject
     from scene.result import SceneResult
 
@@ -110,7 +111,7 @@ def _parse(
     with session.common.progress("parse", "blocks") as progress:
         progress.phase("reading")
         session.look()
-        progress.phase("detecting and searching, compiling once")
+        progress.phase("preparing shapes")
         try:
             return parse_recording(
                 keys, session.recording, shapes, surfaces, poses, sensor, config, session.warn, progress
@@ -128,7 +129,7 @@ def parse_recording(
     sensor: SensorProfile,
     config: ParseConfig,
     warn: Callable[[str], None],
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> SceneResult:
     """The scene that depth frames of a recording show.
 
@@ -141,7 +142,7 @@ def parse_recording(
         sensor: what is known of it.
         config: settings.
         warn: called with a sentence for the user.
-        progress: called with blocks of moves done and in all.
+        progress: told of phases, and of blocks of moves done and in all.
 
     Raises:
         PipelineError: a frame is missing, or has no colours where they are compared.

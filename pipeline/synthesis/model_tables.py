@@ -76,6 +76,32 @@ class ModelTable:
     sizes_drawn: bool
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Scene:
+    """A scene of the prior, without the errors that its objects have in common.
+
+    Attributes:
+        camera_from_table: (4, 4).
+        there: (N,) which objects are there.
+        camera_from_box: (N, 4, 4) where those are.
+        at_rest: (N,) as `ModelTable` has it.
+        layers_m: (N, H, W) depth of each object alone, +inf beside it.
+    """
+
+    camera_from_table: NDArray[np.float64]
+    there: NDArray[np.bool_]
+    camera_from_box: NDArray[np.float64]
+    at_rest: NDArray[np.bool_]
+    layers_m: NDArray[np.float32]
+
+    @property
+    def rest_m(self) -> NDArray[np.float32]:
+        """Depth (H, W) of the table."""
+        return support_depth(
+            [_support(self.camera_from_table)], window_of(_blank(), intrinsics()), intrinsics()
+        )
+
+
 def intrinsics() -> CameraIntrinsics:
     """A camera all of whose pixels are compared."""
     return CameraIntrinsics(
@@ -110,19 +136,20 @@ def draw_table(
         learned: how well pixels foretell each other.
         sizes_drawn: as `ModelTable` has it.
     """
-    there, boxes, at_rest, layers_m, camera_from_table = _scene(rng, objects, config, sizes_drawn=sizes_drawn)
-    rest_m = _rest(camera_from_table)
+    scene = _drawn_scene(rng, objects, config, sizes_drawn=sizes_drawn)
     key = jax.random.key(int(rng.integers(2**31)))
-    depth_m = drawn_image(key, layers_m, rest_m, NOISE, config.model_error_m, min(1.0, EDGE_PX), learned)
+    depth_m = drawn_image(
+        key, scene.layers_m, scene.rest_m, NOISE, config.model_error_m, min(1.0, EDGE_PX), learned
+    )
     radii_m = np.array([np.linalg.norm(one.half_extents_m) for one in objects], np.float64)
     error_m = 0.0 if sizes_drawn else config.model_error_m
-    true = with_common_errors(rng, boxes[None], radii_m, config.scale_error, error_m)[0]
+    true = with_common_errors(rng, scene.camera_from_box[None], radii_m, config.scale_error, error_m)[0]
     return ModelTable(
         frame=Frame(time_ns=0, depth_m=depth_m),
-        camera_from_table=camera_from_table,
-        there=there,
+        camera_from_table=scene.camera_from_table,
+        there=scene.there,
         camera_from_box=true,
-        at_rest=at_rest,
+        at_rest=scene.at_rest,
         sizes_drawn=sizes_drawn,
     )
 
@@ -133,8 +160,8 @@ def learned_weights(
     """Weights that foretell scenes of the prior seen with independent errors."""
     images = []
     for _ in range(LEARNED_FROM):
-        *_, layers_m, camera_from_table = _scene(rng, objects, config, sizes_drawn=False)
-        depth_m = np.minimum(layers_m.min(axis=0), _rest(camera_from_table))
+        scene = _drawn_scene(rng, objects, config, sizes_drawn=False)
+        depth_m = np.minimum(scene.layers_m.min(axis=0), scene.rest_m)
         noisy_m = depth_m + NOISE.sigma_base_m * rng.standard_normal(depth_m.shape)
         images.append(np.where(np.isfinite(depth_m), noisy_m, 0.0).astype(np.float32))
     return UnknownWeights.learned(images, NOISE)
@@ -151,12 +178,9 @@ def unknown_table(learned: UnknownWeights) -> UnknownTable:
     )
 
 
-def _scene(
+def _drawn_scene(
     rng: np.random.Generator, objects: Sequence[SceneObject], config: ParseConfig, *, sizes_drawn: bool
-) -> tuple[
-    NDArray[np.bool_], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32], NDArray[np.float64]
-]:
-    """Objects that are there (N,), camera_from_box (N, 4, 4), at rest (N,), layers, camera_from_table."""
+) -> _Scene:
     camera_from_table = _camera_from_table(rng)
     share = rng.beta(SHAPES * config.presence, SHAPES * (1 - config.presence))
     there = rng.random(len(objects)) < share
@@ -179,7 +203,13 @@ def _scene(
         scales = half_m / np.exp(sizes.log_half)
         renderer, window = ObjectRenderer.of(objects), window_of(_blank(), intrinsics())
         layers_m[present] = renderer.layers(present, poses_of(boxes[present]), window, scales[present])
-    return there, boxes, at_rest, layers_m, camera_from_table
+    return _Scene(
+        camera_from_table=camera_from_table,
+        there=there,
+        camera_from_box=boxes,
+        at_rest=at_rest,
+        layers_m=layers_m,
+    )
 
 
 def _drawn_poses(
@@ -232,10 +262,6 @@ def _camera_from_table(rng: np.random.Generator) -> NDArray[np.float64]:
 
 def _support(camera_from_table: NDArray[np.float64]) -> SupportPlane:
     return SupportPlane(camera_from_table=camera_from_table, half_size_m=TABLE_HALF_M, bend=np.zeros(6))
-
-
-def _rest(camera_from_table: NDArray[np.float64]) -> NDArray[np.float32]:
-    return support_depth([_support(camera_from_table)], window_of(_blank(), intrinsics()), intrinsics())
 
 
 def _blank() -> NDArray[np.float32]:
