@@ -93,7 +93,11 @@ def verdict_text(parse: Mapping[str, Any]) -> str:
     )
     if parse["converged"]:
         return f"converged: {figures}"
-    return f"not converged: {figures}; spreads are too small; -s parse.sweeps={parse['sweeps_advised']}"
+    advised = f"-s parse.sweeps={parse['sweeps_advised']}"
+    objects: Sequence[Mapping[str, Any]] = parse["objects"]
+    if all(one["converged"] and one["modes_converged"] for one in objects):
+        return f"not converged: {figures}; places agree, rarer poses may be missing; {advised}"
+    return f"not converged: {figures}; spreads are too small; {advised}"
 
 
 def _r_hat(document: Mapping[str, Any]) -> str:
