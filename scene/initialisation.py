@@ -57,7 +57,8 @@ def initialise(
     search_round = SearchRound.of(pools, rng)
     *keys, last_key, again_key = jax.random.split(key, config.rounds + 3)
     scene = np.full(len(objects), pools.absent)
-    masks = dict.fromkeys(range(len(objects)), data.foreground)
+    first = data.compact if data.compact.any() else data.foreground
+    masks = dict.fromkeys(range(len(objects)), first)
     with compile_in_background(*_kernels(pools)):
         for index, round_key in enumerate(keys):
             if masks:

@@ -20,6 +20,7 @@ class SceneData:
     Attributes:
         view: pooled image.
         foreground: (H, W) bool, the view's pixels that may show an object.
+        compact: (H, W) bool, those of them whose piece looks like a whole thing: there the search begins.
         window: the pixels on which scenes are compared.
         window_foreground: its pixels that may show an object.
         rest_m: the window's background depth: the supports' planes, elsewhere what was seen; +inf if nothing.
@@ -33,6 +34,7 @@ class SceneData:
 
     view: PooledView
     foreground: NDArray[np.bool_]
+    compact: NDArray[np.bool_]
     window: PixelWindow
     window_foreground: NDArray[np.bool_]
     rest_m: NDArray[np.float32]

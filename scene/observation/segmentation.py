@@ -147,9 +147,11 @@ def _data_over(
     foreground = _near(depth_m)
     if region:
         foreground &= _within(region, points @ first_from_camera[:3, :3].T + first_from_camera[:3, 3])
+    compact = np.ones(view.depth_m.shape, bool)
     if supports:
         surface = _surface_of_any(supports, view)
-        elsewhere = _pieces(supports, view, surface).things_on(range(1, len(supports)))
+        pieces = _pieces(supports, view, surface)
+        elsewhere, compact = (pieces.things_on(range(first, len(supports))) for first in (1, 0))
         foreground &= is_over(supports[0], points) | _enlarged(elsewhere, factor, foreground.shape)
         foreground &= ~_enlarged(surface, factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
@@ -157,6 +159,7 @@ def _data_over(
     return SceneData(
         view=replace(view, unexplained=jax.device_put(pooled_foreground)),
         foreground=pooled_foreground,
+        compact=pooled_foreground & compact,
         window=window,
         window_foreground=np.asarray(binary_dilation(window.of(foreground), iterations=2), bool),
         rest_m=background(supports, foreground, window, intrinsics),

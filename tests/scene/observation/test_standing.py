@@ -1,6 +1,8 @@
 """A small top over a floor: what stands on it, what stands on the floor, and what is furniture."""
 
+from collections.abc import Mapping
 from itertools import product
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -41,9 +43,11 @@ def seen(centre_m: tuple[float, ...], half_m: tuple[float, ...], yaw_rad: float)
     return np.where((enters < leaves) & (enters > 0), enters, np.inf)
 
 
-def of_image(region: tuple[float, ...] = ()) -> tuple[dict[str, NDArray[np.bool_]], SceneData]:
-    """The pixels of every part, and the frame."""
-    layers = {name: seen(*box) for name, box in {**FURNITURE, **THINGS}.items()}
+def of_image(
+    region: tuple[float, ...] = (), more: Mapping[str, tuple] = MappingProxyType({})
+) -> tuple[dict[str, NDArray[np.bool_]], SceneData]:
+    """The pixels of every part, `more` boxes among them, and the frame."""
+    layers = {name: seen(*box) for name, box in {**FURNITURE, **THINGS, **more}.items()}
     depth_m = np.min(list(layers.values()), axis=0)
     parts = {name: np.isfinite(layer) & (layer == depth_m) for name, layer in layers.items()}
     rng = np.random.default_rng(0)
@@ -81,6 +85,21 @@ def test_things_on_any_support_are_foreground_and_furniture_is_not(
 
     assert min(shares[name] for name in THINGS) > 0.9, shares
     assert max(shares[name] for name in FURNITURE) < 0.01, shares
+
+
+def test_the_search_begins_with_things_that_are_seen_whole() -> None:
+    """What is on a support and larger than things are may be searched for things in the end."""
+    chest = (0.02, 0.16, TOP_M + 0.24), (0.12, 0.06, 0.24), 0.0
+
+    parts, data = of_image(more={"chest": chest})
+
+    shares = {
+        name: np.array([mask[part].mean() for mask in (data.foreground, data.compact)])
+        for name, part in parts.items()
+    }
+    assert min(shares[name][1] for name in THINGS) > 0.8, shares
+    assert shares["chest"][0] > 0.8, shares
+    assert shares["chest"][1] == 0, shares
 
 
 def test_a_region_chooses_the_support_on_which_most_stands_there() -> None:
