@@ -74,7 +74,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	PYTHON=$(PYTHON) .ci/system-libraries
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/pip install --quiet --constraint constraints.txt --group dev --editable .
+	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt --group dev --editable .  # Python compiles what it uses
 	touch $@
 
 clean:
