@@ -181,10 +181,12 @@ def _objects(
     from scene.execution import map_parallel
     from scene.objects.scene_object import scene_object
 
-    each = zip(surfaces.by_name.items(), draws, strict=True)
-    return map_parallel(
-        lambda given: scene_object(given[0][0], given[0][1].vertices_m, given[0][1].faces, given[1]), each
-    )
+    def prepared(name: str) -> SceneObject:
+        surface = surfaces.by_name[name]
+        return scene_object(name, surface.vertices_m, surface.faces, drawn[name])
+
+    drawn = dict(zip(surfaces.by_name, draws, strict=True))
+    return map_parallel(prepared, surfaces.by_name)
 
 
 def _surfaces(

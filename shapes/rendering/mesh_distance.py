@@ -7,7 +7,7 @@ inside if no path of voxels leads to it from the grid's border without touching 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -84,7 +84,7 @@ def nearest_sheets(
     """
     triangles = _subdivided(np.asarray(vertices, np.float32)[np.asarray(faces)], LONGEST_EDGE)
     reached = _Reached.of(triangles, size)
-    nearest = reached.nearest(size)
+    nearest = reached.nearest()
     unseen = nearest < 0
     features = np.zeros((3, *size), np.int32)
     ndimage.distance_transform_edt(unseen, return_distances=False, return_indices=True, indices=features)
@@ -133,10 +133,12 @@ class _Reached:
     Attributes:
         voxel: (P,) flat indices.
         key: (P,) uint32, the distance in the upper bits and the triangle's number in the lower 20.
+        size: of the grid.
     """
 
     voxel: NDArray[np.intp]
     key: NDArray[np.uint32]
+    size: tuple[int, int, int]
 
     @classmethod
     def of(cls, triangles: NDArray[np.float32], size: tuple[int, int, int]) -> _Reached:
@@ -151,20 +153,20 @@ class _Reached:
             inside = index >= 0
             voxels.append(index[inside].astype(np.intp))
             keys.append(key[inside])
-        return cls(voxel=np.concatenate(voxels), key=np.concatenate(keys))
+        return cls(voxel=np.concatenate(voxels), key=np.concatenate(keys), size=size)
 
     @property
     def triangle(self) -> NDArray[np.intp]:
         """Number (P,) of the triangle."""
         return (self.key & (2**20 - 1)).astype(np.intp)
 
-    def nearest(self, size: tuple[int, int, int]) -> NDArray[np.int32]:
+    def nearest(self) -> NDArray[np.int32]:
         """Index (size) of the nearest triangle, -1 where none is near."""
-        best = np.full(int(np.prod(size)), UNREACHED, np.uint32)
+        best = np.full(int(np.prod(self.size)), UNREACHED, np.uint32)
         np.minimum.at(best, self.voxel, self.key)
         nearest = (best & (2**20 - 1)).astype(np.int32)
         nearest[best == UNREACHED] = -1
-        return nearest.reshape(size)
+        return nearest.reshape(self.size)
 
     def nearest_elsewhere(
         self, outward: NDArray[np.float32], nearest: NDArray[np.int32]
@@ -174,8 +176,8 @@ class _Reached:
         cosine = (there * outward[self.triangle]).sum(axis=1)
         elsewhere = cosine < ELSEWHERE
         penalty = np.where(cosine > OPPOSITE, np.uint32(SIDEWAYS * 2047) << 20, 0).astype(np.uint32)
-        others = _Reached(voxel=self.voxel[elsewhere], key=(self.key + penalty)[elsewhere])
-        return others.nearest((nearest.shape[0], nearest.shape[1], nearest.shape[2]))
+        key = (self.key + penalty)[elsewhere]
+        return replace(self, voxel=self.voxel[elsewhere], key=key).nearest()
 
 
 @jax.jit

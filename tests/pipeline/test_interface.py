@@ -42,6 +42,12 @@ def test_a_setting_that_does_not_exist_is_refused(mug_file: Path) -> None:
         interface.track(interface.open_recording(mug_file), particels=16)
 
 
+def test_a_colour_image_alone_is_the_command_lines(mug_file: Path, tmp_path: Path) -> None:
+    """It is refused, and never parsed by depth instead."""
+    with pytest.raises(ValueError, match="--colour only"):
+        interface.parse(interface.open_recording(mug_file), tmp_path, colour="only")
+
+
 def test_several_frames_need_a_trajectory(mug_file: Path, tmp_path: Path) -> None:
     """Nobody else knows where the camera was."""
     with pytest.raises(ValueError, match="trajectory"):

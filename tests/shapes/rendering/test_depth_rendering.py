@@ -69,7 +69,7 @@ def test_rendering_agrees_with_ray_casting(
     assert overlap.mean() >= 0.98, f"mean IoU {overlap.mean():.4f}, least {overlap.min():.4f}"
     for depth, reference in zip(actual, expected, strict=True):
         both = np.isfinite(depth) & np.isfinite(reference)
-        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[0])
+        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * float(library.pitch_m[index])
 
 
 def test_scaled_objects_are_those_of_scaled_meshes(library: ObjectLibrary, seed: int) -> None:
@@ -80,14 +80,15 @@ def test_scaled_objects_are_those_of_scaled_meshes(library: ObjectLibrary, seed:
     larger = [mesh.copy().apply_transform(np.diag(np.append(scale, 1.0))) for scale in scales]
     expected = np.concatenate([ray_cast(one, pose[None]) for one, pose in zip(larger, poses, strict=True)])
 
-    actual = render(library, poses, list(MESHES).index("cup"), scales=scales)
+    index = list(MESHES).index("cup")
+    actual = render(library, poses, index, scales=scales)
 
     hit, truth = np.isfinite(actual), np.isfinite(expected)
     overlap = (hit & truth).sum(axis=(1, 2)) / (hit | truth).sum(axis=(1, 2))
     assert overlap.mean() >= 0.98, f"mean IoU {overlap.mean():.4f}, least {overlap.min():.4f}"
     for depth, reference in zip(actual, expected, strict=True):
         both = np.isfinite(depth) & np.isfinite(reference)
-        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * 1.2 * float(library.pitch_m[0])
+        assert np.median(np.abs(depth[both] - reference[both])) < 0.2 * 1.2 * float(library.pitch_m[index])
 
 
 def test_rays_do_not_leap_over_thin_walls(seed: int) -> None:
