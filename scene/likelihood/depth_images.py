@@ -296,8 +296,8 @@ def _log_mean_exp(log_values: jax.Array) -> jax.Array:
     return jax.scipy.special.logsumexp(log_values, axis=-1) - math.log(log_values.shape[-1])
 
 
-@custom_vmap
-def _layers(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+@jax.jit
+def _shown(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     """What shapes (..., R, N) show at poses (..., N, F, 7) camera_from_box.
 
     Returns:
@@ -317,6 +317,12 @@ def _layers(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> tup
         tiles = to_tiles(depth_m, jnp.inf), to_tiles(log_density, 0.0)
     depth_m, log_density = (part.reshape(*shapes.shape, -1, TILE_PIXELS) for part in tiles)
     return depth_m, log_density
+
+
+@custom_vmap
+def _layers(images: DepthLikelihood, shapes: jax.Array, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """`_shown`: as a kernel it is traced once for one chain and once for many, whatever loops it is in."""
+    return _shown(images, shapes, poses)
 
 
 @_layers.def_vmap
