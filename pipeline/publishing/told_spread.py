@@ -12,10 +12,10 @@ from typing import Any
 SURE = 0.995
 """Share of a mode from which on the others are not worth a word: it would be written as 100%."""
 
-REAL_CAMERA_FACTOR = 2.5, 3.7
-"""How many times the told spread the camera was off in real recordings, the truth's own errors included:
-error from the first pose over the median spread (`slam`, `eval slam`, seed 0): 40.6 mm over 16 and 10.3 over
-3.1 in 400 and 60 frames of the 7-Scenes kitchen, 7.3 over 2.0 in the hand-held shelf."""
+REAL_CAMERA_FACTOR = 1.3, 3.7
+"""How many times the reported standard deviation the camera was off in three real recordings, the truth's own
+errors included: error from the first pose over the median (docs/benchmarks.md, C6 to C8): 40.4 mm over 32 and
+10.2 over 4.4 in 400 and 60 frames of the 7-Scenes kitchen, 7.3 over 2.0 in the hand-held shelf."""
 
 
 def length_text(metres: float, *, converged: bool) -> str:
