@@ -9,15 +9,14 @@ from functools import partial
 import jax
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from recordings.sensor_profile import UnknownTable
-from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
+from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from scene.config import ParseConfig
 from scene.execution import Progress
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
-from scene.initialisation import initialise
+from scene.joint_search import JointStart, refine_where_found, search_frames
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
@@ -26,21 +25,14 @@ from scene.mcmc.colour_turns import SeenColours, with_drawn_turns
 from scene.mcmc.sampling import SampledScenes, sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
-from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
-from scene.observation.segmentation import frame_data, scene_data
+from scene.observation.segmentation import scene_views
 from scene.presence.inference import presence_in_scene
 from scene.result import SceneResult
-from scene.search.importance_sampling import refine
 from scene.search.search_result import Initialisation
 from scene.summary import summarise
 from shapes.depth_noise import with_surface_error
 from shapes.geometry.poses import matrices_of, poses_of
-
-NEW_M = 0.015
-"""What is so far from all that the first frame shows is new, and counts by cells of that edge."""
-
-AGREE_M = 0.01
 
 
 def parse_scene(
@@ -57,9 +49,7 @@ def parse_scene(
 ) -> SceneResult:
     """Parse the scene that the frames show: it is judged by all of them.
 
-    It is searched in the first and in the one that shows most of what the first does not, and begins with
-    what agrees better with all. Where moves put in an object that the search had rejected, chains run again
-    over the scene that they tell.
+    Where moves put in an object that the search had rejected, chains run again over the scene that they tell.
 
     Args:
         key: random key.
@@ -74,7 +64,7 @@ def parse_scene(
         unknown: how well pixels foretell each other, of the sensor's profile; None learns it from the frames.
 
     Raises:
-        ValueError: the first frame shows nothing to parse, or the profile does not know such pixels.
+        ValueError: the frames show nothing to parse, or the profile does not know such pixels.
     """
     seed_key, search_key, refine_key, chain_key, again_key, hidden_key = jax.random.split(key, 6)
     seed = int(jax.random.randint(seed_key, (), 0, 2**31 - 1))
@@ -88,18 +78,20 @@ def parse_scene(
         learned = UnknownWeights.learned([one.depth_m for one in windows], noise)
     tell = progress.phase if progress else _untold
     tell("searching, compiling once")
-    searched, start = _best_start(
-        (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, config, learned
+    joint = search_frames(
+        (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, learned, config
     )
-    compared = ComparedFrames.of(views, searched, first_camera_from_camera, objects, noise, learned, config)
+    compared, start = joint.compared, joint.start
     rng = np.random.default_rng(seed)
     seen_noise = with_surface_error(noise, config.model_error_m)
-    sampled = partial(_sampled, rng, compared, objects, renderer, seen_noise, config, progress)
+    sampled = partial(_sampled, rng, joint, objects, renderer, seen_noise, config, progress)
     best = sampled(refine_key, chain_key, start)
     tell("weighing where objects may be out of sight")
     hidden = _hidden(hidden_key, compared, objects, start, seen_noise, config)
     tell("weighing which objects are there")
-    presence = presence_in_scene(rng, compared, objects, start, best.found, best.chains, hidden, config)
+    presence = presence_in_scene(
+        rng, compared, joint.searched, objects, start, best.found, best.chains, hidden, config
+    )
     if (presence.seen & ~start.found).any():
         in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera)
@@ -120,7 +112,7 @@ def parse_scene(
         np.asarray(frame_indices),
         config,
     )
-    return scene.in_camera(first_camera_from_camera[searched])
+    return scene.in_camera(first_camera_from_camera[compared.searched])
 
 
 def _untold(name: str) -> None:
@@ -146,7 +138,7 @@ class _Sampled:
 
 def _sampled(
     rng: np.random.Generator,
-    compared: ComparedFrames,
+    joint: JointStart,
     objects: Sequence[SceneObject],
     renderer: ObjectRenderer,
     noise: DepthNoise,
@@ -157,17 +149,17 @@ def _sampled(
     start: Initialisation,
 ) -> _Sampled:
     """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
-    data, found = compared.data, FoundObjects.of(start.found)
+    compared, found = joint.compared, FoundObjects.of(start.found)
     chosen, their_start = found.taken(objects), start.of_slots(found)
     lines = np.stack([one.spin_line for one in chosen])
-    refined = refine(refine_key, data, renderer, found.placed, their_start, noise, lines)
+    refined = refine_where_found(refine_key, joint, renderer, found, their_start, noise, lines)
     with jax.enable_x64(True):
         chains = sample_posterior(chain_key, compared, chosen, their_start, refined, config, progress)
     nats = np.zeros(len(objects))
     if compared.colours is not None:
         best = their_start.poses[found.present]
         seen = SeenColours(
-            data, compared.colours, renderer, objects, found.indices, best, config.colour_weight
+            compared.data, compared.colours, renderer, objects, found.indices, best, config.colour_weight
         )
         nats[found.indices] = seen.log_factors()
         turned = with_drawn_turns(rng, seen, compared.world_from_camera, chains.samples)
@@ -183,40 +175,15 @@ def _views(
     seed: int,
     config: ParseConfig,
 ) -> list[SceneData]:
-    """The frames, all with the supports that the first one shows."""
-    first = scene_data(frames[0].depth_m, intrinsics, seed, config.support, config.region)
-    views = [first] + [
-        frame_data(frame.depth_m, intrinsics, first, pose)
-        for frame, pose in zip(frames[1:], first_camera_from_camera[1:], strict=True)
-    ]
+    """The frames, with their colours where these are compared."""
+    depths_m = [frame.depth_m for frame in frames]
+    views = scene_views(depths_m, first_camera_from_camera, intrinsics, seed, config.support, config.region)
     if not config.adds_colour:
         return views
     return [
         replace(view, rgb=frame.rgb, rgb_known=frame.rgb_known)
         for view, frame in zip(views, frames, strict=True)
     ]
-
-
-def _best_start(
-    keys: tuple[jax.Array, jax.Array],
-    views: Sequence[SceneData],
-    first_camera_from_camera: NDArray[np.float64],
-    objects: Sequence[SceneObject],
-    renderer: ObjectRenderer,
-    noise: DepthNoise,
-    config: ParseConfig,
-    learned: UnknownWeights,
-) -> tuple[int, Initialisation]:
-    """Which view was searched, and what was found in it that agrees best with all of them."""
-    start = initialise(keys[0], views[0], objects, renderer, noise, config, learned)
-    if len(views) == 1:
-        return 0, start
-    other = _most_new(views, first_camera_from_camera)
-    again = initialise(keys[1], views[other], objects, renderer, noise, config, learned)
-    agreement = partial(_agreement, renderer, views, first_camera_from_camera)
-    if agreement(again, first_camera_from_camera[other]) > agreement(start, np.eye(4)):
-        return other, again
-    return 0, start
 
 
 def _hidden(
@@ -248,36 +215,3 @@ def _hidden(
         noise,
         config,
     )
-
-
-def _most_new(views: Sequence[SceneData], first_camera_from_camera: NDArray[np.float64]) -> int:
-    """The number of the view whose foreground has most points where the first has none near."""
-
-    def points(view: SceneData, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        seen = unproject(np.asarray(view.view.depth_m), view.view.camera)[view.foreground]
-        return seen @ pose[:3, :3].T + pose[:3, 3]
-
-    first, *others = [points(*one) for one in zip(views, first_camera_from_camera, strict=True)]
-    tree = KDTree(first)
-    new = [np.unique((one[tree.query(one)[0] > NEW_M] // NEW_M), axis=0) for one in others]
-    return 1 + int(np.argmax([len(cells) for cells in new]))
-
-
-def _agreement(
-    renderer: ObjectRenderer,
-    views: Sequence[SceneData],
-    first_camera_from_camera: NDArray[np.float64],
-    start: Initialisation,
-    first_from_searched: NDArray[np.float64],
-) -> float:
-    """Mean over views of the share of pixels, of foreground or objects, that show what was measured."""
-    found = np.flatnonzero(start.found)
-    in_first = first_from_searched @ matrices_of(start.poses[found])
-    shares = []
-    for view, first_from_camera in zip(views, first_camera_from_camera, strict=True):
-        in_view = poses_of(np.linalg.inv(first_from_camera) @ in_first)
-        layers_m = renderer.layers(found, in_view, view.window).min(axis=0, initial=np.inf)
-        judged = (view.window_foreground | (layers_m < view.rest_m)) & (view.window.depth_m != NO_RETURN)
-        error_m = np.abs(np.minimum(layers_m, view.rest_m) - view.window.depth_m)
-        shares.append((error_m[judged] < AGREE_M).mean() if judged.any() else 1.0)
-    return float(np.mean(shares))

@@ -86,6 +86,16 @@ class ComparedFrames:
         """The frame that was searched."""
         return self.views[self.searched]
 
+    def world_from(self, frame: int) -> NDArray[np.float64]:
+        """World from the camera of a frame, (4, 4)."""
+        if frame == self.searched:
+            return self.world_from_camera
+        return np.asarray(np.linalg.inv(self.camera_from_world[frame]), np.float64)
+
+    def searched_from(self, frame: int) -> NDArray[np.float64]:
+        """Camera of the searched frame from that of another, (4, 4)."""
+        return np.asarray(self.camera_from_world[self.searched] @ self.world_from(frame), np.float64)
+
     def colours_of(self, objects: Sequence[SceneObject]) -> ComparedColours | None:
         """Colours as chains over these objects take them, where they are compared."""
         if self.colours is None:

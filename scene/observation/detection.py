@@ -42,6 +42,9 @@ LEAST_TOLERANCE_M = 0.006
 CONNECTED_M = 0.05
 """A gap in a plane's points at which another piece of furniture of the same height begins."""
 
+WITHIN = 0.5, 99.5
+"""Percentiles between which the points of a rectangle lie: others are flying pixels at its edge."""
+
 TURNS = 45
 """Rectangles that are tried, 2 degrees apart: the best is then at most 2% larger than the least."""
 
@@ -155,6 +158,37 @@ def _planes(sampled: NDArray[np.float64], rng: np.random.Generator) -> list[NDAr
 def _is_wide(table: SupportPlane) -> bool:
     narrow, wide = np.sort(table.half_size_m)
     return bool(narrow > NARROWEST_HALF_M and wide > SHORTEST_HALF_M)
+
+
+def joined(
+    supports: Sequence[SupportPlane], others: Sequence[SupportPlane], points_m: NDArray[np.float64]
+) -> list[SupportPlane]:
+    """The supports of a scene with those that another view of it shows, all in one frame.
+
+    What goes on from one of them widens it, as far as points (N, 3) of that view lie in it; others join them.
+    """
+    if not supports:
+        return list(others)
+    every, upward = list(supports), supports[0].camera_from_table[:3, 2]
+    for other in others:
+        if upward @ other.camera_from_table[:3, 2] <= STEEPEST:
+            continue
+        same = [number for number, one in enumerate(every) if not _is_another(other, one)]
+        if not same:
+            every.append(other)
+            continue
+        known = every[same[0]]
+        flat = known.in_table_frame(points_m[_lies_in(other, points_m)])[:, :2]
+        if len(flat):
+            low, high = np.percentile(flat, WITHIN, axis=0)
+            half = known.half_size_m
+            every[same[0]] = known.spanning(np.minimum(low, -half), np.maximum(high, half))
+    return every
+
+
+def as_seen(support: SupportPlane, points_m: NDArray[np.floating]) -> SupportPlane:
+    """The support with its bend as another view shows it, of which these are points (N, 3) in its camera."""
+    return _settled(support, points_m[:: max(1, len(points_m) // FITTED_POINTS)])
 
 
 def _lies_in(table: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -294,7 +328,7 @@ def least_rectangle(
     turns = np.linspace(-np.pi / 4, np.pi / 4, TURNS, endpoint=False)
     across = flat @ np.stack([np.cos(turns), np.sin(turns)])
     along = flat @ np.stack([-np.sin(turns), np.cos(turns)])
-    lows, highs = np.percentile(np.stack([across, along]), [0.5, 99.5], axis=1)
+    lows, highs = np.percentile(np.stack([across, along]), WITHIN, axis=1)
     best = int(np.argmin(np.prod(highs - lows, axis=0)))
     (low, high), turn = (lows[:, best], highs[:, best]), turns[best]
     about = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])

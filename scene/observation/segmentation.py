@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -19,7 +19,7 @@ from scipy.ndimage import (
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.observation.depth_view import PooledView, pooled_view, unproject
-from scene.observation.detection import SupportPlane, given_support, support_planes
+from scene.observation.detection import SupportPlane, as_seen, given_support, joined, support_planes
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import PixelWindow, window_of
 from scene.observation.standing import HIGHEST_M, LOWEST_M, MARGIN_M, Pieces, is_over, pieces_on
@@ -57,48 +57,101 @@ def scene_data(
     support: tuple[float, ...] = (),
     region: tuple[float, ...] = (),
 ) -> SceneData:
-    """The supports, the foreground and the background of a depth image.
+    """The supports, the foreground and the background of a depth image (H, W), as `scene_views`."""
+    return scene_views([depth_m], _SAME[None], intrinsics, seed, support, region)[0]
+
+
+def scene_views(
+    depths_m: Sequence[NDArray[np.float32]],
+    first_camera_from_camera: NDArray[np.float64],
+    intrinsics: CameraIntrinsics,
+    seed: int,
+    support: tuple[float, ...] = (),
+    region: tuple[float, ...] = (),
+) -> list[SceneData]:
+    """Depth images of a scene at rest, all with the supports that any of them shows.
+
+    A support reaches as far as all images together show it. Each camera bends it in its own way.
 
     Args:
-        depth_m: (H, W).
-        intrinsics: of the image.
+        depths_m: F images (H, W).
+        first_camera_from_camera: (F, 4, 4) poses relative to the first of them.
+        intrinsics: of the images.
         seed: of the random samples.
-        support: a point and the normal of the one support, metres in the camera's frame; found by itself
+        support: a point and the normal of the one support, metres in the first camera's frame; found by
+            itself where it is empty.
+        region: least and greatest x, y, z in that frame between which objects are looked for; everywhere
             where it is empty.
-        region: least and greatest x, y, z between which objects are looked for; everywhere where it is empty.
 
     Raises:
-        ValueError: nothing is in front of the camera, in the region or on the support.
+        ValueError: nothing is in front of any camera, in the region or on the support.
     """
-    points = unproject(depth_m, intrinsics)
-    if not shows_enough(depth_m):
+    showing = [number for number, one in enumerate(depths_m) if shows_enough(one)]
+    if not showing:
         raise ValueError(f"fewer than {FEWEST_PIXELS} pixels were measured within {FARTHEST_M} m")
-    view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
-    near = points[_near(depth_m)]
-    if support:
-        supports = [given_support(np.array(support[:3]), np.array(support[3:]), near)]
-    else:
-        supports = _busiest_first(support_planes(near, seed, partial(_is_seen, view)), view, region)
-    supports = [_continued(one, view) for one in supports]
-    data = _data_over(supports, depth_m, points, view, intrinsics, region)
-    if region and not data.near.any():
+    images = [_Image.of(one, intrinsics) for one in depths_m]
+    supports: list[SupportPlane] = []
+    for number in showing:
+        image, pose = images[number], first_camera_from_camera[number]
+        if number == showing[0]:
+            own = _supports_of(image, seed, _seen_from(pose, support), region if number == 0 else ())
+        elif support:
+            own = [replace(_in_camera(supports[0], np.linalg.inv(pose)), half_size_m=np.full(2, FARTHEST_M))]
+        else:
+            own = _supports_of(image, seed)
+        others = [_in_camera(one, pose) for one in own]
+        supports = joined(supports, others, image.near_m @ pose[:3, :3].T + pose[:3, 3])
+    views = []
+    for number, (image, pose) in enumerate(zip(images, first_camera_from_camera, strict=True)):
+        mine = [_in_camera(one, np.linalg.inv(pose)) for one in supports]
+        if number != showing[0]:
+            mine = [as_seen(one, image.near_m) for one in mine]
+        views.append(_data_over(mine, image, intrinsics, region, pose))
+    if region and not any(one.near.any() for one in views):
         raise ValueError("nothing stands in the region that was given")
-    return data
+    return views
 
 
-def frame_data(
-    depth_m: NDArray[np.float32],
-    intrinsics: CameraIntrinsics,
-    first: SceneData,
-    first_camera_from_camera: NDArray[np.float64],
-) -> SceneData:
-    """The same for another frame of the scene, with the supports found in the first."""
-    camera_from_first = np.linalg.inv(first_camera_from_camera)
-    supports = [
-        replace(one, camera_from_table=camera_from_first @ one.camera_from_table) for one in first.supports
-    ]
-    view, points = pooled_view(depth_m, intrinsics, VIEW_WIDTH), unproject(depth_m, intrinsics)
-    return _data_over(supports, depth_m, points, view, intrinsics, first.region, first_camera_from_camera)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Image:
+    """A depth image (H, W), its points (H, W, 3) in the camera, its pooled view, and near points (N, 3)."""
+
+    depth_m: NDArray[np.float32]
+    points_m: NDArray[np.float64]
+    view: PooledView
+    near_m: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics) -> _Image:
+        """Of a camera."""
+        points_m = unproject(depth_m, intrinsics)
+        view = pooled_view(depth_m, intrinsics, VIEW_WIDTH)
+        return cls(depth_m=depth_m, points_m=points_m, view=view, near_m=points_m[_near(depth_m)])
+
+
+def _supports_of(
+    image: _Image, seed: int, support: tuple[float, ...] = (), region: tuple[float, ...] = ()
+) -> list[SupportPlane]:
+    """The supports that one image shows, in its camera's frame, that on which most stands first."""
+    if support:
+        supports = [given_support(np.array(support[:3]), np.array(support[3:]), image.near_m)]
+    else:
+        supports = support_planes(image.near_m, seed, partial(_is_seen, image.view))
+        supports = _busiest_first(supports, image.view, region)
+    return [_continued(one, image.view) for one in supports]
+
+
+def _seen_from(first_from_camera: NDArray[np.float64], support: tuple[float, ...]) -> tuple[float, ...]:
+    """A point and a normal of the first camera's frame in that of another; nothing of nothing."""
+    if not support:
+        return ()
+    rotation, origin = first_from_camera[:3, :3], first_from_camera[:3, 3]
+    return tuple(np.concatenate([(support[:3] - origin) @ rotation, support[3:] @ rotation]).tolist())
+
+
+def _in_camera(support: SupportPlane, camera_from_other: NDArray[np.float64]) -> SupportPlane:
+    """The support of another camera in this one's frame."""
+    return replace(support, camera_from_table=camera_from_other @ support.camera_from_table)
 
 
 def background(
@@ -136,13 +189,12 @@ def support_depth(
 
 def _data_over(
     supports: Sequence[SupportPlane],
-    depth_m: NDArray[np.float32],
-    points: NDArray[np.float64],
-    view: PooledView,
+    image: _Image,
     intrinsics: CameraIntrinsics,
     region: tuple[float, ...],
-    first_from_camera: NDArray[np.float64] = _SAME,
+    first_from_camera: NDArray[np.float64],
 ) -> SceneData:
+    depth_m, points, view = image.depth_m, image.points_m, image.view
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
     foreground = _near(depth_m)
     if region:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from scene.mcmc.chain_model import carrying
 from scene.mcmc.sampling import SampledScenes
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
+from scene.observation.frame_data import SceneData
 from scene.presence.births import born_near, distinct, sites_of, solids_near
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import PosePriors
@@ -26,7 +27,7 @@ from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
 
 MOST_SOLIDS = 12
-"""Unknown solids that are looked at: more things of that kind on one table are rare."""
+"""Unknown solids that a frame proposes: more things of that kind on one table are rare."""
 
 SITES = 4
 """Places of an object that the search did not find."""
@@ -38,6 +39,7 @@ CHAINS = 4
 def presence_in_scene(
     rng: np.random.Generator,
     compared: ComparedFrames,
+    novel: Mapping[int, SceneData],
     objects: Sequence[SceneObject],
     start: Initialisation,
     found: FoundObjects,
@@ -50,6 +52,7 @@ def presence_in_scene(
     Args:
         rng: random numbers.
         compared: the frames.
+        novel: of them, by number, with the foreground in which unknown solids are looked for.
         objects: all N.
         start: the best scene of the search, and its pools.
         found: which of the objects chains looked at.
@@ -71,7 +74,10 @@ def presence_in_scene(
     mixture = born_near(rng, frames, priors, sites, lines, start.found)
     solids = SolidFits.none()
     if config.unknown_solids:
-        proposed = proposed_solids(compared.data, world_from_camera, MOST_SOLIDS)
-        solids = solids_near(rng, frames, priors, *proposed)
+        proposed = [
+            proposed_solids(view, compared.world_from(number), MOST_SOLIDS) for number, view in novel.items()
+        ]
+        starts, is_round = (np.concatenate(part) for part in zip(*proposed, strict=True))
+        solids = solids_near(rng, frames, priors, starts, is_round)
     alike = copies_among([one.name for one in objects])
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike)

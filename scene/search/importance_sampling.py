@@ -25,6 +25,7 @@ from scene.objects.symmetry import better_restarts, symmetric_restarts
 from scene.observation.frame_data import SceneData
 from scene.search.search_result import Initialisation
 from shapes.geometry.camera import Camera
+from shapes.geometry.poses import matrices_of, poses_of
 from shapes.rendering.ray_casting import PosedObjects
 
 MODES = 6
@@ -74,6 +75,25 @@ class Refinement:
     covariances: NDArray[np.float64]
     log_masses: NDArray[np.float64]
     visible_fraction: NDArray[np.float64]
+
+    def seen_from(self, other_from_camera: NDArray[np.float64]) -> Refinement:
+        """The same in another camera's frame (4, 4), in which offsets turn with it."""
+        turn = np.eye(6)
+        turn[:3, :3] = other_from_camera[:3, :3]
+        return replace(
+            self,
+            means=poses_of(other_from_camera @ matrices_of(self.means)),
+            covariances=turn @ self.covariances @ turn.T,
+        )
+
+    def with_rows(self, which: NDArray[np.bool_], other: Refinement) -> Refinement:
+        """Objects `which` (N,) as another one tells of them."""
+        return Refinement(
+            **{
+                name: np.where(which.reshape(-1, *[1] * (mine.ndim - 1)), getattr(other, name), mine)
+                for name, mine in vars(self).items()
+            }
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.objects.slots import FoundObjects
+from shapes.geometry.poses import matrices_of, poses_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,6 +54,41 @@ class Initialisation:
         """The same pools with another best scene: the objects `found` (N,) at poses (N, 7)."""
         return replace(self, found=found, poses=np.where(found[:, None], poses, self.poses))
 
+    def seen_from(self, other_from_camera: NDArray[np.float64]) -> Initialisation:
+        """The same in another camera's frame (4, 4)."""
+
+        def moved(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+            return poses_of(other_from_camera @ matrices_of(poses))
+
+        return replace(
+            self,
+            poses=moved(self.poses),
+            rivals=moved(self.rivals),
+            pools=moved(self.pools),
+            atoms=self.atoms and replace(self.atoms, poses=moved(self.atoms.poses)),
+        )
+
+    @classmethod
+    def of_each(cls, starts: Sequence[Initialisation], rows: NDArray[np.integer]) -> Initialisation:
+        """Every object as one of several searches (N,) has it; atoms where all have some."""
+        atoms = [one.atoms for one in starts if one.atoms is not None]
+        of_atoms = None
+        if len(atoms) == len(starts):
+            poses, log_weights = (_rows(atoms, name, rows) for name in ("poses", "log_weights"))
+            of_atoms = replace(atoms[0], poses=poses, log_weights=log_weights)
+        poses, found, rivals, pools, log_gains, log_alone = (
+            _rows(starts, name, rows) for name in _OF_OBJECTS
+        )
+        return cls(
+            poses=poses,
+            found=found,
+            rivals=rivals,
+            pools=pools,
+            log_gains=log_gains,
+            log_alone=log_alone,
+            atoms=of_atoms,
+        )
+
     def of_slots(self, found: FoundObjects) -> Initialisation:
         """The best scene and its pools of some objects alone, in their slots."""
         return Initialisation(
@@ -68,3 +105,12 @@ class Initialisation:
                 log_weights=self.atoms.log_weights[found.placed],
             ),
         )
+
+
+_OF_OBJECTS = "poses", "found", "rivals", "pools", "log_gains", "log_alone"
+"""What an `Initialisation` tells of each object."""
+
+
+def _rows(tables: Sequence[Initialisation | BoltzmannAtoms], name: str, rows: NDArray[np.integer]) -> NDArray:
+    """Of tables' arrays (N, ...) of one name, row n of that table which `rows` (N,) names."""
+    return np.stack([getattr(one, name) for one in tables])[rows, np.arange(len(rows))]

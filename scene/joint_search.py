@@ -1,0 +1,244 @@
+"""The search in several frames of a scene at rest: what one does not show, another does.
+
+Frames that show something new are searched, each by itself (`scene.initialisation`). Every object is then
+where one of these searches has it, or absent, as the density of all frames and the prior odds say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from recordings.types import DepthNoise
+from scene.config import ParseConfig
+from scene.initialisation import initialise
+from scene.likelihood.compared_frames import ComparedFrames
+from scene.likelihood.object_renderer import ObjectRenderer
+from scene.likelihood.unknown_surfaces import UnknownWeights
+from scene.model.presence import log_prior_odds
+from scene.objects.scene_object import SceneObject
+from scene.objects.slots import FoundObjects
+from scene.observation.depth_view import unproject
+from scene.observation.frame_data import SceneData
+from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.size_prior import SizePrior
+from scene.search.importance_sampling import Refinement, refine
+from scene.search.search_result import Initialisation
+from shapes.geometry.poses import matrices_of, poses_of
+
+NEW_M = 0.015
+"""What is so far from all that other frames show is new, and counts by cells of that edge."""
+
+WORTH = 0.25
+"""New cells over those known for which a third frame, or a later one, is searched: that takes seconds."""
+
+ABSENT = -1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointStart:
+    """Where chains start that see several frames.
+
+    Attributes:
+        compared: the frames.
+        start: the best scene, and pools, in the camera of the frame `compared.searched`.
+        frames: (N,) number of the frame in which each object was found, or looked for.
+        searched: the frames that were searched, by number, with the foreground that is new in each.
+    """
+
+    compared: ComparedFrames
+    start: Initialisation
+    frames: NDArray[np.intp]
+    searched: Mapping[int, SceneData]
+
+
+def search_frames(
+    keys: Sequence[jax.Array],
+    views: Sequence[SceneData],
+    first_camera_from_camera: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    renderer: ObjectRenderer,
+    noise: DepthNoise,
+    learned: UnknownWeights,
+    config: ParseConfig,
+) -> JointStart:
+    """The best scene that the frames show.
+
+    Args:
+        keys: of the search in the first frame that is searched, and of those in others.
+        views: F frames.
+        first_camera_from_camera: (F, 4, 4) poses relative to the first of them.
+        objects: N that are looked for.
+        renderer: of these.
+        noise: of the sensor.
+        learned: how well pixels foretell each other.
+        config: settings.
+
+    Raises:
+        ValueError: no frame shows anything but supports.
+    """
+    key, other_key = keys
+    searched = worth_searching(views, first_camera_from_camera)
+    first, numbers = next(iter(searched)), np.array(list(searched))
+    compared = ComparedFrames.of(views, first, first_camera_from_camera, objects, noise, learned, config)
+    starts = []
+    for number, frame_key in zip(searched, [key, *jax.random.split(other_key, len(searched))], strict=False):
+        start = initialise(frame_key, views[number], objects, renderer, noise, config, learned)
+        if number != first:
+            start = start.seen_from(compared.searched_from(number))
+        starts.append(start)
+    rows = np.zeros(len(objects), np.intp)
+    start = starts[0]
+    if len(starts) > 1:
+        told = _best_of_each(compared, objects, renderer, starts, config)
+        alone = np.argmax([one.log_alone[:, :-1].max(axis=1) for one in starts], axis=0)
+        rows = np.where(told == ABSENT, alone, told)
+        start = replace(Initialisation.of_each(starts, rows), found=told != ABSENT)
+    return JointStart(compared=compared, start=start, frames=numbers[rows], searched=searched)
+
+
+def worth_searching(
+    views: Sequence[SceneData], first_camera_from_camera: NDArray[np.float64]
+) -> dict[int, SceneData]:
+    """The frames to be searched, by number, with the foreground that those before them do not show.
+
+    The first that shows anything, then those with most that is new: a second one always, further ones while
+    they show enough.
+
+    Raises:
+        ValueError: none shows anything.
+    """
+    points = [_foreground(*one) for one in zip(views, first_camera_from_camera, strict=True)]
+    showing = [number for number, one in enumerate(points) if len(one)]
+    if not showing:
+        raise ValueError("nothing stands on what carries things in these frames")
+    first = showing.pop(0)
+    chosen, known = {first: views[first]}, points[first]
+    while showing:
+        tree = KDTree(known)
+        new = {number: tree.query(points[number])[0] > NEW_M for number in showing}
+        cells = [_cells(points[number][new[number]]) for number in showing]
+        most = int(np.argmax(cells))
+        if cells[most] == 0 or (len(chosen) > 1 and cells[most] < WORTH * _cells(known)):
+            break
+        number = showing.pop(most)
+        foreground = views[number].foreground.copy()
+        foreground[foreground] = new[number]
+        chosen[number] = replace(views[number], foreground=foreground)
+        known = np.concatenate([known, points[number]])
+    return chosen
+
+
+def refine_where_found(
+    key: jax.Array,
+    joint: JointStart,
+    renderer: ObjectRenderer,
+    found: FoundObjects,
+    start: Initialisation,
+    noise: DepthNoise,
+    lines: NDArray[np.float64],
+) -> Refinement:
+    """`refine` of each object in the frame in which it was found, all in the searched one's camera.
+
+    Args:
+        key: random key.
+        joint: the frames.
+        renderer: of all objects.
+        found: which of them take part.
+        start: their best scene, of their slots.
+        noise: of the sensor and the surfaces together.
+        lines: (slots, 2, 3) about which they are round.
+    """
+    compared, frames = joint.compared, joint.frames[found.placed]
+    refined = refine(key, compared.data, renderer, found.placed, start, noise, lines)
+    for frame in np.unique(frames[found.present & (frames != compared.searched)]).tolist():
+        mine = found.present & (frames == frame)
+        searched_from_this = compared.searched_from(frame)
+        there = refine(
+            jax.random.fold_in(key, frame),
+            compared.views[frame],
+            renderer,
+            found.placed,
+            start.seen_from(np.asarray(np.linalg.inv(searched_from_this), np.float64)),
+            noise,
+            lines,
+            mine,
+        )
+        refined = refined.with_rows(mine, there.seen_from(searched_from_this))
+    return refined
+
+
+def _foreground(view: SceneData, first_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (N, 3) in the first camera's frame that may show an object."""
+    seen = unproject(np.asarray(view.view.depth_m), view.view.camera)[view.foreground]
+    return seen @ first_from_camera[:3, :3].T + first_from_camera[:3, 3]
+
+
+def _cells(points_m: NDArray[np.float64]) -> int:
+    """Cells of edge NEW_M that points (N, 3) lie in."""
+    return len(np.unique(points_m // NEW_M, axis=0))
+
+
+def _best_of_each(
+    compared: ComparedFrames,
+    objects: Sequence[SceneObject],
+    renderer: ObjectRenderer,
+    starts: Sequence[Initialisation],
+    config: ParseConfig,
+) -> NDArray[np.intp]:
+    """Which of the searches (N,) has each object in the best scene, ABSENT where none has."""
+    count, log_half = len(objects), SizePrior.of(objects, config.model_error_m).log_half
+    frames = PresenceFrames(compared=compared, renderer=renderer, log_half=log_half)
+    in_world = compared.world_from_camera @ matrices_of(np.concatenate([one.poses for one in starts]))
+    states = np.concatenate([poses_of(in_world), np.tile(log_half, (len(starts), 1))], axis=1)
+    shown = frames.shown(np.random.default_rng(0), np.tile(np.arange(count), len(starts)), states)
+    depth_m, log_gain = (part.reshape(len(starts), count, -1) for part in shown)
+    found = np.stack([one.found for one in starts])
+    return best_choice(depth_m, log_gain, found, log_prior_odds(config.presence))
+
+
+def best_choice(
+    depth_m: NDArray[np.float32],
+    log_gain: NDArray[np.float32],
+    found: NDArray[np.bool_],
+    log_odds: float,
+) -> NDArray[np.intp]:
+    """Which of V places (N,) each of N objects takes, ABSENT for none.
+
+    From the scene of all first places, of all second ones, ..., objects are changed one by one while the
+    density grows.
+
+    Args:
+        depth_m: (V, N, X) at which an object in a place hides others, +inf where it shows nothing.
+        log_gain: (V, N, X) log density of the pixel there, less that of the scene without objects.
+        found: (V, N) whether an object may take that place.
+        log_odds: prior, of an object that is there.
+    """
+    places, count = found.shape
+
+    def value(scene: NDArray[np.intp]) -> float:
+        there = np.flatnonzero(scene != ABSENT)
+        if not len(there):
+            return 0.0
+        nearest = depth_m[scene[there], there].argmin(axis=0)[None]
+        gains = np.take_along_axis(log_gain[scene[there], there], nearest, axis=0)
+        return float(gains.sum(dtype=np.float64)) + log_odds * len(there)
+
+    def improved(scene: NDArray[np.intp]) -> tuple[float, NDArray[np.intp]]:
+        best, before = value(scene), -np.inf
+        while best > before:
+            before = best
+            for one in range(count):
+                for place in [ABSENT, *np.flatnonzero(found[:, one]).tolist()]:
+                    other = np.where(np.arange(count) == one, place, scene)
+                    if (told := value(other)) > best:
+                        best, scene = told, other
+        return best, scene
+
+    scenes = [np.where(found[place], place, ABSENT) for place in range(places)]
+    return max((improved(scene) for scene in scenes), key=lambda one: one[0])[1]
