@@ -94,7 +94,7 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             click.option(
                 "--seed",
                 type=click.IntRange(0, 2**32 - 1),
-                help="Root of all randomness; 0 unless the settings say otherwise.",
+                help="Root of all randomness; 0 by default.",
             ),
             click.option(
                 "--config",
@@ -197,9 +197,13 @@ def _reading() -> list[Any]:
         return click.option(flag, name, type=float, metavar="SECONDS", help=help_)
 
     return [
-        click.option("--depth-topic", metavar="TOPIC", help="The depth, where a recording has several."),
+        click.option("--depth-topic", metavar="TOPIC", help="Depth topic, where a recording has several."),
         click.option("--intrinsics", type=Intrinsics(), help="Camera in pixels, over the recorded one."),
-        metres("--depth-scale", "depth_scale_m", "A stored 1: as a rule 0.001 for integers, 1 for floats."),
+        metres(
+            "--depth-scale",
+            "depth_scale_m",
+            "Metres per stored unit; 0.001 for integers and 1 for floats by default.",
+        ),
         metres("--min-depth", "min_depth_m", "Nearer depths are ignored."),
         metres("--max-depth", "max_depth_m", "Farther depths are ignored."),
         click.option(
@@ -216,7 +220,7 @@ def _reading() -> list[Any]:
         ),
         seconds("--start", "start_s", "From here on, after the first frame."),
         seconds("--end", "end_s", "Up to here, after the first frame."),
-        click.option("--every", type=int, metavar="N", help="Every N-th frame."),
+        click.option("--every", type=int, metavar="N", help="Every N-th frame; 1 by default."),
     ]
 
 

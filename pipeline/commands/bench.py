@@ -8,5 +8,5 @@ command = LazyGroup(
     name="bench",
     package="pipeline.commands.benches",
     members=("shapes", "slam", "poses", "sampler", "speed", "air", "occlusion"),
-    help="Measure speed and accuracy beside peers.",
+    help="Measure speed and accuracy against peers.",
 )

@@ -29,7 +29,7 @@ FRAMES = 48
     type=click.IntRange(min=1, max=1000),
     default=FRAMES,
     show_default=True,
-    help="Of each recording, evenly spread, from which noise and the unknown layer are learnt.",
+    help="Of each recording, evenly spread, from which noise and the unknown layer are learned.",
 )
 @click.option(
     "--field/--no-field",

@@ -8,5 +8,5 @@ command = LazyGroup(
     name="eval",
     package="pipeline.commands.evaluations",
     members=("slam", "shapes", "poses"),
-    help="Compare a run with the truth, which nothing else reads.",
+    help="Compare a run with the truth.",
 )

@@ -29,13 +29,13 @@ SOLIDS = frozenset({"bop", "urdf", "mjcf"})
     help="npz, ply, obj, glb, stl, bop (BOP data set), urdf, mjcf (simulators), overlay (picture of a RUN).",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR")
-@click.option("--units", type=click.Choice(["m", "mm"]), help="Of shapes in ply, obj and stl; m.")
+@click.option("--units", type=click.Choice(["m", "mm"]), help="Of shapes in ply, obj and stl; m by default.")
 @click.option(
     "--origin",
     type=click.Choice(["base", "middle", "grid"]),
     default="base",
     show_default=True,
-    help="Of learned shapes: middle of the footprint, of the bounding box, or the grid's corner.",
+    help="Of learned shapes: centre of the footprint, of the bounding box, or the grid's corner.",
 )
 @click.option(
     "--unseen",
@@ -55,15 +55,19 @@ SOLIDS = frozenset({"bop", "urdf", "mjcf"})
     "--density",
     type=click.FloatRange(min=0, min_open=True),
     metavar="KG_PER_M3",
-    help="Of shapes in urdf and mjcf; 1000, that of water.",
+    help="Of shapes in urdf and mjcf; 1000, that of water, by default.",
 )
-@click.option("--mesh", is_flag=True, help="Of a RUN: the room as coloured triangles instead of points.")
+@click.option(
+    "--mesh",
+    is_flag=True,
+    help="Of the RUN of one recording: the room as coloured triangles instead of points.",
+)
 @click.option(
     "--pitch",
     "pitch_m",
     type=click.FloatRange(0.002, 0.2),
     metavar="METRES",
-    help="Detail of the room's triangles; 0.01.",
+    help="Detail of the room's triangles; 0.01 by default.",
 )
 @click.option(
     "--recording",
@@ -99,10 +103,11 @@ def command(
     """Write learned shapes, or what a RUN found, for other programs.
 
     Of a SHAPE.npz or a DIR of them, every shape in every format. Of a RUN, the room with its objects where
-    they stand (ply, glb), and its objects one by one in the other formats; of a project's run, all of it.
+    they stand (ply, glb; in metres, in the first camera's frame), and its objects one by one in the other
+    formats; of a project's run, all of it. To export one learned object, name RUN/shapes/NAME.npz.
     An overlay is the parsed image with the outlines of what was found, hidden edges dotted.
 
-    A manifest.json beside them says what is what. Surfaces of shapes are closed and wound outward, with
+    A manifest.json with them says what is what. Surfaces of shapes are closed and wound outward, with
     enclosed voxels filled. Meshes are in metres unless --units says otherwise; BOP is in millimetres, GLB in
     metres with y up, by their own rules. Files of earlier exports are never overwritten by others.
     """

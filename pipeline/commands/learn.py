@@ -26,7 +26,7 @@ LARGE_M = 0.4
 @click.option(
     "--box",
     metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
-    help="Where the object is, in metres in the first depth frame's camera; found by itself otherwise.",
+    help="Where the object is, in metres in the first depth frame's camera; found by itself by default.",
 )
 @click.option(
     "--pixel",
@@ -39,13 +39,13 @@ LARGE_M = 0.4
     metavar="OUT.png",
     help="Only draw the region that would be learned, on the first depth frame.",
 )
-@click.option("--pitch", "pitch_m", type=float, metavar="METRES", help="Edge of a voxel; 0.005.")
+@click.option("--pitch", "pitch_m", type=float, metavar="METRES", help="Edge of a voxel; 0.005 by default.")
 @click.option(
     "--poses",
     type=click.Choice(["slam", "recorded"]),
     default="slam",
     show_default=True,
-    help="Where the camera's poses come from.",
+    help="Source of the camera's poses: slam, or those in the recording.",
 )
 @recording_options
 @common_options("recording", "slam", "learn")

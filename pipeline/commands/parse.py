@@ -52,9 +52,13 @@ class FrameNumbers(click.ParamType):
     type=click.Path(path_type=Path),
     required=True,
     metavar="DIR",
-    help="Learned shapes, a RUN that holds some, or meshes.",
+    help="Learned shapes (.npz), a RUN that holds some, or meshes (.ply, .obj, .stl, .glb, .off).",
 )
-@click.option("--units", type=click.Choice(["m", "mm"]), help="Of meshes; metres unless BOP's.")
+@click.option(
+    "--units",
+    type=click.Choice(["m", "mm"]),
+    help="Of meshes; metres by default, millimetres with BOP's models_info.json.",
+)
 @click.option(
     "--ids",
     type=click.Path(path_type=Path),
@@ -64,21 +68,23 @@ class FrameNumbers(click.ParamType):
 @click.option(
     "--objects",
     metavar="A,B:2|any",
-    help="What to look for, B:2 up to two of a kind; any shape once by default.",
+    help="Requested shapes, B:2 up to two of a kind; any shape once by default.",
 )
 @click.option(
     "--frames",
     type=FrameNumbers(),
-    metavar="N|N:M",
-    help="Depth frames; the first that shows enough by default.",
+    metavar="N,M,...|N:M",
+    help="Depth frames: 0, or 0,5,9, or 0:5 (5 not included); the first that shows enough by default.",
 )
 @click.option(
-    "--graph", type=click.Choice(["infer", "fixed"]), help="Infer what rests on what, or let all float."
+    "--graph",
+    type=click.Choice(["infer", "fixed"]),
+    help="Infer what rests on what, or let all float; infer by default.",
 )
 @click.option(
     "--likelihood",
     type=click.Choice(["depth", "cloud"]),
-    help="Compare depth images pixel by pixel (the default), or point clouds.",
+    help="Compare depth images pixel by pixel, or point clouds; depth by default.",
 )
 @click.option(
     "--shape-samples",
@@ -99,7 +105,7 @@ class FrameNumbers(click.ParamType):
 @click.option(
     "--colour",
     type=click.Choice(["off", "add", "only"]),
-    help="`add` compares the shapes' colours beside depth (lookalikes, the spin of a can); `only` finds what "
+    help="`add` compares the shapes' colours and depth (lookalikes, the spin of a can); `only` finds what "
     "stands upright on a table in one colour image, without depth; off by default.",
 )
 @click.option(
@@ -111,10 +117,15 @@ class FrameNumbers(click.ParamType):
 @click.option(
     "--light",
     metavar="X,Y,Z,AMBIENT",
-    help="For --colour only: where the lamp is from the table, and the share of ambient light; estimated by "
-    "default.",
+    help="For --colour only: direction of the light from the table, and the share of ambient light; "
+    "estimated by default.",
 )
-@click.option("--presence", type=float, metavar="P", help="Prior probability that an object is there.")
+@click.option(
+    "--presence",
+    type=float,
+    metavar="P",
+    help="Prior probability that an object is there; 0.9 by default.",
+)
 @click.option(
     "--exact",
     metavar="A[,B]",

@@ -51,17 +51,17 @@ def command(
 ) -> None:
     """The paper's experiments on one page.
 
-    DIR/report.html, with tables and figures beside it.
+    DIR/report.html, with tables and figures next to it.
 
     \b
     C  shapes from five views under the paper's conditions
     D  images in which objects are hard to find
     E  accuracy of poses in them, with curves; G, H: outlines on the images
     F  the same in a data set of real images (--data)
-    L  the probability of a mug that nobody sees
+    L  the probability of a mug that no pixel shows
     O  the sampler of scene graphs against enumeration
 
-    With --meshes the page tells how well it works on one's own objects. An interrupted run goes on with the
+    With --meshes the page says how well it works on your own objects. An interrupted run goes on with the
     same command.
     """  # noqa: D301  (click reads the \b)
     from pipeline.jax_setup import keep_compiled_kernels

@@ -21,21 +21,25 @@ from pipeline.progress import Progress
 )
 @click.option("--frame", type=click.IntRange(0), help="Frame that the picture shows; the last unless given.")
 @click.option(
-    "--web", is_flag=True, help="Serve it to a browser on this machine, for machines without a screen."
+    "--web", is_flag=True, help="Serve it to a browser, on 127.0.0.1 alone, for machines without a screen."
 )
 @click.option(
-    "--port", type=click.IntRange(1, 65534), default=9090, show_default=True, help="Of the page of --web."
+    "--port",
+    type=click.IntRange(1, 65534),
+    default=9090,
+    show_default=True,
+    help="Of the page of --web; the next one is for its data.",
 )
 @click.option(
     "--from-mcap",
     is_flag=True,
-    help="RUN is a run.mcap on its own; its values are in it, and run.rrd is made beside it.",
+    help="RUN is a run.mcap on its own; its values are in it, and run.rrd is made next to it.",
 )
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
     metavar="TUM|REC",
-    help="Show the truth of a recording, or of a TUM file, beside RUN, and how well the spreads told hold.",
+    help="Also show the truth of a recording or a TUM file, and how much of it the reported regions hold.",
 )
 @click.option("--rebuild", is_flag=True, help="Make run.rrd again from the run's values.")
 @common_options()

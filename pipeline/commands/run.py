@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     "run_path",
     type=click.Path(path_type=Path),
     metavar="RUN",
-    help="Run folder; PROJECT.run beside the project file unless given.",
+    help="Run folder; PROJECT.run next to the project file by default.",
 )
 @click.option("--force", is_flag=True, help="Compute everything again.")
 @click.option(
@@ -57,7 +57,7 @@ def command(
 
     \b
     [[recording]]
-    path = "mug.mcap"        # relative to the project file; several at once: "films/*.mcap"
+    path = "mug.mcap"        # relative to the project file; several at once: "recordings/*.mcap"
     stage = "learn"          # slam, learn or parse
     name = "mug"             # of the learned shape
     [[recording]]

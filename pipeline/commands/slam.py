@@ -13,10 +13,19 @@ from pipeline.options import Common, RecordingSource, common_options, recording_
 
 @click.command(name="slam")
 @run_options
-@click.option("--motion", type=click.Choice(["free", "orbit"]), help="Prior over the camera's motion.")
-@click.option("--particles", type=int, metavar="K", help="Number of trajectories that are drawn.")
 @click.option(
-    "--proposal", type=click.Choice(["enumerate", "kiss", "both"]), help="Where candidates come from."
+    "--motion",
+    type=click.Choice(["free", "orbit"]),
+    help="Prior over the camera's motion; free by default.",
+)
+@click.option(
+    "--particles", type=int, metavar="K", help="Number of trajectories that are drawn; 64 by default."
+)
+@click.option(
+    "--proposal",
+    type=click.Choice(["enumerate", "kiss", "both"]),
+    help="Source of candidate poses: enumerated by search against the map, KISS-ICP, or both; enumerate by "
+    "default.",
 )
 @recording_options
 @common_options("recording", "slam")

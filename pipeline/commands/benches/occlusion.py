@@ -28,7 +28,7 @@ from pipeline.options import Common, common_options
 )
 @common_options()
 def command(common: Common, scenes: int, draws: int, width: int, csv_path: Path | None) -> None:
-    """Is a mug there that nobody sees? The supplement's figure 7.
+    """Is a mug there that no pixel shows? The supplement's figure 7.
 
     A box turned, wide and closer, both objects there with probability 0.9: the exact probability of the mug
     beside the share of the volume that is hidden, by importance sampling over its prior poses.

@@ -80,7 +80,7 @@ class NamedFile(click.ParamType):
     "--unasked",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Meshes of things in these worlds that nobody asks for.",
+    help="Meshes of things in these worlds that are not requested.",
 )
 @click.option(
     "--data", type=click.Path(path_type=Path), metavar="DIR", help="A BOP data set, or YCB-Video frames."
@@ -114,25 +114,25 @@ class NamedFile(click.ParamType):
     "--absent",
     type=click.IntRange(min=1),
     metavar="K",
-    help="Instead: ask for so many shapes that are not there in place of so many that are.",
+    help="Instead: request so many shapes that are not there in place of so many that are.",
 )
 @click.option(
     "--lookalikes",
     is_flag=True,
-    help="Instead: of two shapes that depth hardly tells apart both are asked for and one is there; by depth"
+    help="Instead: of two shapes that depth hardly tells apart both are requested and one is there; by depth"
     " alone and with --colour add.",
 )
 @click.option(
     "--copies",
     is_flag=True,
-    help="Instead: two or three things of one shape stand on a table, one more is asked for.",
+    help="Instead: two or three things of one shape stand on a table, one more is requested.",
 )
 @click.option(
     "--decoys",
     is_flag=True,
-    help="Instead: a thing that nobody asks for stands there, into which what is asked for may be laid: a"
-    " larger box, a block, a carrier; what is told, and log evidence of the truth less that of the likeliest"
-    " such place.",
+    help="Instead: a thing that is not requested stands there, into which what is requested may be laid: a"
+    " larger box, a block, a carrier; what is reported, and log evidence of the truth less that of the"
+    " likeliest such place.",
 )
 @click.option(
     "--calibration",
@@ -142,7 +142,7 @@ class NamedFile(click.ParamType):
 @click.option(
     "--proposals",
     metavar="SOURCE,...",
-    help=f"Instead: where the search's poses come from ({', '.join(SOURCES)}): the best hypothesis of each"
+    help=f"Instead: sources of the search's poses ({', '.join(SOURCES)}): the best hypothesis of each"
     " object, and what is found; the first source less each other.",
 )
 @click.option(
@@ -207,10 +207,10 @@ def command(
     watch: bool,
     workers: int | str,
 ) -> None:
-    """ADD-S of known objects, beside other methods.
+    """ADD-S of known objects, against other methods.
 
     In synthetic tables, in images in which objects are hard to find (--challenging), in worlds like real ones
-    (--worlds), or in a data set (--data); beside registration, ICP and other programs. Depth only, no masks,
+    (--worlds), or in a data set (--data); against registration, ICP and other programs. Depth only, no masks,
     objects known; all of them are judged, however little is seen of them. Seconds are of an image, without
     compiling. With --keep an interrupted run goes on where it stopped.
     """

@@ -17,7 +17,7 @@ MOVES = 2_000_000
 )
 @common_options()
 def command(common: Common, moves: int) -> None:
-    """Scene graphs visited beside the enumerated posterior.
+    """Scene graphs visited against the enumerated posterior.
 
     Their total variation, for 2, 3 and 4 objects. The kernel is the one that parses scenes; only the
     likelihood is replaced by a number for every graph: the same for all, and, in the column `with data`, at

@@ -54,9 +54,9 @@ COLUMNS: tuple[str, ...] = (
     type=click.Choice(["rings", "paper"]),
     default="rings",
     show_default=True,
-    help="Films from two rings in a furnished room, or as in the paper: one circle of 5 in a bare room.",
+    help="Sequences from two rings in a furnished room, or as in the paper: one circle of 5 in a bare room.",
 )
-@click.option("--noise-free", is_flag=True, help="The films measure exactly.")
+@click.option("--noise-free", is_flag=True, help="The sequences measure exactly.")
 @click.option(
     "--against",
     metavar="PEER,...",

@@ -36,7 +36,7 @@ from pipeline.peers import PEERS
     default=100_000,
     show_default=True,
     metavar="FRAMES",
-    help="Length of the film of twenty rooms, which --only hour alone tracks: it takes hours.",
+    help="Length of the sequence of twenty rooms, which --only hour alone tracks: it takes hours.",
 )
 @click.option("--only", metavar="TEXT", default="", help="Only the rows whose name has this in it.")
 @click.option(

@@ -12,7 +12,7 @@ from pipeline.options import Common, common_options
 @click.command(name="speed")
 @common_options()
 def command(common: Common) -> None:
-    """Hypotheses rendered and scored a second, beside Embree.
+    """Hypotheses rendered and scored a second, against Embree.
 
     By image side, objects and voxels. Random distinct poses, results consumed; compile time apart. The
     object's circle spans a third of the image's side. Takes about two minutes.

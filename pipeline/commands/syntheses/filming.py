@@ -47,7 +47,7 @@ def scene_options(scene: Callable[..., Any]) -> Any:
         click.option(
             "--colours",
             type=click.Choice(["plain", "painted", "random"]),
-            help="Of objects: one colour each or a texture, by name, or a new colour in each film.",
+            help="Of objects: one colour each or a texture, by name, or a new colour in each sequence.",
         ),
         click.option("--noise-free", is_flag=True, default=None, help="Measure exactly."),
         click.option(

@@ -18,10 +18,13 @@ from pipeline.options import Common, common_options
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--only", metavar="NAME,...", help="These objects alone.")
 @click.option(
-    "--unasked", type=click.Path(path_type=Path), metavar="DIR", help="Meshes of things that nobody asks for."
+    "--unasked",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Meshes of things that are not requested.",
 )
-@click.option("--objects", type=click.IntRange(1), help="That are there and asked for.")
-@click.option("--absent", type=click.IntRange(0), help="Shapes asked for that are not there.")
+@click.option("--objects", type=click.IntRange(1), help="That are there and requested.")
+@click.option("--absent", type=click.IntRange(0), help="Requested shapes that are not there.")
 @click.option("--clutter", type=click.IntRange(0), help="Things of no mesh at all.")
 @common_options("synth")
 def command(
@@ -38,9 +41,9 @@ def command(
     """Film a world like the real ones in each OUT.
 
     One frame, with the truth in the file: a small table over a floor, seats and a shelf near by, things that
-    nobody asks for, shapes asked for that are not there; a sensor with errors that hang together over
+    are not requested, requested shapes that are not there; a sensor with errors that are correlated over
     pixels, holes on dark and shining faces, steps that grow with the distance and a wrong scale. What is to
-    be asked for is printed.
+    be requested is printed.
     """
     from pipeline.jax_setup import keep_compiled_kernels
 
