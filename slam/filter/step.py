@@ -71,7 +71,7 @@ def step(
     """
     prediction = predict(state, time_ns)
     found = find_places(state, view, prediction, config, odometry)
-    if state.calibration.frames == 0 and not found.lost:
+    if state.calibration.is_learning and state.calibration.frames == 0 and not found.lost:
         state = with_calibration(state, found.best)
         found = find_places(state, view, prediction, config, odometry)
     branches, info = _branched(key, state, found, prediction.poses)

@@ -1,6 +1,7 @@
 """A step of the filter with several hypotheses, and the Gaussians about places."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
@@ -111,6 +112,19 @@ def test_a_keyframe_that_drift_may_have_brought_into_sight_does_not_mislead(trac
     assert 0 in right.best.indices
     assert 0 not in drifted.best.indices
     np.testing.assert_allclose(drifted.best.optimum.pose, right.best.optimum.pose, atol=0.003)
+
+
+@pytest.mark.parametrize(("sensor_is_known", "searches"), [(True, 1), (False, 2)])
+def test_only_a_frame_that_teaches_the_sensor_is_searched_again(key, monkeypatch, sensor_is_known, searches):
+    """With noise and pixel exponent given there is nothing to learn; else the second frame tells of both."""
+    config = CONFIG if sensor_is_known else replace(CONFIG, noise=None, effective_pixel_share=None)
+    state, _ = init(VIEWS[0], FRAMES[0].time_ns, config)
+    searched = Mock(side_effect=find_places)
+    monkeypatch.setattr("slam.filter.step.find_places", searched)
+
+    step(key, state, VIEWS[1], FRAMES[1].time_ns, config)
+
+    assert searched.call_count == searches
 
 
 def test_hypotheses_in_one_place_go_on_as_one(key, tracked):
