@@ -1,9 +1,10 @@
 """Scene-graph inference (supplement K to O): which known objects stand where, on what, and how surely.
 
-Call `scene.parsing.parse_scene`. A frame is segmented (observation), searched and verified (initialisation);
-Gaussians are fitted round the poses found (search) and chains begin there (mcmc); samples become a result
-(summary).
+Call `scene.parsing.parse_scene`. Frames are segmented (observation) and searched (search, perhaps by masks;
+initialisation; joint_search, of several). Gaussians are fitted round the poses found and chains begin there
+(mcmc). Moves tell which objects are there (presence), and where others may be out of sight (hidden). Samples
+become a result (common_errors, summary). One density judges images in all of it (likelihood).
 
-Imports run downward: parsing; summary, initialisation; mcmc; search; likelihood; observation,
-diagnostics (agreement of chains); model, objects, result, config; execution (use of cores, for all of them).
+`scene.colour_parsing.parse_colour` is the same for one colour image without depth (colour). `diagnostics`
+tells whether chains agree, `execution` how cores are used. pyproject.toml holds the order of imports.
 """

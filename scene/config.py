@@ -114,8 +114,9 @@ class ParseConfig:
         for name, most in MOST.items():
             check_within(self, 0, most, (name,))
         asked = [asked_copies(entry) for entry in self.objects]
-        if len({name for name, _ in asked}) < len(asked):
-            raise ValueError(f"objects names one twice; for two of a kind write {asked[0][0]}:2")
+        names = [name for name, _ in asked]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"objects names {twice[0]} twice; for two of a kind write {twice[0]}:2")
         if self.colour == "only" and any(count > 1 for _, count in asked):
             raise ValueError("objects: colour only takes up to `most` copies of every kind; name kinds alone")
         if min(self.frames, default=0) < 0 or list(self.frames) != sorted(set(self.frames)):

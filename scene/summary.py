@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from scene.common_errors import with_common_errors
 from scene.config import ParseConfig
+from scene.copies import copies_among
 from scene.hidden.hidden_places import HiddenPlaces
 from scene.mcmc.samples import Samples
 from scene.mcmc.sampling import SampledScenes
@@ -49,7 +50,7 @@ def summarise(
     frames: NDArray[np.int64],
     config: ParseConfig,
 ) -> SceneResult:
-    """The result in the first camera and in the objects' own frames; what was not found stands still.
+    """The result in the searched camera and in the objects' own frames; what was not found stands still.
 
     Args:
         rng: random numbers.
@@ -78,8 +79,8 @@ def summarise(
     radii_m = np.array([np.linalg.norm(one.half_extents_m) for one in objects], np.float64)
     there = with_common_errors(rng, boxes, radii_m, config.scale_error, config.model_error_m)
     poses = np.where(start.found[:, None, None], there, boxes) @ box_from_object
-    for one, told in hidden.exact.items():
-        presence.probability[one], presence.standard_error[one] = told
+    alike = copies_among([one.name for one in objects])
+    presence = presence.with_exact(hidden.exact, hidden.both, alike)
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
     return SceneResult(
         names=np.array([one.name for one in objects]),

@@ -7,7 +7,7 @@ p = 0.9. What stands in sight comes as draws of its posterior, over which the ra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from scene.model.number_prior import NumberPrior
 from scene.objects.scene_object import SceneObject
 
 TOGETHER = 2048
-"""Poses that are weighed between two reports of progress."""
+"""Poses that are rendered together, so that memory does not grow with their number."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +49,6 @@ class HiddenPosterior:
         standard_error: (n,) of it, from the number of draws.
         both: probability that both are, of two.
         ratios: by set of objects.
-        outside: (n,) probability that it is there and lies outside of every image.
         poses: (n, K, 4, 4) world_from_box in draws of the posterior given that it is there.
     """
 
@@ -57,7 +56,6 @@ class HiddenPosterior:
     standard_error: NDArray[np.float64]
     both: float
     ratios: dict[tuple[int, ...], MeanRatio]
-    outside: NDArray[np.float64]
     poses: NDArray[np.float64]
 
 
@@ -70,7 +68,6 @@ def hidden_posterior(
     *,
     draws: int,
     keep: int = 256,
-    progress: Callable[[int, int], None] | None = None,
 ) -> HiddenPosterior:
     """Presence and place of one hidden object or two.
 
@@ -82,7 +79,6 @@ def hidden_posterior(
         number: prior on how many of them are there.
         draws: of poses for each set of objects.
         keep: K, draws of the posterior.
-        progress: called with draws done and in all.
 
     Raises:
         ValueError: there are more, or no room for one.
@@ -94,14 +90,11 @@ def hidden_posterior(
             f"have to be rendered together, {draws} times each"
         )
     sets = [(one,) for one in range(count)] + ([(0, 1)] if count == 2 else [])
-    ratios = {}
-    for place, members in enumerate(sets):
-        report = None
-        if progress:
-            report = _shifted(progress, place * draws, len(sets) * draws)
-        chosen = [objects[one] for one in members]
-        ratios[members] = mean_ratio(rng, chosen, prior, images, draws=draws, keep=keep, progress=report)
-    return _joined(rng, ratios, number.log_set_probabilities(count), images, keep)
+    ratios = {
+        members: mean_ratio(rng, [objects[one] for one in members], prior, images, draws=draws, keep=keep)
+        for members in sets
+    }
+    return _joined(rng, ratios, number.log_set_probabilities(count), keep)
 
 
 def mean_ratio(
@@ -112,7 +105,6 @@ def mean_ratio(
     *,
     draws: int,
     keep: int,
-    progress: Callable[[int, int], None] | None = None,
 ) -> MeanRatio:
     """The mean over draws of these objects' prior poses; memory does not grow with their number.
 
@@ -135,8 +127,6 @@ def mean_ratio(
         picked = rng.choice(len(chances), int(replaced.sum()), p=chances / chances.sum())
         poses[:, replaced] = drawn[:, picked]
         done += len(log_weights)
-        if progress:
-            progress(done, draws)
     mean = float(np.exp(log_total - np.log(draws)))
     variance = np.exp(log_squares - np.log(draws)) - mean**2
     return MeanRatio(
@@ -151,14 +141,13 @@ def _joined(
     rng: np.random.Generator,
     ratios: dict[tuple[int, ...], MeanRatio],
     log_sets: NDArray[np.float64],
-    images: DepthImages,
     keep: int,
 ) -> HiddenPosterior:
     """The posterior over sets, its errors by the delta method, and poses of each object over all sets."""
     count = len(log_sets) - 1
     weights = {members: np.exp(log_sets[len(members)]) * ratio.mean for members, ratio in ratios.items()}
     total = np.exp(log_sets[0]) + sum(weights.values())
-    presence, errors, outside = np.zeros((3, count))
+    presence, errors = np.zeros((2, count))
     poses = np.zeros((count, keep, 4, 4))
     for one in range(count):
         holding = [members for members in ratios if one in members]
@@ -169,16 +158,10 @@ def _joined(
         }
         errors[one] = np.sqrt(sum((slopes[each] * ratios[each].standard_error) ** 2 for each in ratios))
         shares = np.array([weights[members] for members in holding])
-        chosen = rng.choice(len(holding), keep, p=shares / shares.sum())
+        chances = shares / shares.sum() if shares.any() else None  # where all would be seen, any will do
+        chosen = rng.choice(len(holding), keep, p=chances)
         for which, members in enumerate(holding):
             mine = chosen == which
             poses[one, mine] = ratios[members].poses[members.index(one), mine]
-        outside[one] = presence[one] * (~images.seen(poses[one, :, :3, 3])).mean()
     both = float(weights[(0, 1)] / total) if (0, 1) in weights else 0.0
-    return HiddenPosterior(
-        presence=presence, standard_error=errors, both=both, ratios=ratios, outside=outside, poses=poses
-    )
-
-
-def _shifted(progress: Callable[[int, int], None], before: int, in_all: int) -> Callable[[int, int], None]:
-    return lambda done, _: progress(before + done, in_all)
+    return HiddenPosterior(presence=presence, standard_error=errors, both=both, ratios=ratios, poses=poses)

@@ -8,7 +8,7 @@ nothing was measured anything may hide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -47,12 +47,14 @@ class HiddenPlaces:
         share_std: (N,) its standard error.
         poses: (N, K, 4, 4) world_from_box, draws of the posterior given that the object is there.
         exact: presence and its standard error of objects asked for exactly, by number.
+        both: probability that both are there, of two of these.
     """
 
     share: NDArray[np.float64]
     share_std: NDArray[np.float64]
     poses: NDArray[np.float64]
     exact: dict[int, tuple[float, float]]
+    both: float = 0.0
 
     @classmethod
     def none(cls, count: int) -> HiddenPlaces:
@@ -120,6 +122,7 @@ def hidden_places(
             places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
             places.poses[one] = exact.poses[rank]
             places.exact[one] = float(exact.presence[rank]), float(exact.standard_error[rank])
+        places = replace(places, both=exact.both)
     return places
 
 

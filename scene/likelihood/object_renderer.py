@@ -81,6 +81,8 @@ class ObjectRenderer:
             scales: (n, 3) by which objects are larger along the axes of their boxes, about their centres;
                 None: as they are.
         """
+        if not len(indices):
+            return np.zeros((0, *window.depth_m.shape), np.float32)
         parts = -(-len(indices) // LAYERS)
         every = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (parts * LAYERS, 1))
         every[: len(poses)] = poses

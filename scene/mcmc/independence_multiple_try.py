@@ -31,7 +31,7 @@ class IndependenceMultipleTry:
     The other poses y are drawn from an offer's density q, and the choice is in proportion to pi / q (iterated
     sampling importance resampling, Andrieu, Lee and Vihola 2018): the joint density pi(x) prod q(y), times
     the chance of the choice, is symmetric in who of the K is the present one. Names of faces are as in
-    `NearCandidates`, and q is as if each pose had its own.
+    `LocalMultipleTry`, and q is as if each pose had its own.
 
     Attributes:
         mixture: where each object might be.

@@ -125,22 +125,6 @@ def repeat(leaf: jax.Array, count: int) -> jax.Array:
     return jnp.broadcast_to(leaf[None], (count, *leaf.shape))
 
 
-def weigh(
-    model: SceneModel, log_prior: jax.Array, offer: CandidateSet, estimates: Estimate
-) -> tuple[jax.Array, jax.Array]:
-    """Log priors (K,) of the scenes on offer, and log weights (K,) of choosing them.
-
-    Args:
-        model: the target.
-        log_prior: of the present scene.
-        offer: the scenes.
-        estimates: (K,) of their likelihoods.
-    """
-    others = jax.tree.map(lambda leaf: leaf[1:], offer.scenes)
-    log_priors = jnp.concatenate([log_prior[None], jax.vmap(model.log_prior)(others)])
-    return log_priors, log_priors + estimates.log_likelihood - offer.log_offered
-
-
 def decide(
     uniform: jax.Array, model: SceneModel, log_prior: jax.Array, offer: CandidateSet, estimates: Estimate
 ) -> tuple[ChainState, MoveInfo]:
@@ -156,19 +140,9 @@ def decide(
         offer: the scenes.
         estimates: (K,) of their likelihoods.
     """
-    log_priors, log_weights = weigh(model, log_prior, offer, estimates)
-    return choose(uniform, model, offer, estimates, log_priors, log_weights)
-
-
-def choose(
-    uniform: jax.Array,
-    model: SceneModel,
-    offer: CandidateSet,
-    estimates: Estimate,
-    log_priors: jax.Array,
-    log_weights: jax.Array,
-) -> tuple[ChainState, MoveInfo]:
-    """`decide` with what `weigh` gave."""
+    others = jax.tree.map(lambda leaf: leaf[1:], offer.scenes)
+    log_priors = jnp.concatenate([log_prior[None], jax.vmap(model.log_prior)(others)])
+    log_weights = log_priors + estimates.log_likelihood - offer.log_offered
     weights = jnp.exp(log_weights - jnp.max(log_weights))
     to_others = weights.at[0].set(0.0)
     other = draw_index(to_others, uniform[0])

@@ -6,7 +6,7 @@ Gaussians round the places that the search had for it. Every chain has candidate
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -56,6 +56,29 @@ class Presence:
     standard_error: NDArray[np.float64]
     seen: NDArray[np.bool_]
     poses: NDArray[np.float64]
+
+    def with_exact(
+        self, exact: Mapping[int, tuple[float, float]], both: float, alike: NDArray[np.bool_]
+    ) -> Presence:
+        """The same with exact presence and standard error of some objects that are out of sight.
+
+        Args:
+            exact: of one object or two, by number.
+            both: probability that both are there, of two.
+            alike: (N, N) which objects are copies of one shape, each of itself.
+        """
+        told, error, number = self.probability.copy(), self.standard_error.copy(), self.number.copy()
+        for one, (presence, standard_error) in exact.items():
+            told[one], error[one] = presence, standard_error
+        for one in exact:
+            copies = np.flatnonzero(alike[one])
+            if set(copies.tolist()) <= set(exact):
+                all_there = both if len(copies) == 2 else 0.0
+                one_there = told[copies].sum() - 2 * all_there
+                number[one] = 0.0
+                number[one, :2] = 1 - one_there - all_there, one_there
+                number[one, len(copies)] += all_there
+        return replace(self, probability=told, standard_error=error, number=number)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

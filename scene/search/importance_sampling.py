@@ -138,11 +138,11 @@ def refine(
     lines: NDArray[np.float64],
     moving: NDArray[np.bool_] | None = None,
 ) -> Refinement:
-    """Gaussians round the poses of the best scene and their rivals, on the first frame.
+    """Gaussians round the poses of the best scene and their rivals, on one frame.
 
     Args:
         key: random key.
-        data: the first frame.
+        data: the frame.
         renderer: of these objects and others.
         numbers: (N,) of the objects among the renderer's.
         start: the best scene, and the pools.

@@ -180,7 +180,29 @@ def test_what_lies_outside_every_image_is_told(seed: int, images: DepthImages) -
     )
 
     assert abs(found.ratios[(0,)].mean - 1) < 1e-6
-    np.testing.assert_allclose(found.outside[0], 0.5 * found.presence[0], atol=0.15)
+    outside = ~images.seen(found.poses[0, :, :3, 3])
+    np.testing.assert_allclose(outside.mean(), 0.5, atol=0.15)  # of 256: 4.8 standard deviations
+
+
+def test_what_would_be_seen_everywhere_is_not_there(
+    seed: int, images: DepthImages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every place is 2,000 nats worse, too little for a number: presence 0, and no error."""
+    monkeypatch.setattr(DepthImages, "log_ratios", lambda *given: np.full(len(given[2]), -2000.0))
+    places = np.ones((1, PLACES, 3))
+
+    found = hidden_posterior(
+        np.random.default_rng(seed),
+        boxes()[:1],
+        GivenPlaces(places),
+        images,
+        BinomialNumber(0.9),
+        draws=PLACES,
+    )
+
+    assert found.ratios[(0,)].mean == 0
+    assert found.presence[0] == 0
+    assert found.standard_error[0] == 0
 
 
 def test_three_objects_are_told_what_they_would_cost(seed: int, images: DepthImages) -> None:

@@ -1,0 +1,40 @@
+"""What is told of objects whose presence was computed exactly, beside what moves told of the others."""
+
+import numpy as np
+
+from scene.presence.posterior import Presence
+
+ALIKE = np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1]], bool)
+
+
+def by_moves() -> Presence:
+    """Three objects, the first two of one shape."""
+    return Presence(
+        probability=np.array([0.5, 0.6, 0.7]),
+        number=np.array([[0.2, 0.5, 0.3, 0.0], [0.2, 0.5, 0.3, 0.0], [0.3, 0.7, 0.0, 0.0]]),
+        standard_error=np.full(3, 0.1),
+        seen=np.zeros(3, bool),
+        poses=np.zeros((3, 7)),
+    )
+
+
+def test_numbers_follow_exact_presences() -> None:
+    """Both copies: (1 - a - b + c, a + b - 2 c, c). What moves told stays as it is."""
+    before = by_moves()
+
+    told = before.with_exact({0: (0.4, 0.01), 1: (0.3, 0.02)}, 0.1, ALIKE)
+
+    np.testing.assert_allclose(told.probability, [0.4, 0.3, 0.7])
+    np.testing.assert_allclose(told.standard_error, [0.01, 0.02, 0.1])
+    np.testing.assert_allclose(told.number[:2], [[0.4, 0.5, 0.1, 0.0]] * 2)
+    np.testing.assert_allclose(told.number[2], before.number[2])
+    np.testing.assert_allclose(before.probability, [0.5, 0.6, 0.7])
+
+
+def test_one_exact_object_has_a_number_of_its_own() -> None:
+    """A shape asked for once; of two copies one exact presence alone tells no number."""
+    told = by_moves().with_exact({2: (0.9, 0.01)}, 0.0, ALIKE)
+    np.testing.assert_allclose(told.number[2], [0.1, 0.9, 0.0, 0.0])
+
+    told = by_moves().with_exact({0: (0.9, 0.01)}, 0.0, ALIKE)
+    np.testing.assert_allclose(told.number[0], [0.2, 0.5, 0.3, 0.0])
