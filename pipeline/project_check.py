@@ -13,6 +13,7 @@ from pipeline.shape_folder import shape_names
 from recordings.errors import RecordingError
 from recordings.reading import open_recording
 from scene.config import ParseConfig
+from scene.copies import asked_copies
 from shapes.learning.config import LearnConfig
 from slam.config import SlamConfig
 
@@ -57,6 +58,7 @@ def _check_shapes(project: Project, recording: ProjectRecording) -> None:
         known = shape_names(recording.shapes)
     else:
         known = sorted(one.shape for one in project.recordings if one.stage == "learn")
-    unknown = sorted(set(recording.objects or ()) - set(known))
+    asked = {asked_copies(one)[0] for one in recording.objects or ()}
+    unknown = sorted(asked - set(known))
     if unknown:
         raise PipelineError(f"no shape {unknown[0]!r}; there are {', '.join(known)}")

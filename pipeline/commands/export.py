@@ -114,6 +114,7 @@ def command(
     from pipeline.bop_numbers import read_ids
     from pipeline.export.model_export import MODEL_FORMATS, ExportOptions
     from pipeline.export.room_mesh import PITCH_M
+    from pipeline.export.run_export import SCENE_FORMATS
     from pipeline.export.run_room import run_room
     from pipeline.export.simulators import DENSITY_KG_M3
     from pipeline.export.sources import export, is_run
@@ -127,6 +128,8 @@ def command(
         raise ConfigError(f"--unseen open: {solids[0]} needs closed surfaces; leave it out")
     if (mesh or pitch_m or recording or OVERLAY in wanted) and not is_run(source):
         raise ConfigError("--mesh, --pitch, --recording and overlay are for the run of one recording")
+    if (mesh or pitch_m) and not set(wanted) & set(SCENE_FORMATS):
+        raise ConfigError(f"--mesh writes the room as {' or '.join(SCENE_FORMATS)}: name one in --format")
     options = ExportOptions(
         units=units or "m",
         origin=origin,

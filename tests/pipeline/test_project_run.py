@@ -67,6 +67,7 @@ def test_every_mistake_is_told_before_anything_begins(folder: Path) -> None:
     """In one go: files, settings, names of shapes; exit code 2, and no run folder."""
     more = "[[recording]]\npath = 'bug.mcap'\nstage = 'learn'\nslam.particles = -3\n"
     more += "[[recording]]\npath = 'missing.mcap'\nstage = 'parse'\nobjects = ['bgu']\n"
+    more += "[[recording]]\npath = 'last.mcap'\nstage = 'parse'\nobjects = ['bug:2']\n"
     result = run("run", write_project(folder, ("first", "empty"), more))
     lines = result.stderr.splitlines()
 
@@ -78,6 +79,7 @@ def test_every_mistake_is_told_before_anything_begins(folder: Path) -> None:
         "no shape 'bgu'",
     ):
         assert sum(mistake in line for line in lines) == 1, mistake
+    assert sum("no shape" in line for line in lines) == 1
     assert not (folder / "project.run").exists()
 
 

@@ -50,3 +50,11 @@ def test_another_recording_of_that_name_is_not_taken(run: Path, tmp_path: Path) 
     assert result.exit_code == 1
     assert "give --recording" in result.stderr or "name it with --recording" in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_room_that_no_format_holds_is_refused(run: Path, tmp_path: Path) -> None:
+    """One line that names the formats, before anything is fused."""
+    result = export(run, "--format", "obj", "-o", str(tmp_path / "out"))
+    assert result.exit_code == 2
+    assert "ply or glb" in result.stderr
+    assert not (tmp_path / "out").exists()
