@@ -116,7 +116,7 @@ def worth_searching(
     points = [_foreground(*one) for one in zip(views, first_camera_from_camera, strict=True)]
     showing = [number for number, one in enumerate(points) if len(one)]
     if not showing:
-        raise ValueError("nothing stands on what carries things in these frames")
+        raise ValueError("nothing stands on the supports that the frames show: choose others with --frames")
     first = showing.pop(0)
     chosen, known = {first: views[first]}, points[first]
     while showing:
