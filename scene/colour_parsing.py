@@ -24,13 +24,14 @@ from scene.colour.weighing import FoundScene
 from scene.colour.world import Kind, Light, TableWorld
 from scene.config import ParseConfig
 from scene.copies import slot_names
+from scene.model.contact import TOP_FACE
 from scene.model.scene_graph import ROOT
 from scene.result import SceneResult
 from scene.summary import MODES, pose_modes, second_moment
 from shapes.geometry.poses import matrices_of, poses_of
 
-BOTTOM, TOP = 4, 5
-"""Faces -z and +z of `scene.result.FACES`: a thing's own bottom rests on the top of the table."""
+BOTTOM_FACE = 4
+"""Face -z of `scene.result.FACES`: a thing's own bottom rests on the top of the table."""
 
 
 def parse_colour(
@@ -101,7 +102,7 @@ def _summary(
     means = np.stack([one.centres[0] for one in modes]) @ bases
     poses = boxes @ bases
     edges, faces = np.zeros((count, count + 1)), np.full((count, count + 1, 2), -1, np.int32)
-    edges[taken, count], faces[taken, count] = 1.0, (BOTTOM, TOP)
+    edges[taken, count], faces[taken, count] = 1.0, (BOTTOM_FACE, TOP_FACE)
     parents = np.full((kept, count), ROOT, np.int32)
     parents[:, taken] = count
     shown, nats = np.zeros(count), np.zeros(count)

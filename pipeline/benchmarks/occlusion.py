@@ -13,6 +13,7 @@ import trimesh
 from scipy.special import expit, logit
 
 from pipeline.atomic import write_table
+from pipeline.benchmarks.seen_object import seen_posterior
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.occlusion import (
     FAR_M,
@@ -31,7 +32,6 @@ from pipeline.synthesis.occlusion import (
 from scene.hidden.depth_evidence import DepthImages, SeenImage
 from scene.hidden.hidden_objects import hidden_posterior
 from scene.hidden.pose_priors import EulerUniformPoses
-from scene.hidden.seen_object import seen_posterior
 from scene.model.number_prior import BinomialNumber
 from scene.objects.scene_object import SceneObject, scene_object
 from shapes.geometry.camera import Camera

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter
 
 from scene.execution import FAST_COMPILE
+from scene.likelihood.pixel_density import CHANGES
 from scene.objects.surface_colour import components_of_light
 from scene.observation.pixel_window import PixelWindow
 
@@ -43,9 +44,8 @@ SURFACE_SD = (0.4, 0.1, 0.1)
 """Of a pixel's residual about its object's gain: faces are shaded differently, and lit by what is near."""
 OUTLIERS = 0.02
 """Highlights and what is reflected: any colour of the image."""
-CHANGES, WRONG = 0.05, 0.01
-"""Probability that a pixel's neighbour is of the other kind, colours right or wrong, and that they are wrong
-where nothing was seen before; as `scene.likelihood.pixel_density` takes them of depth."""
+WRONG = 0.01
+"""Probability that colours are wrong where nothing was seen before; neighbours change as depths do."""
 BEFORE = ((0, 1), (1, 0), (1, -1))
 """Rows above and columns to the left of the pixels by which one is foretold: whichever way the outline of a
 thing slants, one of them shows the thing too, after its first pixel."""

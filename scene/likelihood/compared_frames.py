@@ -16,7 +16,6 @@ from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.objects.scene_object import SceneObject
 from scene.observation.frame_data import SceneData
-from scene.observation.segmentation import support_depth
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,5 +109,6 @@ def _density(
 ) -> PixelDensity:
     """The density of a view's window."""
     window = view.window
-    rest_m = support_depth(view.supports, window, view.intrinsics)
-    return PixelDensity.of(window.depth_m, rest_m, noise, config.model_error_m, window.stride, learned)
+    return PixelDensity.of(
+        window.depth_m, view.support_m, noise, config.model_error_m, window.stride, learned
+    )

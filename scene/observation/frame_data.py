@@ -23,7 +23,8 @@ class SceneData:
         compact: (H, W) bool, those of them whose piece looks like a whole thing: there the search begins.
         window: the pixels on which scenes are compared.
         window_foreground: its pixels that may show an object.
-        rest_m: the window's background depth: the supports' planes, elsewhere what was seen; +inf if nothing.
+        support_m: the window's depth of the nearest support; +inf beside all.
+        rest_m: the same, but what was seen where no object may be.
         supports: planes on which objects can stand, that which carries most first.
         region: least and greatest x, y, z, in the first frame's camera, where objects are; empty: anywhere.
         intrinsics: of the image.
@@ -37,6 +38,7 @@ class SceneData:
     compact: NDArray[np.bool_]
     window: PixelWindow
     window_foreground: NDArray[np.bool_]
+    support_m: NDArray[np.float32]
     rest_m: NDArray[np.float32]
     supports: tuple[SupportPlane, ...]
     region: tuple[float, ...]

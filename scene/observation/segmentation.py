@@ -154,24 +154,6 @@ def _in_camera(support: SupportPlane, camera_from_other: NDArray[np.float64]) ->
     return replace(support, camera_from_table=camera_from_other @ support.camera_from_table)
 
 
-def background(
-    supports: Sequence[SupportPlane],
-    near: NDArray[np.bool_],
-    window: PixelWindow,
-    intrinsics: CameraIntrinsics,
-) -> NDArray[np.float32]:
-    """What was seen where no object may be, else the depth of the nearest support; +inf without either.
-
-    Args:
-        supports: under the objects.
-        near: pixels of the image that may show an object.
-        window: for whose pixels (H, W) it is told.
-        intrinsics: of the image.
-    """
-    elsewhere = ~window.of(near) & (window.depth_m != NO_RETURN)
-    return np.where(elsewhere, window.depth_m, support_depth(supports, window, intrinsics))
-
-
 def support_depth(
     supports: Sequence[SupportPlane], window: PixelWindow, intrinsics: CameraIntrinsics
 ) -> NDArray[np.float32]:
@@ -208,13 +190,16 @@ def _data_over(
         foreground &= ~_enlarged(surface, factor, foreground.shape)
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
     window = window_of(depth_m, intrinsics)
+    support_m = support_depth(supports, window, intrinsics)
+    elsewhere = ~window.of(foreground) & (window.depth_m != NO_RETURN)
     return SceneData(
         view=replace(view, unexplained=jax.device_put(pooled_foreground)),
         foreground=pooled_foreground,
         compact=pooled_foreground & compact,
         window=window,
         window_foreground=np.asarray(binary_dilation(window.of(foreground), iterations=2), bool),
-        rest_m=background(supports, foreground, window, intrinsics),
+        support_m=support_m,
+        rest_m=np.where(elsewhere, window.depth_m, support_m),
         supports=tuple(supports),
         region=region,
         intrinsics=intrinsics,

@@ -137,7 +137,7 @@ class PosePools:
             floating_weight=config.floating_weight,
         )
         below = None if config.graph == "fixed" else table
-        return replace(layers, rests=gravity.rests(self.data.view, below, self.objects, poses, 1.0))
+        return replace(layers, rests=gravity.rests(self.data.view, below, self.objects, poses))
 
     def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
         """The chosen poses (N, 7) of a scene (N,), of the absent ones any."""

@@ -13,7 +13,6 @@ from scene.likelihood.object_density import layer_densities
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.observation.frame_data import SceneData
-from scene.observation.segmentation import support_depth
 from scene.search.assignment import PoseLayers
 from scene.search.support_table import SupportTable
 
@@ -63,8 +62,9 @@ class ComparedPixels:
         size = PIXELS * max(-(-len(places) // PIXELS), 1)
         weight = (np.arange(size) < len(places)).astype(np.float32)
         window = data.window
-        rest_m = support_depth(data.supports, window, data.intrinsics)
-        density = PixelDensity.of(window.depth_m, rest_m, noise, surface_sigma_m, window.stride, learned)
+        density = PixelDensity.of(
+            window.depth_m, data.support_m, noise, surface_sigma_m, window.stride, learned
+        )
         numbers = (
             np.float32(log_odds),
             ~near,

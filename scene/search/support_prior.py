@@ -49,7 +49,6 @@ class Gravity:
         table: SupportPlane | None,
         objects: Sequence[SceneObject],
         poses: NDArray[np.floating],
-        exponent: float,
     ) -> SupportTable:
         """How poses (N, K, 7) camera_from_box and, last, the absent object rest; without a table all do.
 
@@ -60,7 +59,6 @@ class Gravity:
             table: in the camera's frame.
             objects: N.
             poses: of each of them.
-            exponent: of the prior.
         """
         count, places = poses.shape[0], poses.shape[1] + 1
         if table is None:
@@ -75,13 +73,11 @@ class Gravity:
         hanging = heights_m[:, :-1] > 0
         seen_m[:, :-1][hanging] = gaps_to_seen(view, table, undersides_m[hanging])
         gaps_m[:, :-1, :, :-1] = _gaps(objects, table_from_box, lowest, hanging)
-        return _rests(self, heights_m, seen_m, gaps_m, exponent)
+        return _rests(self, heights_m, seen_m, gaps_m)
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
-def _rests(
-    gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array, gaps_m: jax.Array, exponent: jax.Array
-) -> SupportTable:
+def _rests(gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array, gaps_m: jax.Array) -> SupportTable:
     """Logs of the densities of gaps, over that of none."""
 
     def log_gap(gap_m: jax.Array) -> jax.Array:
@@ -90,7 +86,7 @@ def _rests(
     floating = gravity.floating_weight / FLOATING_HEIGHT_M / gap_density(gravity, jnp.zeros_like(heights_m))
     log_unknown = jnp.log(UNKNOWN_CARRIER) + log_gap(seen_m)
     log_alone = jnp.maximum(jnp.maximum(log_gap(heights_m), jnp.log(floating)), log_unknown)
-    return SupportTable(exponent * log_alone, exponent * log_gap(gaps_m))
+    return SupportTable(log_alone, log_gap(gaps_m))
 
 
 def _undersides(objects: Sequence[SceneObject], table_from_box: NDArray[np.float64]) -> NDArray[np.float64]:

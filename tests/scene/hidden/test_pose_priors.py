@@ -8,8 +8,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from pipeline.benchmarks.seen_object import seen_posterior
 from scene.hidden.pose_priors import EulerUniformPoses, PlacedObject, RestingPoses, Support
-from scene.hidden.seen_object import seen_posterior
 from scene.objects.scene_object import SceneObject, scene_object
 from tests.statistical import assert_mean, assert_uniform
 

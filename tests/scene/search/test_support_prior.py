@@ -50,9 +50,9 @@ def log_rests(
     for pose, (x_m, bottom_m) in zip(table_from_box, bottoms_m, strict=True):
         pose[:3, 3] = [x_m, 0.0, bottom_m + HALF_M[2]]
     poses = poses_of(TABLE.camera_from_table @ table_from_box)[:, None]
-    rests = GRAVITY.rests(view, table, [upright_box()] * len(bottoms_m), poses, 2.0)
+    rests = GRAVITY.rests(view, table, [upright_box()] * len(bottoms_m), poses)
     choice = np.append(np.zeros(len(bottoms_m) - 1, int), ABSENT)
-    return [float(value) / 2 for value in rests.of(jnp.asarray(choice))]
+    return [float(value) for value in rests.of(jnp.asarray(choice))]
 
 
 @pytest.mark.parametrize("height_m", [0.0, 0.004, 0.012, 0.035, 0.2])
@@ -104,6 +104,6 @@ def test_a_box_rests_by_its_edge_on_what_its_middle_is_not_over() -> None:
     lower = np.eye(4)
     lower[:3, 3] = [np.sign(lowest[0]) * (HALF_M[0] + 0.01) + 0.03, 0.0, HALF_M[2]]
     poses = poses_of(TABLE.camera_from_table @ np.stack([tilted, lower]))[:, None]
-    rests = GRAVITY.rests(BARE, TABLE, [box, box], poses, 1.0)
+    rests = GRAVITY.rests(BARE, TABLE, [box, box], poses)
     np.testing.assert_allclose(rests.of(jnp.zeros(2, int)), 0, atol=1e-3)
     assert float(rests.of(jnp.array([0, ABSENT]))[0]) < -5
