@@ -155,7 +155,7 @@ def _by_ties(tied: PlacedKeyframes, ties: Ties) -> tuple[jax.Array, jax.Array]:
                 tied.poses, ties.keyframes_from_camera
             )
             apart = jax.vmap(pose_gaussian.coordinates, (None, 0))(cameras[0], cameras)
-            following = jax.vmap(_to_camera)(jnp.asarray(ties.keyframes_from_camera)) @ tied.sensitivity
+            following = jax.vmap(pose_gaussian.carried_along)(ties.keyframes_from_camera) @ tied.sensitivity
             shares = jnp.where(tied.held[:, None, None] & tied.held[0], ties.shares, 0.0)
             return (
                 jnp.einsum("mij,mj->i", shares, apart),
@@ -173,17 +173,6 @@ def _pulled(relative: jax.Array, displacements: jax.Array) -> jax.Array:
     return jax.vmap(jax.vmap(pose_gaussian.displace))(relative, displacements)
 
 
-def _to_camera(relative: jax.Array) -> jax.Array:
-    """A displacement of an anchor in its own chart as one (6, 6) of a camera at anchor_from_camera (7,) R, t.
-
-    It is R^T (xi_t + xi_r x t) and R^T xi_r in the camera's.
-    """
-    pose = jaxlie.SE3(relative)
-    inverse = pose.rotation().as_matrix().T
-    lever = inverse @ jnp.cross(jnp.eye(3), pose.translation()).T
-    return jnp.block([[inverse, lever], [jnp.zeros((3, 3)), inverse]])
-
-
 @jax.jit
 def _spread(
     anchors: PlacedKeyframes, relative: jax.Array, covariances: jax.Array, following: jax.Array
@@ -196,7 +185,7 @@ def _spread(
 
     def of_frame(frame: tuple[PlacedKeyframes, jax.Array, jax.Array, jax.Array]) -> jax.Array:
         anchor, relative, covariance, following = frame
-        jacobian = _to_camera(relative)
+        jacobian = pose_gaussian.carried_along(relative)
         noise = covariance + jacobian @ anchor.covariances @ jacobian.T
         field = following + jacobian @ anchor.sensitivity
         return noise + field @ field.T

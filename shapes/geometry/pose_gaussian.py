@@ -35,6 +35,15 @@ def coordinates(centre: jax.Array, pose: jax.Array) -> jax.Array:
     )
 
 
+@jax.jit
+def carried_along(relative: jax.Array) -> jax.Array:
+    """A displacement of an origin as one (6, 6) of what stands fixed beside it at origin_from_pose (7,).
+
+    Each in its own chart: with rotation R and translation t, R^T (xi_t + xi_r x t) and R^T xi_r.
+    """
+    return jaxlie.SE3(relative).inverse().adjoint()
+
+
 def log_chart_factor(rotation_vector: jax.Array) -> jax.Array:
     """Log of 8 / (sin(a/2) / (a/2))^2, which turns densities of (3,) rotation vectors into Haar ones."""
     half_squared = 0.25 * (rotation_vector**2).sum()

@@ -74,6 +74,12 @@ def compose(first: jax.Array, second: jax.Array) -> jax.Array:
     return jnp.concatenate([product[:4] / jnp.linalg.norm(product[:4]), product[4:]])
 
 
+@jax.jit
+def relative_pose(origin: jax.typing.ArrayLike, pose: jax.typing.ArrayLike) -> jax.Array:
+    """The pose (7,) b_from_c of a_from_b and a_from_c."""
+    return (jaxlie.SE3(jnp.asarray(origin)).inverse() @ jaxlie.SE3(jnp.asarray(pose))).wxyz_xyz
+
+
 def tangents_of(matrices: NDArray[np.floating]) -> NDArray[np.float64]:
     """Logarithms (..., 6) of rigid transforms (..., 4, 4), translation first as in jaxlie, on the host."""
     turns = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3)).as_rotvec()

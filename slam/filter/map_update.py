@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
-import jaxlie
 import numpy as np
 
+from shapes.geometry.pose_sets import within_reach
+from shapes.geometry.poses import matrices_of, relative_pose
 from slam.filter.rival_motion import Doubt
 from slam.filter.state import FilterState
 from slam.keyframes.depth_view import CanvasView, central_depth
@@ -34,13 +33,14 @@ def with_frame(state: FilterState, view: CanvasView, best: Registration, doubt: 
     """
     anchor = int(best.indices[0])
     state = with_calibration(state, best)
-    relative, shift, angle = _motion(best.local_map.poses[0], best.optimum.pose)
-    far = float(shift) > KEYFRAME_SHIFT * central_depth(view) or float(angle) > KEYFRAME_ANGLE_RAD
+    anchor_pose, pose = best.local_map.poses[0], best.optimum.pose
+    reach = KEYFRAME_SHIFT * central_depth(view), KEYFRAME_ANGLE_RAD
+    near = within_reach(matrices_of(anchor_pose), matrices_of(pose), *reach)
     keyframe_map, noise = state.keyframe_map, state.calibration.noise
-    if not far and best.covered >= KEYFRAME_COVERAGE:
+    if near and best.covered >= KEYFRAME_COVERAGE:
         if len(state.population) > 1:
             return state
-        refined = fuse(keyframe_map.surface(anchor), view, relative, noise)
+        refined = fuse(keyframe_map.surface(anchor), view, relative_pose(anchor_pose, pose), noise)
         return replace(state, keyframe_map=keyframe_map.with_refined(anchor, refined))
     new = len(keyframe_map)
     pairs = np.stack([np.full(len(best.indices), new), best.indices], axis=1).astype(np.int32)
@@ -58,17 +58,9 @@ def with_frame(state: FilterState, view: CanvasView, best: Registration, doubt: 
         state,
         population=replace(state.population, histories=grown),
         keyframe_map=keyframe_map.with_keyframe(surface),
-        rival=state.rival.with_keyframe(surface, best.optimum.pose, doubt),
+        rival=state.rival.with_keyframe(surface, pose, doubt),
         keyframe_times_ns=(*state.keyframe_times_ns, state.times_ns[1]),
     )
-
-
-@jax.jit
-def _motion(origin: jax.Array, pose: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """origin_from_pose (7,) of poses (7,), its length and its angle."""
-    relative = jaxlie.SE3(origin).inverse() @ jaxlie.SE3(pose)
-    shift = jnp.linalg.norm(relative.translation())
-    return relative.wxyz_xyz, shift, jnp.linalg.norm(relative.rotation().log())
 
 
 def with_calibration(state: FilterState, located: Registration) -> FilterState:

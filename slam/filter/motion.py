@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
-
-LOG_PI = 1.1447298858494002
-"""log pi."""
+from shapes.geometry.rotation_densities import (
+    LOG_ROTATION_MASS,
+    von_mises_fisher,
+    von_mises_fisher_direction,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -103,7 +105,7 @@ class FreeMotion:
         log_jump = (
             -0.5 * (shift**2).sum()
             - 3.0 * (jnp.log(self.jump_sigma_m) + 0.5 * jnp.log(2.0 * jnp.pi))
-            - 2.0 * LOG_PI
+            - LOG_ROTATION_MASS
         )
         steady = pose_gaussian.log_density(pose, history.predicted, self.steady_scale)
         jerk = pose_gaussian.log_density(pose, history.pose, self.jerk_scale)
@@ -166,7 +168,10 @@ class OrbitMotion:
         distance = jnp.linalg.norm(history.pivot) + self.distance_sigma_m * jax.random.normal(distance_key)
         anywhere = jax.random.normal(uniform_key, (3,), jnp.float32)
         anywhere = anywhere / jnp.linalg.norm(anywhere)
-        near = _sample_von_mises_fisher(near_key, last_direction, self.concentration)
+        uniforms = jax.vmap(jax.random.uniform)(jax.random.split(near_key))
+        north = jnp.asarray([0.0, 0.0, 1.0], jnp.float32)
+        near = von_mises_fisher_direction(self.concentration, uniforms)
+        near = _rotation_between(north, last_direction) @ near
         direction = jnp.where(jax.random.bernoulli(kind_key), anywhere, near)
         aim = self.aim_scale_rad * jax.random.normal(aim_key, (3,), jnp.float32)
         rotation = _carried_rotation(history, direction) @ jaxlie.SO3.exp(aim)
@@ -179,9 +184,8 @@ class OrbitMotion:
         last_direction, _ = _direction_and_distance(history.pose[4:], history.pivot)
         excess = (distance - jnp.linalg.norm(history.pivot)) / self.distance_sigma_m
         log_distance = -0.5 * excess**2 - jnp.log(self.distance_sigma_m) - 0.5 * jnp.log(2.0 * jnp.pi)
-        log_uniform = -jnp.log(4.0 * jnp.pi)
-        log_near = _log_von_mises_fisher(direction @ last_direction, self.concentration)
-        log_direction = jnp.logaddexp(log_uniform, log_near) - jnp.log(2.0)
+        near = von_mises_fisher(self.concentration, direction @ last_direction)
+        log_direction = jnp.log(0.5 * near + 0.5 / (4.0 * jnp.pi))
         aim = (_carried_rotation(history, direction).inverse() @ jaxlie.SE3(pose).rotation()).log()
         whitened = aim / self.aim_scale_rad
         log_aim = (
@@ -224,23 +228,6 @@ def _carried_rotation(history: MotionHistory, direction: jax.Array) -> jaxlie.SO
     carried = _rotation_between(last_direction, direction) @ jaxlie.SE3(history.pose).rotation()
     optical_axis = carried @ jnp.asarray([0.0, 0.0, 1.0], direction.dtype)
     return _rotation_between(optical_axis, -direction) @ carried
-
-
-def _log_von_mises_fisher(cosine: jax.Array, concentration: jax.Array) -> jax.Array:
-    """Log density on the sphere (area measure): kappa exp(kappa (cos - 1)) / (2 pi (1 - exp(-2 kappa)))."""
-    normaliser = jnp.log(concentration) - jnp.log(2.0 * jnp.pi) - jnp.log(-jnp.expm1(-2.0 * concentration))
-    return normaliser + concentration * (cosine - 1.0)
-
-
-def _sample_von_mises_fisher(key: jax.Array, mean: jax.Array, concentration: jax.Array) -> jax.Array:
-    """A unit vector (3,): the cosine by inversion, the azimuth uniform."""
-    cosine_key, azimuth_key = jax.random.split(key)
-    uniform = jax.random.uniform(cosine_key, dtype=mean.dtype)
-    cosine = 1.0 + jnp.log(uniform + (1.0 - uniform) * jnp.exp(-2.0 * concentration)) / concentration
-    sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 0.0))
-    azimuth = 2.0 * jnp.pi * jax.random.uniform(azimuth_key, dtype=mean.dtype)
-    local = jnp.stack([sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine])
-    return _rotation_between(jnp.asarray([0.0, 0.0, 1.0], mean.dtype), mean) @ local
 
 
 WIDE_STEP = 3.55

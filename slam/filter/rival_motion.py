@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
+from shapes.geometry.poses import relative_pose
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.noise_calibration import NoiseCalibration
@@ -113,27 +113,15 @@ def doubt_of_frame(
         anchor: the keyframe next to it, whose doubt it shares where nothing moves.
         anchor_pose: (7,) of that keyframe.
     """
-    first = _relative(rival.pose, found)
+    first = relative_pose(rival.pose, found)
     of_anchor = jnp.asarray(rival.of_keyframes[anchor])
     two = two_motions(rival.reference, view, calibration.noise, first, rival.second)
     if two is not None:
         displacements, share, second = _judged(two, first, jnp.asarray(rival.of_reference))
         if float(share) > 0:
             return replace(rival, second=second), Doubt(np.asarray(displacements), float(share))
-    seen_here = _adjoint(_relative(anchor_pose, found)) @ of_anchor
+    seen_here = pose_gaussian.carried_along(relative_pose(anchor_pose, found)) @ of_anchor
     return replace(rival, second=jnp.asarray(IDENTITY, jnp.float32)), Doubt(np.asarray(seen_here), 0.0)
-
-
-@jax.jit
-def _relative(origin: jax.Array, pose: jax.Array) -> jax.Array:
-    """origin_from_pose (7,) of poses (7,)."""
-    return (jaxlie.SE3(origin).inverse() @ jaxlie.SE3(pose)).wxyz_xyz
-
-
-@jax.jit
-def _adjoint(pose: jax.Array) -> jax.Array:
-    """(6, 6) that takes displacements in the chart of an origin to that of a pose (7,) there."""
-    return jaxlie.SE3(pose).inverse().adjoint()
 
 
 @jax.jit
@@ -151,5 +139,5 @@ def _judged(
     )
     is_two = (two.log_odds > 0) & (two.explained > LEAST_EXPLAINED) & (two.shares[other] > LEAST_RIVAL)
     is_two &= jnp.isfinite(moved).all()
-    displacements = _adjoint(first) @ of_reference + moved
+    displacements = pose_gaussian.carried_along(first) @ of_reference + moved
     return displacements, jnp.where(is_two, two.shares[other], 0.0), two.poses[other]

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry.pose_sets import within_reach
-from shapes.geometry.poses import matrices_of
+from shapes.geometry.poses import matrices_of, relative_pose
 from slam.config import LEAST_PROBABILITY, SlamConfig
 from slam.filter import smc
 from slam.filter.map_update import with_calibration, with_frame
@@ -189,7 +188,7 @@ def _places(
             if follows:
                 following = np.asarray(_field_sensitivity(state, view, one.located, one.place))
                 ties = one.place.keyframes_from_camera, one.place.shares
-        relative = np.asarray(_relative(anchor, one.hypothesis.pose))
+        relative = np.asarray(relative_pose(anchor, one.hypothesis.pose))
         of_all.append((indices[0], relative, covariance, following, indices, *ties))
     anchors, relative, covariances, following, indices, from_camera, shares = (
         np.stack(leaves) for leaves in zip(*of_all, strict=True)
@@ -212,9 +211,3 @@ def _field_sensitivity(
     calibration, nodes = state.calibration, NodeWeights.of(view)
     tempered = jnp.asarray(calibration.exponent * place.covariance, jnp.float32)
     return field_sensitivity(located.optimum, located.local_map, view, nodes, calibration.noise, tempered)
-
-
-@jax.jit
-def _relative(anchor: jax.Array, pose: jax.Array) -> jax.Array:
-    """anchor_from_camera (7,)."""
-    return (jaxlie.SE3(anchor).inverse() @ jaxlie.SE3(pose)).wxyz_xyz

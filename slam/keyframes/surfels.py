@@ -46,6 +46,11 @@ class SurfelImage:
     rays: jax.Array
     camera: Camera
 
+    @property
+    def view(self) -> CanvasView:
+        """As an image."""
+        return CanvasView(self.depth_m, self.measured, self.rays, self.camera)
+
     def points(self) -> jax.Array:
         """(3, H, W) in the keyframe's frame; the origin where unknown."""
         return self.rays * self.depth_m[None]

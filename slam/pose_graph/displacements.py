@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import relative_pose
 
 AT_ONCE = 64
 """Rows for which kernels are compiled."""
@@ -35,6 +36,11 @@ def coordinates(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDA
     return in_parts(_coordinates, origins, poses)
 
 
+def relative_poses(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDArray[np.float32]:
+    """origin_from_pose (N, 7) of origins (N, 7) and poses (N, 7)."""
+    return in_parts(_relative, origins, poses)
+
+
 def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
     """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
     return in_parts(_drawn, centres, displacements.swapaxes(0, 1)).swapaxes(0, 1)
@@ -43,5 +49,7 @@ def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64])
 _displaced = jax.jit(jax.vmap(pose_gaussian.displace))
 
 _coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
+
+_relative = jax.jit(jax.vmap(relative_pose))
 
 _drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace, (None, 0))))

@@ -36,9 +36,9 @@ def is_due(state: FilterState) -> bool:
     return added >= (LEAST_HOPS if state.contradicted else REFINED_EVERY)
 
 
-def refined_so_far(state: FilterState, images: KeyframeImages, free: int = FREE_KEYFRAMES) -> FilterState:
+def refined_so_far(state: FilterState, images: KeyframeImages) -> FilterState:
     """The state after a frame that became a keyframe, the latest ones of each hypothesis refined."""
-    histories = tuple(_refined(one, images, free) for one in state.population.histories)
+    histories = tuple(_refined(one, images) for one in state.population.histories)
     heaviest = int(np.argmax(state.population.log_weights))
     before, after = state.population.histories[heaviest].pose, histories[heaviest].pose
     return replace(
@@ -50,9 +50,9 @@ def refined_so_far(state: FilterState, images: KeyframeImages, free: int = FREE_
     )
 
 
-def _refined(hypothesis: Hypothesis, images: KeyframeImages, free: int) -> Hypothesis:
+def _refined(hypothesis: Hypothesis, images: KeyframeImages) -> Hypothesis:
     before, images = hypothesis.keyframe_poses, replace(images, known=hypothesis.overlaps)
-    fixed = max(1, len(before) - free)
+    fixed = max(1, len(before) - FREE_KEYFRAMES)
     _, found, loops = optimise_coarse_to_fine(images, before, fixed=fixed)
     if found is None or not np.isfinite(found.poses).all():
         return hypothesis

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
+from shapes.geometry.poses import relative_pose
 from slam.keyframes.covisibility import LEAST_HOPS, held_together
-from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import place_distances
-from slam.pose_graph.displacements import displaced, in_parts
+from slam.pose_graph.displacements import displaced, in_parts, relative_poses
 from slam.pose_graph.gauss_newton import FARTHEST
 from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.sparse_gaussian import PoseGraph, damped_step
@@ -107,7 +106,7 @@ def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float
                 continue
             if _is_in_reach(poses[later][None], pose, walked[earlier : earlier + 1])[0]:
                 pairs.append((later, earlier))
-                ways.append(_ways(poses[earlier][None], pose[None])[0])
+                ways.append(np.asarray(relative_pose(poses[earlier], pose)))
                 precisions.append(_precision(found))
                 passed = later + LEAST_HOPS
                 break
@@ -148,7 +147,7 @@ def _open(loops: Loops, poses: NDArray[np.float32]) -> NDArray[np.float64]:
 def _bent(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray[np.float32]:
     """The least squares of the graph's ways and the loops'."""
     pairs = np.concatenate([graph.pairs, loops.pairs])
-    ways = np.concatenate([_ways(poses[graph.pairs[:, 1]], poses[graph.pairs[:, 0]]), loops.ways])
+    ways = np.concatenate([relative_poses(poses[graph.pairs[:, 1]], poses[graph.pairs[:, 0]]), loops.ways])
     weights = np.concatenate([graph.precision[:, :6, :6], loops.precisions])
     for _ in range(CLOSING_STEPS):
         gaps, jacobians = in_parts(_gaps, poses[pairs[:, 0]], poses[pairs[:, 1]], ways)
@@ -201,24 +200,9 @@ def _registered(
     beside: NDArray[np.bool_],
 ) -> Registration:
     """A keyframe, sought about where an earlier one stands, among those (N,) beside that one alone."""
-    surface = images.keyframe_map.surface(later)
-    view = CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
+    view = images.keyframe_map.surface(later).view
     searcher = Searcher(images.keyframe_map, poses, view, images.noise, LEAST_HOPS).among(beside)
     return searcher.near([poses[earlier]])
-
-
-@jax.jit
-def _relative(earlier: jax.Array, later: jax.Array) -> jax.Array:
-    """earlier_from_later (n, 7) of poses (n, 7)."""
-
-    def one(earlier: jax.Array, later: jax.Array) -> jax.Array:
-        return (jaxlie.SE3(earlier).inverse() @ jaxlie.SE3(later)).wxyz_xyz
-
-    return jax.vmap(one)(earlier, later)
-
-
-def _ways(earlier: NDArray[np.float32], later: NDArray[np.float32]) -> NDArray[np.float32]:
-    return in_parts(_relative, earlier, later)
 
 
 @jax.jit
@@ -227,8 +211,7 @@ def _gaps(later: jax.Array, earlier: jax.Array, ways: jax.Array) -> tuple[jax.Ar
 
     def gap(xi: jax.Array, later: jax.Array, earlier: jax.Array, way: jax.Array) -> jax.Array:
         of_later, of_earlier = pose_gaussian.displace(later, xi[:6]), pose_gaussian.displace(earlier, xi[6:])
-        relative = jaxlie.SE3(of_earlier).inverse() @ jaxlie.SE3(of_later)
-        return pose_gaussian.coordinates(way, relative.wxyz_xyz)
+        return pose_gaussian.coordinates(way, relative_pose(of_earlier, of_later))
 
     still = jnp.zeros((len(ways), 12))
     return jax.vmap(gap)(still, later, earlier, ways), jax.vmap(jax.jacfwd(gap))(still, later, earlier, ways)

@@ -9,13 +9,12 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
-from shapes.geometry.poses import matrices_of
+from shapes.geometry.poses import matrices_of, relative_pose
 from slam.keyframes.covisibility import held_together
 from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
@@ -230,8 +229,5 @@ def _relative_by_image(origins: jax.Array, poses: jax.Array) -> jax.Array:
     return jax.vmap(relative_to)(origins, poses).swapaxes(0, 1)
 
 
-@jax.jit
-def relative_to(origin: jax.Array, poses: jax.Array) -> jax.Array:
-    """origin_from_pose (n, 7) of one pose (7,) and others (n, 7)."""
-    inverse = jaxlie.SE3(origin).inverse()
-    return jax.vmap(lambda pose: (inverse @ jaxlie.SE3(pose)).wxyz_xyz)(poses)
+relative_to = jax.jit(jax.vmap(relative_pose, (None, 0)))
+"""origin_from_pose (n, 7) of one pose (7,) and others (n, 7)."""

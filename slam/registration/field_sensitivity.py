@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import jaxlie
 
 from recordings.types import NO_RETURN, DepthNoise
+from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.vectors import dot, rotate, transform
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, fused_planes, pixels_of
@@ -44,7 +45,7 @@ def field_sensitivity(
     keyframes_from_camera = local_map.keyframes_from_camera(optimum.pose)
     image = MapImage(pixels.planes, pixels.weights)
     planes, variance = fused_planes(image, keyframes_from_camera)
-    identity = jaxlie.SE3.identity().wxyz_xyz.astype(optimum.pose.dtype)
+    identity = jnp.asarray(IDENTITY, optimum.pose.dtype)
     terms = pixel_terms(planes, variance, pixels.observed_m, pixels.rays, identity, noise)
     of_residual = (pixels.observed_m**2)[None] * nodes.at(_lattice(view)) - sum(
         _of_rendered(index, pixels, local_map, keyframes_from_camera[index], nodes)

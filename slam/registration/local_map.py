@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import jax
-import jaxlie
 
+from shapes.geometry.poses import relative_pose
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import fused_planes, render
 from slam.keyframes.surfels import SurfelImage
@@ -30,8 +30,7 @@ class LocalMap:
 
     def keyframes_from_camera(self, reference_from_camera: jax.Array) -> jax.Array:
         """(M, 7) for a camera at (7,)."""
-        camera = jaxlie.SE3(reference_from_camera)
-        return jax.vmap(lambda pose: (jaxlie.SE3(pose).inverse() @ camera).wxyz_xyz)(self.poses)
+        return jax.vmap(relative_pose, (0, None))(self.poses, reference_from_camera)
 
 
 def model_image(local_map: LocalMap, camera_pose: jax.Array, view: CanvasView) -> ModelImage:

@@ -12,6 +12,8 @@ import numpy as np
 
 from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
+from shapes.geometry.pose_sets import IDENTITY
+from shapes.geometry.poses import relative_pose
 from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, CanvasView
 from slam.keyframes.rendering import MapImage, fused_planes, render
 from slam.likelihood.image_density import (
@@ -145,9 +147,8 @@ def _ranked(
     lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
     log_shortfall = jax.lax.optimization_barrier(unmapped_log_penalty(lattice, noise))
     compared = _Compared(model_image(local_map, starts[0], view), log_shortfall)
-    anchor = jaxlie.SE3(starts[0])
-    relative_starts = jax.vmap(lambda pose: (anchor.inverse() @ jaxlie.SE3(pose)).wxyz_xyz)(starts)
-    identity = jaxlie.SE3.identity().wxyz_xyz.astype(starts.dtype)
+    relative_starts = jax.vmap(relative_pose, (None, 0))(starts[0], starts)
+    identity = jnp.asarray(IDENTITY, starts.dtype)
     grid = jax.vmap(partial(pose_gaussian.displace, identity))(offsets)
     candidates = jax.lax.optimization_barrier(jnp.concatenate([relative_starts, grid]))
     scores = compared.scores(view, noise, candidates, COARSE_STRIDE_PX, COARSE_SURFACE_SIGMA_M)
@@ -224,7 +225,7 @@ def optimum_at(
     lattice_planes, lattice_variance = jax.lax.optimization_barrier(
         fused_planes(MapImage(pixels.planes, pixels.weights), keyframes_from_camera)
     )
-    identity = jaxlie.SE3.identity().wxyz_xyz.astype(pose.dtype)
+    identity = jnp.asarray(IDENTITY, pose.dtype)
 
     def terms_at(relative: jax.Array) -> PixelTerms:
         return pixel_terms(lattice_planes, lattice_variance, pixels.observed_m, pixels.rays, relative, noise)

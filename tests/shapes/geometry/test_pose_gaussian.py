@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from shapes.geometry import pose_gaussian
+from shapes.geometry import pose_gaussian, pose_sets
 from slam.filter.motion import FreeMotion, MotionHistory, OrbitMotion
 from tests.statistical import assert_mean
 
-IDENTITY = jnp.asarray([1.0, 0, 0, 0, 0, 0, 0], jnp.float32)
+IDENTITY = jnp.asarray(pose_sets.IDENTITY, jnp.float32)
 
 
 def _pose(xi: list[float]) -> jax.Array:
