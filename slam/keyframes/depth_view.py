@@ -28,8 +28,9 @@ CANVAS = (CANVAS_HEIGHT, CANVAS_WIDTH)
 FINE_CANVAS = (240, 320)
 """Rows and columns of the image that the final refinement of the keyframes looks at."""
 
-BLOCK_DEPTH_BAND = 0.03
-"""Relative depth band that counts as one surface when a block of pixels is averaged."""
+ONE_SURFACE_BAND = 0.03
+"""Relative depth within which the pixels of a block, or the elements of several keyframes, are one surface,
+and behind which a keyframe saw through the space in front."""
 
 
 @jax.tree_util.register_dataclass
@@ -115,7 +116,7 @@ def block_reduce(depth_m: jax.Array, factor: int) -> jax.Array:
     """
     block = [depth_m[row::factor, column::factor] for row in range(factor) for column in range(factor)]
     nearest = reduce(jnp.minimum, [jnp.where(pixel > NO_RETURN, pixel, jnp.inf) for pixel in block])
-    farthest = (1.0 + BLOCK_DEPTH_BAND) * nearest
+    farthest = (1.0 + ONE_SURFACE_BAND) * nearest
     on_surface = [(pixel > NO_RETURN) & (pixel <= farthest) for pixel in block]
     count = reduce(add, [member.astype(jnp.int32) for member in on_surface])
     total = reduce(add, [jnp.where(*pair, 0.0) for pair in zip(on_surface, block, strict=True)])

@@ -12,14 +12,11 @@ import jaxlie
 
 from shapes.geometry.camera import Camera, project
 from shapes.geometry.vectors import dot, layer_sum, rotate, transform
-from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH
+from slam.keyframes.depth_view import CANVAS, CANVAS_HEIGHT, CANVAS_WIDTH, ONE_SURFACE_BAND
 from slam.keyframes.surfels import SurfelImage
 
 NEAREST_DEPTH_M = 0.05
 """Nearer than any depth camera measures."""
-
-ONE_SURFACE_BAND = 0.03
-"""Relative depth within which the elements of several keyframes are one surface and are fused."""
 
 LEAST_INVERSE_DEPTH = 1e-4
 """Numerical guard: 10 km."""
@@ -32,11 +29,8 @@ VISIBILITY_BAND = 0.1
 INDEX_RANGE = 1 << 15
 """Bits of a rank that hold the element's index; above the canvas's 19,200 pixels."""
 
-DEPTH_BINS = 255
-"""Eight bits of a rank."""
-
-OFF_CENTRE_STEPS = 255
-"""Eight bits of a rank."""
+RANK_STEPS = 255
+"""Eight bits of a rank, of depth and of the distance from the pixel's centre."""
 
 
 @jax.tree_util.register_dataclass
@@ -74,13 +68,16 @@ def depth_on_rays(planes: jax.Array, rays: jax.Array) -> jax.Array:
     return jnp.where(ahead, 1.0 / jnp.where(ahead, inverse_depth, 1.0), jnp.inf)
 
 
-def pixels_of(points: jax.Array, camera: Camera) -> tuple[jax.Array, jax.Array]:
+def pixels_of(
+    points: jax.Array, camera: Camera, canvas: tuple[int, ...] = CANVAS
+) -> tuple[jax.Array, jax.Array]:
     """Flat canvas index (n,) of the pixel that each point (3, n) falls into, and whether it does."""
+    rows, columns = canvas
     in_front = points[2] > NEAREST_DEPTH_M
     depth = jnp.where(in_front, points[2], 1.0)
     column, row = (jnp.round(at).astype(jnp.int32) for at in project(camera, points[0], points[1], depth))
-    inside = in_front & (column >= 0) & (column < CANVAS_WIDTH) & (row >= 0) & (row < CANVAS_HEIGHT)
-    return jnp.where(inside, row * CANVAS_WIDTH + column, 0), inside
+    inside = in_front & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    return jnp.where(inside, row * columns + column, 0), inside
 
 
 def visible_elements(surface: SurfelImage, camera_from_keyframe: jax.Array, camera: Camera) -> jax.Array:
@@ -106,11 +103,11 @@ def _drawing_order(points: jax.Array, pixel: jax.Array, camera: Camera) -> jax.A
     """
     depth = jnp.maximum(points[2], NEAREST_DEPTH_M)
     steps = jnp.log(depth / NEAREST_DEPTH_M) / jnp.log1p(VISIBILITY_BAND)
-    depth_bin = jnp.clip(steps.astype(jnp.int32), 0, DEPTH_BINS)
+    depth_bin = jnp.clip(steps.astype(jnp.int32), 0, RANK_STEPS)
     u, v = project(camera, points[0], points[1], depth)
     off_x, off_y = u - (pixel % CANVAS_WIDTH), v - (pixel // CANVAS_WIDTH)
-    off_centre = (OFF_CENTRE_STEPS * jnp.clip(2.0 * (off_x**2 + off_y**2), 0.0, 1.0)).astype(jnp.int32)
-    ranks = (depth_bin * (OFF_CENTRE_STEPS + 1) + off_centre) * INDEX_RANGE
+    off_centre = (RANK_STEPS * jnp.clip(2.0 * (off_x**2 + off_y**2), 0.0, 1.0)).astype(jnp.int32)
+    ranks = (depth_bin * (RANK_STEPS + 1) + off_centre) * INDEX_RANGE
     return ranks + jnp.arange(PIXELS, dtype=jnp.int32)
 
 

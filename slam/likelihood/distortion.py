@@ -20,9 +20,6 @@ from slam.keyframes.depth_view import CanvasView, framing
 
 NODES = NODE_ROWS * NODE_COLUMNS
 
-COORDINATES = NODES - 1
-"""The mean is next to the sensor's scale, which nothing in a recording tells, and is taken as zero."""
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -69,7 +66,10 @@ def node_products(rows: jax.Array, columns: jax.Array) -> jax.Array:
 
 
 def node_factor(sd_per_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A (NODES, COORDINATES), A A^T the covariance of nodes of deviations (rows, columns) and mean zero."""
+    """A (NODES, NODES - 1), A A^T the covariance of nodes of deviations (rows, columns) and mean zero.
+
+    The mean is next to the sensor's scale, which nothing in a recording tells.
+    """
     deviations = sd_per_m.ravel()
     return deviations[:, None] * null_space(deviations[None])
 

@@ -25,7 +25,7 @@ import jaxlie
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.vectors import dot, rotate, transform
-from slam.keyframes.depth_view import CanvasView
+from slam.keyframes.depth_view import ONE_SURFACE_BAND, CanvasView
 from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, pixels_of
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.unmapped_depth import (
@@ -49,9 +49,6 @@ STILL_IN_FRONT = 0.8
 
 IN_FRONT_SIGMAS = 5.0
 """Beyond five sigma a depth is no noise of the surface."""
-
-SEEN_THROUGH_BAND = 0.03
-"""Relative depth by which a point is nearer than a keyframe's surface if that saw through the space there."""
 
 ENDS_BEFORE = 0.2
 """Probability that the map's surface ends before the last pixel that is rendered of it: at true poses a fifth
@@ -169,7 +166,7 @@ def _seen_through(
         pose = jaxlie.SE3(keyframes_from_camera[index])
         in_keyframe = transform(pose.rotation().as_matrix(), pose.translation(), points)
         pixel, inside = pixels_of(in_keyframe, surface.camera)
-        behind = in_keyframe[2] < (1.0 - SEEN_THROUGH_BAND) * surface.depth_m.ravel()[pixel]
+        behind = in_keyframe[2] < (1.0 - ONE_SURFACE_BAND) * surface.depth_m.ravel()[pixel]
         through |= present[index] & inside & behind
     return through
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from shapes.depth_noise import standard_deviation
 
 BIN_EDGES_M = np.asarray([0.0, 0.5, 0.8, 1.1, 1.4, 1.8, 2.2, 2.7, 3.3, 4.0, 6.0, 10.0])
 
@@ -89,7 +90,7 @@ class NoiseCalibration:
             score_variance: (6, 6) of the gradient.
         """
         centres = 0.5 * (BIN_EDGES_M[1:] + BIN_EDGES_M[:-1])
-        present = _sigma(self.noise, centres) ** 2
+        present = standard_deviation(self.noise, centres) ** 2
         squared, total = self.squared + squared_ratio * present, self.count + count
         inflation = self.inflations + float(np.trace(np.linalg.pinv(precision) @ score_variance)) / 6
         frames = self.frames + 1
@@ -108,24 +109,20 @@ class NoiseCalibration:
         )
 
 
-def _sigma(noise: DepthNoise, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    return noise.sigma_base_m + noise.sigma_growth_per_m * (depth_m - 0.4) ** 2
-
-
 def _fitted(
     squared: NDArray[np.float64], count: NDArray[np.float64], centres: NDArray[np.float64], noise: DepthNoise
 ) -> DepthNoise:
     """The noise whose sigma over depth fits the bins, weighed by their pixels; both terms stay positive."""
     default = DepthNoise()
-    shrunk = (squared + PRIOR_PIXELS * _sigma(default, centres) ** 2) / (count + PRIOR_PIXELS)
+    expected = standard_deviation(default, centres)
+    shrunk = (squared + PRIOR_PIXELS * expected**2) / (count + PRIOR_PIXELS)
     sigma, weight = np.sqrt(shrunk), np.sqrt((count + PRIOR_PIXELS) / shrunk)
-    design = np.stack([np.ones_like(centres), (centres - 0.4) ** 2], axis=1)
+    rise = (expected - default.sigma_base_m) / default.sigma_growth_per_m
+    design = np.stack([np.ones_like(centres), rise], axis=1)
     (base, growth), *_ = np.linalg.lstsq(design * weight[:, None], sigma * weight, rcond=None)
     if growth < 0:
         base, growth = float(np.average(sigma, weights=weight**2)), 0.0
     if base < LEAST_SIGMA_M:
         base = LEAST_SIGMA_M
-        growth = max(
-            float(np.average((sigma - base) / design[:, 1], weights=weight**2 * design[:, 1] ** 2)), 0.0
-        )
+        growth = max(float(np.average((sigma - base) / rise, weights=weight**2 * rise**2)), 0.0)
     return replace(noise, sigma_base_m=float(base), sigma_growth_per_m=float(growth))

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from recordings.distortion_field import NODE_ROWS
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
-from shapes.geometry.camera import Camera, project
+from shapes.geometry.camera import Camera
 from shapes.geometry.vectors import cross, dot, rotate, transform
 from slam.keyframes.depth_view import CanvasView
-from slam.keyframes.rendering import NEAREST_DEPTH_M
+from slam.keyframes.rendering import pixels_of
 from slam.likelihood.distortion import NodeWeights, node_products
 from slam.likelihood.score_variance import score_variance
 
@@ -211,7 +211,7 @@ def _gaps(
     if disparity_per_m is not None:
         shrink = 1.0 - (disparity_per_m @ sample.node_weights()) * measured
     points = transform(rotation, pose.translation(), sample.points / shrink[None])
-    pixel, inside = _pixels(points, surface)
+    pixel, inside = pixels_of(points, surface.camera, surface.elements.shape[:2])
     element = surface.elements.reshape(-1, surface.elements.shape[-1])[pixel].T
     planes, surface_ray, surface_depth = element[:3], element[3:6], element[6]
     if disparity_per_m is not None:
@@ -242,16 +242,6 @@ def _gaps(
         gap_m=gap * shrink**2,
         field=_FieldSlopes(of_image, surface_along * away**2, pixel),
     )
-
-
-def _pixels(points: jax.Array, surface: PlaneImage) -> tuple[jax.Array, jax.Array]:
-    rows, columns, _ = surface.elements.shape
-    camera = surface.camera
-    in_front = points[2] > NEAREST_DEPTH_M
-    depth = jnp.where(in_front, points[2], 1.0)
-    column, row = (jnp.round(at).astype(jnp.int32) for at in project(camera, points[0], points[1], depth))
-    inside = in_front & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    return jnp.where(inside, row * columns + column, 0), inside
 
 
 def _log_normal(gaps: _Gaps, variance: jax.Array) -> jax.Array:

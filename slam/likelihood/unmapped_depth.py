@@ -21,12 +21,10 @@ from jax.scipy.stats import norm
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
+from slam.keyframes.planes import ON_PLANE_SIGMAS
 
 AROUND = tuple((row, column) for row in (-3, -2, -1, 0) for column in range(-4, 5 if row else 0))
 """Rows and columns, from a pixel, of those before it that a plane is fitted to."""
-
-ON_PLANE_SIGMAS = 3.5
-"""Within which a pixel lies on it."""
 
 LEAST_ON_PLANE = 4
 """One more than the three parameters of a plane."""

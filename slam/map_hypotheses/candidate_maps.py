@@ -25,7 +25,12 @@ from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.pages import Paged
 from slam.map_hypotheses.best_first_search import place_best_first
 from slam.map_hypotheses.circular_paths import circular_steps, repeat_step
-from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
+from slam.map_hypotheses.cross_registration import (
+    MOST_ROUNDS,
+    KeyframeRegistrar,
+    consistent_set,
+    register_inconsistent,
+)
 from slam.map_hypotheses.modes import Modes
 from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimise
 from slam.pose_graph.overlaps import KeyframeDetail, keyframes_at
@@ -44,9 +49,6 @@ REGULAR_DISTANCES = (0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.25)
 REGULAR_MAPS = 6
 """Circles that are jointly optimised: in a bare room three by quarter turns, a corner each view, came before
 the right one (a circle of 5; docs/model.md, development films)."""
-
-MOST_ROUNDS = 3
-"""After the first, in which keyframes are placed without regard to any map."""
 
 
 def candidate_maps(
@@ -74,7 +76,7 @@ def candidate_maps(
 
     maps = [settle(poses) for poses in (*present, *_regular_maps(registrar, motion))]
     log_weights = [log_weight(poses) for poses in maps]
-    for round_ in range(1 + MOST_ROUNDS):
+    for round_ in range(1 + MOST_ROUNDS):  # in the first, keyframes are placed without regard to any map
         best = maps[int(np.argmax(log_weights))]
         core = consistent_set(registrar, best)
         if len(core) == len(registrar):

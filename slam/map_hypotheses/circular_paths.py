@@ -17,6 +17,7 @@ from scipy.stats import norm, qmc
 from shapes.geometry import pose_sets
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar
 from slam.registration import pose_grids
+from slam.registration.search import CLIMBED_BLUR, WIDE_ANGLE_RAD, WIDE_BLUR, WIDE_SHIFT_M
 
 JUDGING = 5
 """Images that a step is judged by."""
@@ -25,12 +26,6 @@ STARTS, STEPS = 160, 40
 """Distinct ones whose refinement is begun and of which it is ended: the true step was up to the seventieth of
 the grid, and among the first five of the refined (circles of 5 in bare rooms; docs/model.md,
 development films)."""
-
-STEP_SHIFT_M, STEP_ANGLE_RAD = 0.12, 0.15
-"""Steps closer than this are one start of the refinement; as the global search's grid."""
-
-BLUR, LEAST_BLUR = 0.06, 0.01
-"""Relative to depth: first and last blur of the coarse-to-fine search."""
 
 REFINING = tuple(0.05 * 0.75**round_ for round_ in range(12))
 """Widths of clouds round each, metres and radians."""
@@ -47,7 +42,7 @@ def circular_steps(registrar: KeyframeRegistrar, distances_m: NDArray[np.float64
         distances_m: (D,) to the pivots of circles that are tried.
     """
     candidates = pose_grids.orbit_steps(distances_m)
-    ranked = candidates[np.argsort(-_scores(registrar, candidates, BLUR), kind="stable")]
+    ranked = candidates[np.argsort(-_scores(registrar, candidates, WIDE_BLUR), kind="stable")]
     return _refined(registrar, _first_distinct(ranked, STARTS))
 
 
@@ -64,14 +59,15 @@ def _scores(registrar: KeyframeRegistrar, steps: NDArray[np.float64], blur: floa
 
 
 def _first_distinct(steps: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    return steps[pose_sets.suppress_similar(steps, count, STEP_SHIFT_M, STEP_ANGLE_RAD)]
+    return steps[pose_sets.suppress_similar(steps, count, WIDE_SHIFT_M, WIDE_ANGLE_RAD)]
 
 
 def _refined(registrar: KeyframeRegistrar, steps: NDArray[np.float64]) -> NDArray[np.float64]:
     """The best steps near each (S, 4, 4), in clouds that grow narrower and fewer: distinct, best first."""
     for width in REFINING:
         clouds = steps[:, None] @ np.asarray(expm(width * _cloud()))
-        scores = _scores(registrar, clouds.reshape(-1, 4, 4), max(width, LEAST_BLUR)).reshape(len(steps), -1)
+        scores = _scores(registrar, clouds.reshape(-1, 4, 4), max(width, CLIMBED_BLUR))
+        scores = scores.reshape(len(steps), -1)
         best = clouds[np.arange(len(steps)), scores.argmax(axis=1)]
         ranked = best[np.argsort(-scores.max(axis=1), kind="stable")]
         steps = _first_distinct(ranked, max(STEPS, len(steps) // 2))

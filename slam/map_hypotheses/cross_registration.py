@@ -21,11 +21,8 @@ from slam.keyframes.keyframe_map import KeyframeMap
 from slam.registration.global_search import BATCH, log_map_scores, log_scores_of_maps
 from slam.registration.local_map import LocalMap
 from slam.registration.pose_grids import ORBIT_DISTANCES
-from slam.registration.registered import Registration
+from slam.registration.registered import CONVINCING_COVERED, Registration
 from slam.registration.search import Searcher
-
-LEAST_OVERLAP = 0.2
-"""Share of the returns that must meet the map for an inlier ratio to mean anything. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +103,7 @@ class KeyframeRegistrar:
 
     def view(self, index: int) -> CanvasView:
         """A keyframe's image."""
-        surface = self.keyframe_map.surface(index)
-        return CanvasView(surface.depth_m, surface.measured, surface.rays, surface.camera)
+        return self.keyframe_map.surface(index).view
 
     def all_but(self, index: int) -> list[int]:
         """The other keyframes."""
@@ -121,15 +117,15 @@ class KeyframeRegistrar:
 
 def inlier_ratio(located: Registration) -> float:
     """Share of the returns that meet the map and lie on it; zero where hardly any meets it."""
-    return located.explained / located.covered if located.covered >= LEAST_OVERLAP else 0.0
+    return located.explained / located.covered if located.covered >= CONVINCING_COVERED else 0.0
 
 
 CONSISTENT_INLIER_RATIO = 0.9
 """Share of the returns that meet the map and lie on it, from which on a keyframe is consistent: at true poses
 round objects it was .92 at least, at wrong ones .6 to .9 (docs/model.md, development films)."""
 
-LEAST_CONSISTENT = 2
-"""A consistent set needs two keyframes."""
+MOST_ROUNDS = 3
+"""Of removing what is inconsistent: from a first core that is small, places may be wrong again."""
 
 
 def register_inconsistent(
@@ -158,7 +154,7 @@ def register_inconsistent(
 def consistent_set(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> list[int]:
     """Keyframes that do not contradict each other: those that do most are left out, one by one."""
     core = list(range(len(registrar)))
-    while len(core) > LEAST_CONSISTENT:
+    while len(core) > 2:
         agreements = [
             inlier_ratio(
                 registrar.register_locally(poses, index, [other for other in core if other != index])

@@ -28,7 +28,12 @@ from slam.config import SlamConfig
 from slam.filter.state import FilterState
 from slam.keyframes.pages import Paged
 from slam.map_hypotheses.candidate_maps import candidate_maps
-from slam.map_hypotheses.cross_registration import KeyframeRegistrar, consistent_set, register_inconsistent
+from slam.map_hypotheses.cross_registration import (
+    MOST_ROUNDS,
+    KeyframeRegistrar,
+    consistent_set,
+    register_inconsistent,
+)
 from slam.pose_graph.overlaps import KeyframeDetail
 from slam.pose_graph.refinement import MapMixture
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
@@ -39,9 +44,6 @@ have taken the next corner of a bare room for the last one."""
 
 MOST_KEYFRAMES = 48
 """Search effort: the registrations grow with the square of the keyframes."""
-
-MOST_ROUNDS = 3
-"""From a first core that is small, the places of the others may be wrong again."""
 
 SPARSE_KEYFRAMES = 12
 """Keyframes few enough to be placed without regard to what the filter found."""

@@ -26,9 +26,6 @@ from slam.pose_graph.trajectory_prior import TrajectoryPrior
 COARSE_INFLATIONS = (32.0, 32.0, 16.0, 16.0, 8.0, 8.0, *INFLATIONS)
 """Of sigma in the first rounds: gates of 0.2 m to 1 cm at 2 m, where sigma is 6 mm."""
 
-NO_INFLATIONS = (1.0,)
-"""For steps that lead uphill alone: the density is that of sigma itself."""
-
 COARSE_FARTHEST = 1.0
 """Metres or radians. Drift of 3 cm a keyframe over twenty of them is 0.6 m."""
 
@@ -68,7 +65,7 @@ def optimise_coarse_to_fine(
         return there, far, loops
     if not is_far:
         return keyframes, near, loops
-    climbed = optimise(keyframes, poses, NO_INFLATIONS, COARSE_FARTHEST, uphill=True)
+    climbed = optimise(keyframes, poses, HELD_INFLATIONS, COARSE_FARTHEST, uphill=True)
     is_best = climbed is not None and (near is None or _is_better(keyframes, climbed, near.poses))
     return keyframes, climbed if is_best else near, loops
 

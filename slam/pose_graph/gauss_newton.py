@@ -39,8 +39,9 @@ CONVERGED = 0.05
 coordinate. In a bare room further steps lead away, centimetres along the walls, for nothing (measured)."""
 
 HELD_INFLATIONS, HELD_DAMPING, HELD_CONVERGED = (1.0,), 100.0, 0.002
-"""The same where the motion prior holds what no pixel sees. It is not to outweigh what they see: few samples
-of inflated sigma say less of rotations than it does, so that all are asked from the first round on."""
+"""The same where the motion prior holds what no pixel sees (without inflation also where steps are to lead
+uphill: the density is that of sigma itself). It is not to outweigh what they see: few samples of inflated
+sigma say less of rotations than it does, so that all are asked from the first round on."""
 
 FIELD_INFLATIONS = (3.0, 2.0, 1.5)
 """Of sigma in the first rounds with the distortion field: a gap may be as wide as the field bends it."""

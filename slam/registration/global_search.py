@@ -36,9 +36,6 @@ CLIMBING_BLURS = (0.04, 0.04, 0.04, 0.03, 0.03, 0.02, 0.02, 0.015)
 SETTLING_BLURS = (0.015, 0.01, 0.01, 0.01)
 """Relative to depth: the last rounds of the ascent, near the sensor's noise."""
 
-SLIDING_BLUR = 0.01
-"""As the last of them."""
-
 SLIDES = tuple(sign * 0.012 * step for step in range(1, 8) for sign in (-1, 1))
 """Along the direction in which a climbed candidate is held least, metres and radians."""
 
@@ -155,7 +152,7 @@ def _score(local_map: LocalMap, frame: _Points, blur: jax.Array | float, candida
 
 
 def _newton(
-    local_map: LocalMap, frame: _Points, pose: jax.Array, blur: jax.Array
+    local_map: LocalMap, frame: _Points, pose: jax.Array, blur: jax.Array | float
 ) -> tuple[jax.Array, jax.Array]:
     """Gauss-Newton curvature (6, 6) and gradient (6,) of minus the score where surfaces explain points."""
     met = _met(local_map, frame, blur, pose)
@@ -225,11 +222,12 @@ def ascend(local_map: LocalMap, view: CanvasView, noise: DepthNoise, candidates:
         return pose_gaussian.displace(pose, offset), None
 
     def slid(pose: jax.Array) -> jax.Array:
-        precision, _ = _newton(local_map, frame, pose, jnp.asarray(SLIDING_BLUR, pose.dtype))
+        blur = SETTLING_BLURS[-1]
+        precision, _ = _newton(local_map, frame, pose, blur)
         _, directions = jnp.linalg.eigh(precision)
         offsets = jnp.outer(jnp.asarray((0.0, *SLIDES), pose.dtype), directions[:, 0])
         poses = jax.vmap(partial(pose_gaussian.displace, pose))(offsets)
-        return poses[jnp.argmax(jax.lax.map(partial(_score, local_map, frame, SLIDING_BLUR), poses))]
+        return poses[jnp.argmax(jax.lax.map(partial(_score, local_map, frame, blur), poses))]
 
     def climb(candidate: jax.Array) -> jax.Array:
         pose, _ = jax.lax.scan(step, candidate, jnp.asarray(CLIMBING_BLURS, candidate.dtype))

@@ -43,15 +43,12 @@ WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
 WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
 """Relative to depth, as in `slam.registration.global_search`."""
 
-SCORED_AT_ONCE = 256
-"""Candidates: one size for which a kernel is compiled."""
-
 WIDE_CLIMBED = 256
-"""Candidates that climb: the grid is coarser than the modes, the right place may be the three hundredth on it
-(measured)."""
+"""Candidates that climb, and that are scored at once: one size for which kernels are compiled. The grid is
+coarser than the modes, the right place may be the three hundredth on it (measured)."""
 
-CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD = 0.05, 0.05
-"""Climbed candidates closer than this are one."""
+CLIMBED_ALIKE = 0.05
+"""Metres and radians: climbed candidates closer than this are one."""
 
 WIDE_RENDERED = 24
 """Search effort."""
@@ -59,10 +56,10 @@ WIDE_RENDERED = 24
 WIDE_REFINED = 6
 """Search effort."""
 
-FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
-"""A refinement that ends farther from its start is begun again there."""
+FAR = 0.08
+"""Metres or radians: a refinement that ends farther from its start is begun again there."""
 
-SETTLED_SHIFT_M, SETTLED_ANGLE_RAD = 0.003, 0.003
+SETTLED = 0.003
 """Half a pixel of the working image, at a metre: a rendering anew would show the same."""
 
 LEAST_HELD = 0.1
@@ -116,7 +113,7 @@ class Searcher:
         for _ in range(REFINEMENTS):
             if not located.is_finite:
                 break
-            is_near = _is_near(located.optimum.pose, padded[0])
+            is_near = located.is_within(FAR, padded[0])
             if is_near and hold > 0:
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
@@ -138,7 +135,7 @@ class Searcher:
                 return None
             if hold > LEAST_HELD * found.weakest_share:
                 return None
-            if _is_near(found.optimum.pose, pose, SETTLED_SHIFT_M, SETTLED_ANGLE_RAD):
+            if found.is_within(SETTLED, pose):
                 return found
             pose = found.optimum.pose
         return None
@@ -168,7 +165,7 @@ class Searcher:
             return []
         scores = self._map_scores(climbed, CLIMBED_BLUR)
         ranked = climbed[np.argsort(-scores, kind="stable")]
-        best = pose_sets.suppress_similar(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
+        best = pose_sets.suppress_similar(ranked, WIDE_RENDERED, CLIMBED_ALIKE, CLIMBED_ALIKE)
         rendered = suppress_duplicates([self.at(single_precision_poses(pose)) for pose in ranked[best]])
         meeting = [located for located in rendered if located.explained >= LEAST_EXPLAINED]
         found = [self.near([located.optimum.pose]) for located in meeting[:WIDE_REFINED]]
@@ -205,12 +202,12 @@ class Searcher:
 
     def _map_scores(self, candidates: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
-        padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, SCORED_AT_ONCE))
+        padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, WIDE_CLIMBED))
         scores = [
             np.concatenate(
                 [
                     np.asarray(log_map_scores(local_map, self.view, self.noise, some, blur))
-                    for some in jnp.split(padded, len(padded) // SCORED_AT_ONCE)
+                    for some in jnp.split(padded, len(padded) // WIDE_CLIMBED)
                 ]
             )
             for local_map in self._neighbourhoods()
@@ -240,12 +237,3 @@ class Searcher:
             return np.arange(len(self.keyframe_map))
         distances = place_distances(np.stack(self.keyframe_map.samples), self._samples[:, 2])
         return np.sort(np.argsort(distances, kind="stable")[:WIDE_PLACES])
-
-
-def _is_near(
-    pose: ArrayLike, start: ArrayLike, shift_m: float = FAR_SHIFT_M, angle_rad: float = FAR_ANGLE_RAD
-) -> bool:
-    """Whether a rendering at `start` shows what a camera at `pose` would see."""
-    relative = np.linalg.inv(matrices_of(np.asarray(start))) @ matrices_of(np.asarray(pose))
-    shift = np.linalg.norm(relative[:3, 3])
-    return bool(shift < shift_m and 0.5 * (np.trace(relative[:3, :3]) - 1) > np.cos(angle_rad))

@@ -9,18 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from recordings.types import NO_RETURN, DepthNoise
-from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, CanvasView
-from slam.keyframes.rendering import ONE_SURFACE_BAND, render
+from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, ONE_SURFACE_BAND, CanvasView
+from slam.keyframes.rendering import render
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.image_density import STRIDE_PX, log_pixel_factors, rendered_depth, scored_pixels
 from slam.registration.alignment import ModelImage, PixelTerms, associate, pixel_terms
+from slam.registration.local_search import BLOCK_SIDE
 
 COMPARED_STRIDE_PX = 4
 """Search effort: one pixel in 16."""
-
-BLOCK_SIDE_PX = 20
-"""Side of the blocks that move as one: as those whose scores count as independent
-(`slam.registration.local_search.BLOCK_SIDE`)."""
 
 ASSIGNING_EXPONENT = 0.4
 """Tempering while blocks are assigned: what the filter begins with (`NoiseCalibration.initial`), on a quarter
@@ -28,9 +25,10 @@ of its pixels."""
 
 
 def _block_membership() -> np.ndarray:
-    """Which block each pixel of the lattice is in, one-hot (P, B)."""
+    """Those that move as one are as large as those whose scores count as independent."""
+    side = BLOCK_SIDE * STRIDE_PX
     rows, columns = (np.arange(0, size, COMPARED_STRIDE_PX) for size in (CANVAS_HEIGHT, CANVAS_WIDTH))
-    block = rows[:, None] // BLOCK_SIDE_PX * (CANVAS_WIDTH // BLOCK_SIDE_PX) + columns // BLOCK_SIDE_PX
+    block = rows[:, None] // side * (CANVAS_WIDTH // side) + columns // side
     return np.eye(block.max() + 1, dtype=np.float32)[block.ravel()]
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import trapezoid
 
 from recordings.types import DepthNoise
-from shapes.geometry import pose_gaussian
+from shapes.geometry import pose_gaussian, pose_sets
 from shapes.geometry.poses import single_precision_poses
 from slam.keyframes.depth_view import block_reduce, view_of_frame
 from slam.keyframes.planes import region_planes
@@ -28,7 +28,7 @@ from slam.registration.local_search import optimum_at
 from tests.slam import box_room
 
 NOISE = DepthNoise()
-IDENTITY = jnp.asarray([1.0, 0, 0, 0, 0, 0, 0], jnp.float32)
+IDENTITY = jnp.asarray(pose_sets.IDENTITY, jnp.float32)
 
 
 def _displaced(xi: list[float]) -> jax.Array:
