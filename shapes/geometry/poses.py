@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recordings.poses.rigid import orthonormalised
+from shapes.geometry.vectors import transform
 
 __all__ = [
     "matrices_of",
@@ -72,6 +73,12 @@ def compose(first: jax.Array, second: jax.Array) -> jax.Array:
     """The pose a_from_c of a_from_b and b_from_c."""
     product = (jaxlie.SE3(first) @ jaxlie.SE3(second)).wxyz_xyz
     return jnp.concatenate([product[:4] / jnp.linalg.norm(product[:4]), product[4:]])
+
+
+def transformed(pose: jax.Array, points: jax.Array) -> jax.Array:
+    """Points (3, ...) of a source where target_from_source (7,) puts them."""
+    motion = jaxlie.SE3(pose)
+    return transform(motion.rotation().as_matrix(), motion.translation(), points)
 
 
 @jax.jit

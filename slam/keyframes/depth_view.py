@@ -50,6 +50,11 @@ class CanvasView:
     rays: jax.Array
     camera: Camera
 
+    def lattice(self, stride_px: int, first: int = 0) -> tuple[jax.Array, jax.Array]:
+        """Depth (n,) and rays (3, n) of every so many of its pixels in both directions."""
+        every = slice(first, None, stride_px)
+        return self.depth_m[every, every].ravel(), self.rays[:, every, every].reshape(3, -1)
+
 
 def framing(view: CanvasView) -> NDArray[np.float64]:
     """What the view's image takes in (6,): fx, fy, cx, cy, columns, rows, in pixels."""

@@ -8,7 +8,8 @@ import jaxlie
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
-from shapes.geometry.vectors import dot, rotate, transform
+from shapes.geometry.poses import transformed
+from shapes.geometry.vectors import dot, rotate
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import depth_on_rays, pixels_of, planes_in_frame
 from slam.keyframes.surfels import LEAST_VARIANCE_SHARE, SurfelImage
@@ -37,14 +38,9 @@ def _fused(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Depths, planes and variances after the frame."""
     pose = jaxlie.SE3(keyframe_from_camera)
-    camera_from_keyframe = pose.inverse()
     depth, variance = surface.depth_m.ravel(), surface.variance_m2.ravel()
     planes = surface.planes.reshape(3, -1)
-    points = transform(
-        camera_from_keyframe.rotation().as_matrix(),
-        camera_from_keyframe.translation(),
-        surface.points().reshape(3, -1),
-    )
+    points = transformed(pose.inverse().wxyz_xyz, surface.points().reshape(3, -1))
     pixel, inside = pixels_of(points, frame.camera)
     observed = frame.depth_m.ravel()[pixel]
     ray = frame.rays.reshape(3, -1)[:, pixel]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from recordings.types import NO_RETURN
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.pages import Paged, PageFile
+from slam.keyframes.rendering import NEAREST_DEPTH_M
 from slam.keyframes.surfels import SurfelImage
 
 Tree = TypeVar("Tree")
@@ -110,7 +111,7 @@ def visible_cells(
     rotation, translation = camera_from_keyframes[:, :3, :3], camera_from_keyframes[:, :3, 3]
     points = np.einsum("nij,nsj->nsi", rotation, samples) + translation[:, None]
     known = np.isfinite(points[..., 2])
-    ahead = known & (points[..., 2] > 0.05)
+    ahead = known & (points[..., 2] > NEAREST_DEPTH_M)
     depth = np.where(ahead, points[..., 2], 1.0)
     u = (fx * np.nan_to_num(points[..., 0]) / depth + cx + 0.5) / columns
     v = (fy * np.nan_to_num(points[..., 1]) / depth + cy + 0.5) / rows

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import jaxlie
 
 from shapes.geometry.camera import Camera, project
-from shapes.geometry.vectors import dot, layer_sum, rotate, transform
+from shapes.geometry.poses import transformed
+from shapes.geometry.vectors import dot, layer_sum, rotate
 from slam.keyframes.depth_view import CANVAS, CANVAS_HEIGHT, CANVAS_WIDTH, ONE_SURFACE_BAND
 from slam.keyframes.surfels import SurfelImage
 
@@ -68,6 +69,20 @@ def depth_on_rays(planes: jax.Array, rays: jax.Array) -> jax.Array:
     return jnp.where(ahead, 1.0 / jnp.where(ahead, inverse_depth, 1.0), jnp.inf)
 
 
+def depth_from(
+    planes_from_camera: jax.Array, planes: jax.Array, rays: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Depth (n,) at which rays (3, n) of a camera at (7,) meet planes (3, n): (1 - N . t) / (N . R d).
+
+    Also N . R d (n,), and which planes are ahead; depth is zero where they are not.
+    """
+    pose = jaxlie.SE3(planes_from_camera)
+    slope = dot(planes, rotate(pose.rotation().as_matrix(), rays))
+    height = 1.0 - dot(pose.translation(), planes)
+    ahead = (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
+    return jnp.where(ahead, height / jnp.where(ahead, slope, 1.0), 0.0), slope, ahead
+
+
 def pixels_of(
     points: jax.Array, camera: Camera, canvas: tuple[int, ...] = CANVAS
 ) -> tuple[jax.Array, jax.Array]:
@@ -82,8 +97,7 @@ def pixels_of(
 
 def visible_elements(surface: SurfelImage, camera_from_keyframe: jax.Array, camera: Camera) -> jax.Array:
     """Index (H, W) int32 of the element of `surface` that each pixel sees, -1 for none."""
-    pose = jaxlie.SE3(camera_from_keyframe)
-    points = transform(pose.rotation().as_matrix(), pose.translation(), surface.points().reshape(3, -1))
+    points = transformed(camera_from_keyframe, surface.points().reshape(3, -1))
     pixel, inside = pixels_of(points, camera)
     drawn = inside & (surface.depth_m.ravel() > 0)
     order = _drawing_order(points, pixel, camera)

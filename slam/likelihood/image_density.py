@@ -20,13 +20,12 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
-from shapes.geometry.vectors import dot, rotate, transform
+from shapes.geometry.poses import transformed
 from slam.keyframes.depth_view import ONE_SURFACE_BAND, CanvasView
-from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, pixels_of
+from slam.keyframes.rendering import MapImage, depth_from, pixels_of
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.unmapped_depth import (
     PredictedDepth,
@@ -82,11 +81,12 @@ class ScoredPixels:
     weights: jax.Array
 
 
-def unmapped_log_penalty(observed_m: jax.Array, noise: DepthNoise) -> jax.Array:
-    """By how much returns (H, W) of a lattice are less probable, in logs, than were their surfaces known.
+def unmapped_log_penalty(view: CanvasView, noise: DepthNoise) -> jax.Array:
+    """By how much returns (H, W) of the lattice are less probable, in logs, than were their surfaces known.
 
     A search that blurs what is known has to blur what is unknown as well, or it looks away.
     """
+    observed_m = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
     log_unknown = log_density_of_unknown(observed_m, predict_from_neighbours(observed_m, noise), noise)
     sigma = depth_noise.standard_deviation(noise, observed_m)
     return log_unknown + jnp.log(sigma) + LOG_ROOT_TWO_PI
@@ -128,9 +128,9 @@ def scored_pixels(
         lambda leaf: leaf.reshape(*leaf.shape[:-2], -1),
         predict_from_neighbours(view.depth_m[every, every], noise),
     )
-    rays = view.rays[:, every, every].reshape(3, -1)
+    observed, rays = view.lattice(STRIDE_PX)
     pixels = ScoredPixels(
-        observed_m=view.depth_m[every, every].ravel(),
+        observed_m=observed,
         measured=view.measured[every, every].ravel(),
         foreseen=foreseen,
         in_front=jnp.zeros(foreseen.share.shape, bool),
@@ -163,8 +163,7 @@ def _seen_through(
     through = jnp.zeros(points.shape[1], bool)
     for index in range(len(present)):
         surface = jax.tree.map(lambda leaf, index=index: leaf[index], surfaces)
-        pose = jaxlie.SE3(keyframes_from_camera[index])
-        in_keyframe = transform(pose.rotation().as_matrix(), pose.translation(), points)
+        in_keyframe = transformed(keyframes_from_camera[index], points)
         pixel, inside = pixels_of(in_keyframe, surface.camera)
         behind = in_keyframe[2] < (1.0 - ONE_SURFACE_BAND) * surface.depth_m.ravel()[pixel]
         through |= present[index] & inside & behind
@@ -173,17 +172,10 @@ def _seen_through(
 
 def rendered_depth(pixels: ScoredPixels, keyframes_from_camera: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Depth (P,) that a camera at (M, 7) sees, +inf for a miss, and its variance (P,)."""
-
-    def layer(planes: jax.Array, weights: jax.Array, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
-        keyframe_from_camera = jaxlie.SE3(pose)
-        slope = dot(planes, rotate(keyframe_from_camera.rotation().as_matrix(), pixels.rays))
-        height = 1.0 - dot(keyframe_from_camera.translation(), planes)
-        ahead = (weights > 0) & (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
-        return jnp.where(ahead, height / jnp.where(ahead, slope, 1.0), 0.0), jnp.where(ahead, weights, 0.0)
-
     total, weighted = jnp.zeros_like(pixels.observed_m), jnp.zeros_like(pixels.observed_m)
     for index in range(len(keyframes_from_camera)):
-        depth, weights = layer(pixels.planes[index], pixels.weights[index], keyframes_from_camera[index])
+        depth, _, ahead = depth_from(keyframes_from_camera[index], pixels.planes[index], pixels.rays)
+        weights = jnp.where(ahead, pixels.weights[index], 0.0)
         total, weighted = total + weights, weighted + weights * depth
     hit = total > 0
     safe_total = jnp.where(hit, total, 1.0)

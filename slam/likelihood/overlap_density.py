@@ -277,12 +277,10 @@ def overlap_terms(
         variance = inflation**2 * gaps.variance_m2
         inlier = jnp.where(gaps.meets, jax.nn.sigmoid(_log_normal(gaps, variance) - LOG_OUTLIER), 0.0)
         weight = inlier / variance
-        rotation, translation = jaxlie.SE3(pose).rotation().as_matrix(), jaxlie.SE3(pose).translation()
-        normals = rotate(rotation.T, gaps.normals)
-        own = rotate(rotation.T, gaps.points - translation[:, None])
-        of_image = [normals, cross(own, normals)]
+        back = jaxlie.SE3(pose).rotation().as_matrix().T
+        normals, own = rotate(back, gaps.normals), rotate(back, gaps.points - pose[4:, None])
         of_surface = [-gaps.normals, -cross(gaps.points, gaps.normals)]
-        jacobian = jnp.concatenate([*of_image, *of_surface])
+        jacobian = jnp.concatenate([normals, cross(own, normals), *of_surface])
         gradients = jacobian * (weight * gaps.gap_m)[None]
         blocks = gradients.reshape(12, BLOCKS, -1).sum(2)
         of_blocks = jacobian[:6].reshape(6, BLOCKS, -1)
@@ -298,8 +296,7 @@ def overlap_terms(
             meeting=gaps.meets.sum(),
             field=None,
         )
-        weighed = gaps.field and _WeighedGaps(gaps.gap_m, weight, jacobian, gaps.field)
-        return terms, weighed
+        return terms, gaps.field and _WeighedGaps(gaps.gap_m, weight, jacobian, gaps.field)
 
     terms, weighed = jax.lax.map(one, (samples, surface_from_images))
     if weighed is None:

@@ -13,9 +13,10 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry import pose_gaussian
 from shapes.geometry.camera import Camera
-from shapes.geometry.vectors import cross, dot, rotate, transform
+from shapes.geometry.poses import transformed
+from shapes.geometry.vectors import cross, dot, rotate
 from slam.keyframes.depth_view import CanvasView
-from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, pixels_of
+from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, depth_from, pixels_of
 from slam.likelihood.image_density import LOG_ROOT_TWO_PI, STRIDE_PX
 
 STIFFNESS = 10.0
@@ -152,13 +153,8 @@ def pixel_terms(
 
 def associate(model: ModelImage, view: CanvasView, pose: jax.Array, stride_px: int) -> tuple[jax.Array, ...]:
     """Planes and variances of the model pixels that the view's points fall into, with depths and rays."""
-    rays = view.rays[:, ::stride_px, ::stride_px].reshape(3, -1)
-    observed = view.depth_m[::stride_px, ::stride_px].ravel()
-    model_from_camera = jaxlie.SE3(pose)
-    points = transform(
-        model_from_camera.rotation().as_matrix(), model_from_camera.translation(), rays * observed[None]
-    )
-    pixel, inside = pixels_of(points, model.camera)
+    observed, rays = view.lattice(stride_px)
+    pixel, inside = pixels_of(transformed(pose, rays * observed[None]), model.camera)
     planes = jnp.where(inside[None], model.planes.reshape(3, -1)[:, pixel], 0.0)
     return planes, model.variance_m2.ravel()[pixel], observed, rays
 
@@ -181,8 +177,7 @@ def projected_scores(
     would win along a bare wall. It ranks candidates near one rendering; the proposal may use it, the weights
     never do.
     """
-    rays = view.rays[:, ::stride_px, ::stride_px].reshape(3, -1)
-    observed = view.depth_m[::stride_px, ::stride_px].ravel()
+    observed, rays = view.lattice(stride_px)
     points = rays * observed[None]
     log_outlier = jnp.log(noise.outlier_probability / noise.max_range_m)
     every = stride_px // STRIDE_PX
@@ -192,17 +187,12 @@ def projected_scores(
     elements = jnp.concatenate([model.planes.reshape(3, -1), model.variance_m2.reshape(1, -1)]).T
 
     def score(pose: jax.Array) -> jax.Array:
-        model_from_camera = jaxlie.SE3(pose)
-        rotation, translation = model_from_camera.rotation().as_matrix(), model_from_camera.translation()
-        pixel, inside = pixels_of(transform(rotation, translation, points), model.camera)
+        pixel, inside = pixels_of(transformed(pose, points), model.camera)
         element = elements[pixel].T
-        height = 1.0 - dot(translation, element[:3])
-        slope = dot(element[:3], rotate(rotation, rays))
-        hit = inside & (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
-        depth = jnp.where(hit, height / jnp.where(hit, slope, 1.0), 0.0)
+        depth, _, ahead = depth_from(pose, element[:3], rays)
         variance = element[3] + surface_sigma_m**2 + depth_noise.standard_deviation(noise, depth) ** 2
         log_normal = -0.5 * ((observed - depth) ** 2 / variance + jnp.log(2.0 * jnp.pi * variance))
-        log_factor = jnp.where(hit, jnp.maximum(log_normal, log_outlier), log_miss)
+        log_factor = jnp.where(inside & ahead, jnp.maximum(log_normal, log_outlier), log_miss)
         return jnp.where(observed > NO_RETURN, log_factor, 0.0).sum()
 
     return jax.vmap(score)(poses)

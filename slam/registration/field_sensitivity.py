@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 
-from recordings.types import NO_RETURN, DepthNoise
+from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import IDENTITY
-from shapes.geometry.vectors import dot, rotate, transform
+from shapes.geometry.poses import transformed
+from shapes.geometry.vectors import dot
 from slam.keyframes.depth_view import CanvasView
-from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, fused_planes, pixels_of
+from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, depth_from, fused_planes, pixels_of
 from slam.likelihood.distortion import NodeWeights
 from slam.likelihood.image_density import STRIDE_PX, ScoredPixels
 from slam.registration.alignment import pixel_terms
@@ -64,15 +64,11 @@ def _of_rendered(
     index: int, pixels: ScoredPixels, local_map: LocalMap, keyframe_from_camera: jax.Array, nodes: NodeWeights
 ) -> jax.Array:
     """Derivative (NODES, P) of the rendered depth through the elements of one keyframe."""
-    pose = jaxlie.SE3(keyframe_from_camera)
-    rotation, translation = pose.rotation().as_matrix(), pose.translation()
     planes = pixels.planes[index]
-    slope, height = dot(planes, rotate(rotation, pixels.rays)), 1.0 - dot(translation, planes)
-    ahead = (pixels.weights[index] > 0) & (height > 0) & (slope > LEAST_INVERSE_DEPTH * height)
-    depth = jnp.where(ahead, height / jnp.where(ahead, slope, 1.0), NO_RETURN)
+    depth, slope, ahead = depth_from(keyframe_from_camera, planes, pixels.rays)
     surfaces = local_map.surfaces
     camera = jax.tree.map(lambda leaf: leaf[index], surfaces.camera)
-    pixel, inside = pixels_of(transform(rotation, translation, pixels.rays * depth[None]), camera)
+    pixel, inside = pixels_of(transformed(keyframe_from_camera, pixels.rays * depth[None]), camera)
     inverse_depth = dot(planes, surfaces.rays[index].reshape(3, -1)[:, pixel])
     meets = ahead & inside & (inverse_depth > LEAST_INVERSE_DEPTH)
     total = jnp.maximum(pixels.weights.sum(0), 1e-12)

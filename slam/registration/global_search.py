@@ -100,12 +100,10 @@ class _Met:
 
 def _points(view: CanvasView, noise: DepthNoise) -> _Points:
     start, step = COARSE_STRIDE_PX // 2, COARSE_STRIDE_PX // STRIDE_PX
-    every = slice(start, None, COARSE_STRIDE_PX)
-    depth = view.depth_m[every, every].ravel()
-    lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
-    shortfall = unmapped_log_penalty(lattice, noise)
+    depth, rays = view.lattice(COARSE_STRIDE_PX, start)
+    shortfall = unmapped_log_penalty(view, noise)
     return _Points(
-        points=view.rays[:, every, every].reshape(3, -1) * depth[None],
+        points=rays * depth[None],
         returned=depth > NO_RETURN,
         sigma_m=depth_noise.standard_deviation(noise, depth),
         unmapped_log_penalty=shortfall[start // STRIDE_PX :: step, start // STRIDE_PX :: step].ravel(),

@@ -14,7 +14,7 @@ from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.poses import relative_pose
-from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, CanvasView
+from slam.keyframes.depth_view import CANVAS, CANVAS_WIDTH, CanvasView
 from slam.keyframes.rendering import MapImage, fused_planes, render
 from slam.likelihood.image_density import (
     STRIDE_PX,
@@ -66,8 +66,8 @@ SLIDE_GAIN = 30.0
 LATTICE_STEPS = 6
 """Search effort."""
 
-BLOCK_SIDE = 10
-"""Side in lattice pixels of the blocks whose scores are taken as independent."""
+BLOCK_SIDE_PX = 20
+"""Side of the blocks whose scores are taken as independent."""
 
 
 @jax.tree_util.register_dataclass
@@ -97,19 +97,20 @@ class Optimum:
     pixels: ScoredPixels
 
 
-def align_best(
+def local_optimum(
     local_map: LocalMap,
     view: CanvasView,
     noise: DepthNoise,
     starts: jax.Array,
     offsets: jax.Array,
     hold: jax.Array | float,
-) -> jax.Array:
-    """The pose (7,) that aligns best near the starts: where to look for the density's optimum.
+) -> Optimum:
+    """The density's optimum next to the pose that aligns best near the starts.
 
-    The map is rendered at the first start. Every start and every offset from the first (a grid over
-    position and viewing angle) is scored there; the first start and the best few are aligned; the winner
-    is refined. Three kernels: compiled as one they take a quarter longer (measured, XLA's CPU backend).
+    The map is rendered at the first start, and anew at that pose. Every start and every offset from the
+    first (a grid over position and viewing angle) is scored there; the first start and the best few are
+    aligned; the winner is refined. Four kernels: compiled as one they take twice as long (measured, XLA's CPU
+    backend).
 
     Args:
         local_map: what to compare with.
@@ -121,7 +122,7 @@ def align_best(
     """
     compared, ranked = _ranked(local_map, view, noise, starts, offsets)
     fine = _winner(compared, view, noise, ranked, hold)
-    return _slid(compared, view, noise, starts[0], fine)
+    return optimum_at(local_map, view, noise, _slid(compared, view, noise, starts[0], fine), hold)
 
 
 @jax.tree_util.register_dataclass
@@ -144,8 +145,7 @@ def _ranked(
     local_map: LocalMap, view: CanvasView, noise: DepthNoise, starts: jax.Array, offsets: jax.Array
 ) -> tuple[_Compared, jax.Array]:
     """What is compared, and candidates (STARTS, 7) relative to the first start: itself and the best ones."""
-    lattice = view.depth_m[::STRIDE_PX, ::STRIDE_PX]
-    log_shortfall = jax.lax.optimization_barrier(unmapped_log_penalty(lattice, noise))
+    log_shortfall = jax.lax.optimization_barrier(unmapped_log_penalty(view, noise))
     compared = _Compared(model_image(local_map, starts[0], view), log_shortfall)
     relative_starts = jax.vmap(relative_pose, (None, 0))(starts[0], starts)
     identity = jnp.asarray(IDENTITY, starts.dtype)
@@ -196,22 +196,6 @@ def weak_directions(model: ModelImage, view: CanvasView, noise: DepthNoise, pose
     return jax.vmap(partial(pose_gaussian.displace, pose))(offsets)
 
 
-def local_optimum(
-    local_map: LocalMap,
-    view: CanvasView,
-    noise: DepthNoise,
-    starts: jax.Array,
-    offsets: jax.Array,
-    hold: jax.Array | float,
-) -> Optimum:
-    """The density's optimum near the starts, as for `align_best`; the map is rendered anew there.
-
-    Two kernels: compiled as one they run twice as long (measured, XLA's CPU backend).
-    """
-    pose = align_best(local_map, view, noise, starts, offsets, hold)
-    return optimum_at(local_map, view, noise, pose, hold)
-
-
 @jax.jit
 def optimum_at(
     local_map: LocalMap, view: CanvasView, noise: DepthNoise, pose: jax.Array, hold: jax.Array | float = 0.0
@@ -260,10 +244,14 @@ def optimum_at(
 
 def _score_variance(terms: PixelTerms) -> jax.Array:
     """Variance (6, 6) of the sum of scores of the lattice, from its blocks of pixels."""
-    rows, columns = CANVAS_HEIGHT // STRIDE_PX, CANVAS_WIDTH // STRIDE_PX
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    block = (row // BLOCK_SIDE) * (columns // BLOCK_SIDE) + column // BLOCK_SIDE
-    membership = jnp.asarray(np.eye(block.max() + 1, dtype=np.float32)[block])
+    membership = jnp.asarray(block_membership(STRIDE_PX))
     products = terms.jacobian[:, None] * (terms.jacobian * terms.weight[None])[None]
     curvatures = (products.reshape(36, -1) @ membership).T.reshape(-1, 6, 6)
     return score_variance((terms.scores() @ membership).T, curvatures)
+
+
+def block_membership(stride_px: int) -> np.ndarray:
+    """Which block each pixel of a lattice of the canvas is in, one-hot (P, B)."""
+    rows, columns = (np.arange(0, size, stride_px) // BLOCK_SIDE_PX for size in CANVAS)
+    block = rows[:, None] * (CANVAS_WIDTH // BLOCK_SIDE_PX) + columns
+    return np.eye(block.max() + 1, dtype=np.float32)[block.ravel()]

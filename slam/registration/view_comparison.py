@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from recordings.types import NO_RETURN, DepthNoise
-from slam.keyframes.depth_view import CANVAS_HEIGHT, CANVAS_WIDTH, ONE_SURFACE_BAND, CanvasView
+from slam.keyframes.depth_view import CANVAS_HEIGHT, ONE_SURFACE_BAND, CanvasView
 from slam.keyframes.rendering import render
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.image_density import STRIDE_PX, log_pixel_factors, rendered_depth, scored_pixels
 from slam.registration.alignment import ModelImage, PixelTerms, associate, pixel_terms
-from slam.registration.local_search import BLOCK_SIDE
+from slam.registration.local_search import block_membership
 
 COMPARED_STRIDE_PX = 4
 """Search effort: one pixel in 16."""
@@ -23,17 +22,8 @@ ASSIGNING_EXPONENT = 0.4
 """Tempering while blocks are assigned: what the filter begins with (`NoiseCalibration.initial`), on a quarter
 of its pixels."""
 
-
-def _block_membership() -> np.ndarray:
-    """Those that move as one are as large as those whose scores count as independent."""
-    side = BLOCK_SIDE * STRIDE_PX
-    rows, columns = (np.arange(0, size, COMPARED_STRIDE_PX) for size in (CANVAS_HEIGHT, CANVAS_WIDTH))
-    block = rows[:, None] // side * (CANVAS_WIDTH // side) + columns // side
-    return np.eye(block.max() + 1, dtype=np.float32)[block.ravel()]
-
-
-BLOCKS = _block_membership()
-"""Which block each compared pixel is in, one-hot (P, B)."""
+BLOCKS = block_membership(COMPARED_STRIDE_PX)
+"""Which block each compared pixel is in, one-hot (P, B): those move as one whose scores are independent."""
 
 
 @jax.tree_util.register_dataclass
@@ -67,7 +57,7 @@ class ViewComparison:
 
     def returned(self, stride_px: int = COMPARED_STRIDE_PX) -> jax.Array:
         """Which of the pixels (P,) of a lattice have a depth."""
-        return self.view.depth_m[::stride_px, ::stride_px].ravel() > NO_RETURN
+        return self.view.lattice(stride_px)[0] > NO_RETURN
 
 
 def _within_a_surface(depth_m: jax.Array) -> jax.Array:
