@@ -10,19 +10,26 @@ from numpy.typing import NDArray
 from recordings.types import NO_RETURN
 from scene.observation.frame_data import SceneData
 from scene.search.hypotheses import PosePools
+from scene.search.search_round import log_gains
 
 UNEXPLAINED_M = 0.012
 
 AGREE_M, FITTING = 0.006, 0.85
-"""Objects that fit what is seen of them less well explain nothing to the others, and are sought again: they
+"""Objects that fit what is seen of them less well are sought again, and explain nothing to the others: they
 may be wrong."""
 
 
 def unexplained_by_others(pools: PosePools, scene: NDArray[np.integer]) -> dict[int, NDArray[np.bool_]]:
-    """For every object that a scene lacks, or that fits badly, the foreground that others leave to it."""
+    """For every object that a scene lacks, or that fits badly, the foreground that others leave to it.
+
+    The one of them that the scene would miss least leaves it what it shows: another may be in its place.
+    """
     shown_m = pools.shown(scene)
     fits = _fit(pools.data, shown_m) >= FITTING
     shown_m[~fits] = np.inf
+    if (scene < pools.absent).any():
+        without = np.asarray(log_gains(pools.layers, scene))[:, pools.absent]
+        shown_m[np.where(scene < pools.absent, without, -np.inf).argmax()] = np.inf
     sought = np.flatnonzero(~fits).tolist()
     return {one: _unexplained(pools.data, np.delete(shown_m, one, axis=0)) for one in sought}
 

@@ -18,7 +18,8 @@ from scene.objects.scene_object import scene_object
 from scene.observation.segmentation import scene_data
 from scene.search.competing_scenes import RIVALS, best_of, rivals_of
 from scene.search.hypotheses import PosePools
-from scene.search.search_round import SearchRound
+from scene.search.residual import unexplained_by_others
+from scene.search.search_round import SearchRound, log_gains
 from shapes.depth_noise import sample
 from shapes.geometry.poses import poses_of
 from tests.scene.likelihood.test_unknown_things import camera, moved
@@ -55,6 +56,28 @@ def pools(seed: int, poses: Sequence[NDArray[np.floating]], *, can_beside: bool 
     config = ParseConfig(rounds=0, pool=2)
     empty = PosePools.of(data, objects, ObjectRenderer.of(objects), NOISE, config, 3 + RIVALS)
     return empty.with_poses(in_camera(*poses)[:, None], FIRST)
+
+
+def test_what_is_missed_least_leaves_its_pixels_to_others(seed: int) -> None:
+    """Of a can and a box in their places one goes on explaining its pixels, the other does not.
+
+    So a third shape, which may be in its place, is sought there as well.
+    """
+    with jax.enable_x64(False):  # as the program starts it
+        two = pools(seed, [beside_the_drum(), on_the_drum()], can_beside=True)
+        objects = [*two.objects, scene_object("third", SHAPES["can"].vertices, SHAPES["can"].faces)]
+        renderer = ObjectRenderer.of(objects)
+        empty = PosePools.of(two.data, objects, renderer, NOISE, ParseConfig(rounds=0, pool=2), 3 + RIVALS)
+        three = empty.with_poses(in_camera(beside_the_drum(), on_the_drum(), moved(0, 0, 9))[:, None], FIRST)
+        scene = np.array([FIRST, FIRST, three.absent])
+        loss = -np.asarray(log_gains(three.layers, scene))[:2, three.absent]
+        left = unexplained_by_others(three, scene)[2]
+        shown = [np.isfinite(one) for one in three.shown(scene)[:2]]
+    assert loss.min() > 0
+    in_window = three.data.window.of(left)
+    share = [in_window[mask].mean() for mask in shown]
+    assert share[int(loss.argmin())] > 0.8
+    assert share[int(loss.argmax())] < 0.2
 
 
 def in_camera(*poses: NDArray[np.floating]) -> NDArray[np.float32]:
