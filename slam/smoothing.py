@@ -48,8 +48,7 @@ def smoothed(
         placed: where their keyframes were refined to, draws of them, and the distortion field.
         intrinsics: of the camera.
     """
-    count = len(placed.mode)
-    lineages = history.lineages(maps.hypotheses)
+    count, lineages = len(placed.mode), history.lineages(maps.hypotheses)
     draws = np.empty((count, len(history), 7), np.float32)
     best = int(np.argmax(maps.probabilities))
     told: list[dict[str, NDArray[Any]]] = []
@@ -118,11 +117,13 @@ def _block(
     )
 
 
-@jax.jit
-def _composed(anchors: jax.Array, relative: jax.Array) -> jax.Array:
-    """Products (G, T, 7) of poses (G, T, 7)."""
-    product = jax.vmap(jax.vmap(lambda anchor, pose: (jaxlie.SE3(anchor) @ jaxlie.SE3(pose)).wxyz_xyz))
-    return product(anchors, relative)
+def _product(anchor: jax.Array, relative: jax.Array) -> jax.Array:
+    """The pose (7,) of what stands beside an anchor."""
+    return (jaxlie.SE3(anchor) @ jaxlie.SE3(relative)).wxyz_xyz
+
+
+_composed = jax.jit(jax.vmap(jax.vmap(_product)))
+_pulled = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace)))
 
 
 @jax.jit
@@ -136,8 +137,7 @@ def _roots(covariances: jax.Array) -> jax.Array:
 def _drawn(keys: jax.Array, anchors: jax.Array, relative: jax.Array, roots: jax.Array) -> jax.Array:
     """Draws (K, T, 7) about relative poses (K, T, 7) of anchors that have been drawn; keys are of frames."""
     unit = jax.vmap(jax.random.normal, (0, None), 1)(keys, (len(relative), 6))
-    displaced = jax.vmap(jax.vmap(pose_gaussian.displace))(relative, jnp.einsum("ktij,ktj->kti", roots, unit))
-    return _composed(anchors, displaced)
+    return _composed(anchors, _pulled(relative, jnp.einsum("ktij,ktj->kti", roots, unit)))
 
 
 @jax.jit
@@ -151,9 +151,7 @@ def _by_ties(tied: PlacedKeyframes, ties: Ties) -> tuple[jax.Array, jax.Array]:
     def of_mode(mode: tuple[PlacedKeyframes, Ties]) -> tuple[jax.Array, jax.Array]:
         def of_frame(frame: tuple[PlacedKeyframes, Ties]) -> tuple[jax.Array, jax.Array]:
             tied, ties = frame
-            cameras = jax.vmap(lambda one, relative: (jaxlie.SE3(one) @ jaxlie.SE3(relative)).wxyz_xyz)(
-                tied.poses, ties.keyframes_from_camera
-            )
+            cameras = jax.vmap(_product)(tied.poses, jnp.asarray(ties.keyframes_from_camera))
             apart = jax.vmap(pose_gaussian.coordinates, (None, 0))(cameras[0], cameras)
             following = jax.vmap(pose_gaussian.carried_along)(ties.keyframes_from_camera) @ tied.sensitivity
             shares = jnp.where(tied.held[:, None, None] & tied.held[0], ties.shares, 0.0)
@@ -165,12 +163,6 @@ def _by_ties(tied: PlacedKeyframes, ties: Ties) -> tuple[jax.Array, jax.Array]:
         return jax.lax.map(of_frame, mode)
 
     return jax.lax.map(of_mode, (tied, ties))
-
-
-@jax.jit
-def _pulled(relative: jax.Array, displacements: jax.Array) -> jax.Array:
-    """Poses (G, T, 7) displaced by (G, T, 6)."""
-    return jax.vmap(jax.vmap(pose_gaussian.displace))(relative, displacements)
 
 
 @jax.jit

@@ -162,12 +162,13 @@ class _Tracker:
             self.details = [
                 self.pages.hold(detail.value.with_plane_segments(self.noise)) for detail in self.details
             ]
-        maps = choose_map(keys[0], state, config, self.details, self.noise, prior)
+        images = self._images(state)
+        maps = choose_map(keys[0], state, config, images, prior)
         sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
         field = sensor.distortion if sensor else None
         if field is not None:
             sd, scales = field.sd_per_m, (1.0,)
-        placed = refine_keyframes(keys[1], self._images(state), maps, config.particles, sd, prior, scales)
+        placed = refine_keyframes(keys[1], images, maps, config.particles, sd, prior, scales)
         result = smoothed(keys[2], history, maps, placed, intrinsics)
         if field is None:
             return result

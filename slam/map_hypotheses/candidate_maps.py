@@ -17,12 +17,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.filter.motion import OrbitMotion
 from slam.keyframes.depth_view import central_depth
-from slam.keyframes.keyframe_map import KeyframeMap
-from slam.keyframes.pages import Paged
 from slam.map_hypotheses.best_first_search import place_best_first
 from slam.map_hypotheses.circular_paths import circular_steps, repeat_step
 from slam.map_hypotheses.cross_registration import (
@@ -33,7 +30,7 @@ from slam.map_hypotheses.cross_registration import (
 )
 from slam.map_hypotheses.modes import Modes
 from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimise
-from slam.pose_graph.overlaps import KeyframeDetail, keyframes_at
+from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
 MODES_EXPONENT = 0.01
@@ -55,8 +52,7 @@ def candidate_maps(
     registrar: KeyframeRegistrar,
     present: Sequence[NDArray[np.float64]],
     motion: TrajectoryPrior,
-    details: Sequence[Paged[KeyframeDetail]],
-    noise: DepthNoise,
+    images: KeyframeImages,
 ) -> Modes:
     """Maps of all keyframes and their probabilities.
 
@@ -64,12 +60,9 @@ def candidate_maps(
         registrar: the keyframes.
         present: maps (N, 4, 4) of the filter.
         motion: prior of the keyframes' poses.
-        details: of the keyframes.
-        noise: the sensor at that detail.
+        images: of the keyframes.
     """
-    settle = partial(
-        optimise_jointly, keyframe_map=registrar.keyframe_map, details=details, noise=noise, motion=motion
-    )
+    settle = partial(optimise_jointly, images=images, motion=motion)
 
     def log_weight(poses: NDArray[np.float64]) -> float:
         return MODES_EXPONENT * registrar.log_composite(poses) + motion.log_density(poses)
@@ -103,24 +96,13 @@ FARTHEST = 0.3
 
 
 def optimise_jointly(
-    poses: NDArray[np.float64],
-    keyframe_map: KeyframeMap,
-    details: Sequence[Paged[KeyframeDetail]],
-    noise: DepthNoise,
-    motion: TrajectoryPrior,
+    poses: NDArray[np.float64], images: KeyframeImages, motion: TrajectoryPrior
 ) -> NDArray[np.float64]:
-    """The map (N, 4, 4) at the optimum near `poses`; as it is where no keyframes overlap.
+    """The map at the optimum near `poses` (N, 4, 4); as it is where no keyframes overlap.
 
     The motion prior comes last: an orbit's distances, good to millimetres, would bend what is far off.
-
-    Args:
-        poses: reference_from_keyframe.
-        keyframe_map: at working resolution.
-        details: of the keyframes.
-        noise: the sensor at that detail.
-        motion: prior of the keyframes' poses.
     """
-    keyframes = keyframes_at(keyframe_map, details, poses, noise)
+    keyframes = images.placed(poses)
     for inflations, prior in ((FAR_INFLATIONS, None), (HELD_INFLATIONS, motion)):
         start = np.asarray(single_precision_poses(poses))
         found = optimise(keyframes, start, inflations, FARTHEST, prior, uphill=True)

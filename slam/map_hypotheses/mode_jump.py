@@ -15,18 +15,15 @@ Of few keyframes all may agree on wrong poses. Candidate maps are then proposed 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
 from shapes.geometry.poses import matrices_of, poses_of
 from slam.config import SlamConfig
 from slam.filter.state import FilterState
-from slam.keyframes.pages import Paged
 from slam.map_hypotheses.candidate_maps import candidate_maps
 from slam.map_hypotheses.cross_registration import (
     MOST_ROUNDS,
@@ -34,7 +31,7 @@ from slam.map_hypotheses.cross_registration import (
     consistent_set,
     register_inconsistent,
 )
-from slam.pose_graph.overlaps import KeyframeDetail
+from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.refinement import MapMixture
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
 
@@ -63,8 +60,7 @@ def choose_map(
     key: jax.Array,
     state: FilterState,
     config: SlamConfig,
-    details: Sequence[Paged[KeyframeDetail]],
-    noise: DepthNoise,
+    images: KeyframeImages,
     motion: TrajectoryPrior | None,
 ) -> MapMixture:
     """The maps of the hypotheses, the keyframes of each placed anew where they contradict each other.
@@ -73,8 +69,7 @@ def choose_map(
         key: consumed.
         state: after the last frame.
         config: settings.
-        details: of the keyframes.
-        noise: the sensor at that detail.
+        images: of the keyframes.
         motion: prior of the keyframes' poses, where they are a handful.
     """
     found, used = MapMixture.of(state.population), len(state.keyframe_map)
@@ -83,7 +78,7 @@ def choose_map(
     registrar = KeyframeRegistrar(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
     present = matrices_of(found.poses)
     if motion is not None:
-        modes = candidate_maps(registrar, list(present), motion, details, noise)
+        modes = candidate_maps(registrar, list(present), motion, images)
         heaviest = np.full(len(modes.shares), np.argmax(found.probabilities))
         poses = poses_of(modes.maps).astype(np.float32)
         unknown = (None,) * len(poses)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.likelihood.distortion import NODES, Distortion
 from slam.likelihood.overlap_density import FieldTerms, overlap_terms
+from slam.likelihood.score_variance import LEAST_CURVATURE
 from slam.pose_graph.overlaps import IMAGE_BUCKET, Keyframes, relative_to
 from slam.pose_graph.sparse_gaussian import FieldTerm, PoseGraph
 
@@ -19,7 +21,7 @@ THINNED = 8
 """Of the samples, every so many decide on the first rounds: they stand for all."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Linearised:
     """The graph of E overlaps, its pairs being (image, surface), and what tells how much to believe it.
 
@@ -101,12 +103,10 @@ def linearised_at(
         relative = relative_to(poses[index], poses[np.resize(images, IMAGE_BUCKET)])
         terms = overlap_terms(surface, samples, relative, keyframes.noise, inflation, disparity)
         pairs, count = np.stack([images, np.full(len(images), index)], axis=1), len(images)
-        leaves = (terms.precision, terms.gradient, terms.information, terms.score_variance)
-        precision, gradient, information, score_variance = (
-            np.asarray(leaf, np.float64)[:count] for leaf in leaves
+        precision, gradient, score_variance, information, inliers, meeting = (
+            np.asarray(leaf, np.float64)[:count] for leaf in jax.tree.leaves(replace(terms, field=None))
         )
         projection = told_projections(precision, information) if told else np.tile(np.eye(12), (count, 1, 1))
-        inliers, meeting = (np.asarray(leaf, np.float64)[:count] for leaf in (terms.inliers, terms.meeting))
         agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
         if field is not None and sums is not None and terms.field is not None:
             exponents = np.where(agree, field.exponents[images], 0.0)
@@ -118,9 +118,7 @@ def linearised_at(
         overlaps.append(pairs[agree])
     if not sum(map(len, overlaps)):
         return None
-    precision, gradient, curvature, score_variance, inliers, meeting = map(
-        np.concatenate, zip(*parts, strict=True)
-    )
+    precision, gradient, *others = map(np.concatenate, zip(*parts, strict=True))
     graph = PoseGraph(
         keyframes=len(poses),
         pairs=np.concatenate(overlaps),
@@ -129,9 +127,7 @@ def linearised_at(
         field=None if field is None or sums is None else sums.term(field.distortion),
         fixed=keyframes.fixed,
     )
-    return Linearised(
-        graph=graph, curvature=curvature, score_variance=score_variance, inliers=inliers, meeting=meeting
-    )
+    return Linearised(graph, *others)
 
 
 def told_projections(precision: NDArray[np.float64], information: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -152,7 +148,7 @@ def told_projections(precision: NDArray[np.float64], information: NDArray[np.flo
 
 def _floor(of_image: NDArray[np.float64]) -> NDArray[np.float64]:
     """What is added to curvatures (E, 6, 6) before they are inverted."""
-    return 1e-6 * (1.0 + np.trace(of_image, axis1=1, axis2=2))[:, None, None] * np.eye(6)
+    return LEAST_CURVATURE * (1.0 + np.trace(of_image, axis1=1, axis2=2))[:, None, None] * np.eye(6)
 
 
 def exponents_of(linearised: Linearised) -> NDArray[np.float64]:

@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
@@ -186,41 +185,27 @@ class KeyframeImages:
 
     def at(self, poses: NDArray[np.float32], fixed: int = 1) -> Keyframes:
         """With the overlaps that they have at poses (N, 7), of which the first ones are fixed."""
-        together = None if self.known is None else held_together(len(self.details), self.known)
-        return keyframes_at(self.keyframe_map, self.details, matrices_of(poses), self.noise, fixed, together)
+        return self.placed(matrices_of(poses), fixed)
 
-
-def keyframes_at(
-    keyframe_map: KeyframeMap,
-    details: Sequence[Paged[KeyframeDetail]],
-    poses: NDArray[np.float64],
-    noise: DepthNoise,
-    fixed: int = 1,
-    together: scipy.sparse.csr_array | None = None,
-) -> Keyframes:
-    """The keyframes with those overlaps that they have at poses (N, 4, 4), of which the first are fixed.
-
-    Where it is known, only those that are held `together` (N, N) are compared.
-    """
-    overlaps: list[set[int]] = [set() for _ in details]
-    for second in range(fixed, len(details)):
-        candidates = np.arange(second)
-        if together is not None:
-            candidates = candidates[together[[second], :second].toarray()[0]]
-        if not len(candidates):
-            continue
-        samples = [keyframe_map.samples[index] for index in candidates]
-        seen, frame = keyframe_map.samples[second], framing(details[second].skeleton.view)
-        chosen = selected_keyframes(samples, poses[candidates], seen, poses[second], frame, OVERLAPS)
-        for first in candidates[chosen].tolist():
-            overlaps[first].add(second)
-            overlaps[second].add(first)
-    return Keyframes(
-        details=details,
-        images_of=[np.asarray(sorted(images), int) for images in overlaps],
-        noise=noise,
-        fixed=fixed,
-    )
+    def placed(self, poses: NDArray[np.float64], fixed: int = 1) -> Keyframes:
+        """The same at poses (N, 4, 4)."""
+        details, samples = self.details, self.keyframe_map.samples
+        together = None if self.known is None else held_together(len(details), self.known)
+        overlaps: list[set[int]] = [set() for _ in details]
+        for second in range(fixed, len(details)):
+            candidates = np.arange(second)
+            if together is not None:
+                candidates = candidates[together[[second], :second].toarray()[0]]
+            if not len(candidates):
+                continue
+            others, frame = [samples[one] for one in candidates], framing(details[second].skeleton.view)
+            placed = poses[candidates], samples[second], poses[second]
+            chosen = selected_keyframes(others, *placed, frame, OVERLAPS)
+            for first in candidates[chosen].tolist():
+                overlaps[first].add(second)
+                overlaps[second].add(first)
+        images_of = [np.asarray(sorted(images), int) for images in overlaps]
+        return Keyframes(details=details, images_of=images_of, noise=self.noise, fixed=fixed)
 
 
 @jax.jit

@@ -102,8 +102,8 @@ class MapMixture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RefinedKeyframes:
-    """The keyframes of G maps, K draws of them, and the distortion field.
+class _Refined:
+    """The keyframes of one map, K draws of them, and the distortion field; or of G maps, stacked.
 
     The field's coordinates are independent unit Gaussians a priori; nodes are `factor` times coordinates.
 
@@ -115,7 +115,6 @@ class RefinedKeyframes:
         factor: (G, NODES, F), as strong as the recording tells.
         disparity_per_m: (G, NODES) the field's mean, as it is estimated jointly with the poses.
         sd_per_m: (G, NODES) its standard deviations.
-        mode: (K,) the map that each draw is of.
         drawn: (K, N, 7).
     """
 
@@ -126,22 +125,18 @@ class RefinedKeyframes:
     factor: NDArray[np.float64]
     disparity_per_m: NDArray[np.float64]
     sd_per_m: NDArray[np.float64]
-    mode: NDArray[np.int_]
     drawn: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Mode:
-    """One map's share of `RefinedKeyframes`."""
+class RefinedKeyframes(_Refined):
+    """The keyframes of G maps.
 
-    poses: NDArray[np.float32]
-    covariances: NDArray[np.float64]
-    held: NDArray[np.bool_]
-    sensitivity: NDArray[np.float64]
-    factor: NDArray[np.float64]
-    disparity_per_m: NDArray[np.float64]
-    sd_per_m: NDArray[np.float64]
-    drawn: NDArray[np.float32]
+    Attributes:
+        mode: (K,) the map that each draw is of.
+    """
+
+    mode: NDArray[np.int_]
 
 
 def refine_keyframes(
@@ -205,7 +200,7 @@ def _refined(
     scales: Sequence[float],
     motion: TrajectoryPrior | None,
     count: int,
-) -> _Mode:
+) -> _Refined:
     """One map, refined from where the filter has its keyframes (N, 7), and draws.
 
     Poses are those of the images as they are, and draws are given these; what an unknown field may have moved
@@ -218,7 +213,7 @@ def _refined(
     field = _estimated_field(keyframes, found, unknown, scales, motion)
     held = sparse_gaussian.connected_to_first(graph)
     drawn = draw_poses(found.poses, sparse_gaussian.draws(key, graph, count))
-    return _Mode(
+    return _Refined(
         poses=np.where(held[:, None], found.poses, filtered),
         covariances=np.where(held[:, None, None], sparse_gaussian.conditional_marginals(graph), 0.0),
         held=held,
@@ -254,7 +249,7 @@ def _estimated_field(
 
 
 def _told_of(field: ScaledField, factor: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """The field's prior, as strong as it turned out, and its nodes (NODES,), by names of a `_Mode`."""
+    """The field's prior, as strong as it turned out, and its nodes (NODES,), by names of a `_Refined`."""
     variance = np.einsum("nf,fg,ng->n", factor, field.covariance, factor)
     return {
         "factor": field.scale * factor,
@@ -263,10 +258,12 @@ def _told_of(field: ScaledField, factor: NDArray[np.float64]) -> dict[str, NDArr
     }
 
 
-def _unrefined(poses: NDArray[np.float32], unknown: Distortion, scales: Sequence[float], count: int) -> _Mode:
+def _unrefined(
+    poses: NDArray[np.float32], unknown: Distortion, scales: Sequence[float], count: int
+) -> _Refined:
     """A map (N, 7) whose keyframes nothing ties to the first: the field is what it was a priori."""
     used, size = len(poses), unknown.factor.shape[1]
-    return _Mode(
+    return _Refined(
         poses=poses,
         covariances=np.zeros((used, 6, 6)),
         held=np.arange(used) == 0,
