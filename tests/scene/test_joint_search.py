@@ -10,6 +10,7 @@ from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import CameraIntrinsics
 from scene.joint_search import ABSENT, best_choice, worth_searching
 from scene.observation.segmentation import scene_views
+from tests.scene.observation.test_scene_views import over
 
 PIXELS = 40
 
@@ -63,15 +64,6 @@ def test_the_best_choice_is_that_of_all_scenes(seed: int) -> None:
 
 
 INTRINSICS = CameraIntrinsics(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
-
-
-def over(x_m: float) -> np.ndarray:
-    """World_from_camera (4, 4) that looks down at 40 degrees on (x, 0, 0)."""
-    forward = np.array([0.0, np.cos(0.7), -np.sin(0.7)])
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([[1.0, 0.0, 0.0], np.cross(forward, [1.0, 0.0, 0.0]), forward], axis=1)
-    pose[:3, 3] = np.array([x_m, 0.0, 0.0]) - 0.9 * forward
-    return pose
 
 
 def seen(caster: RayCaster, camera: np.ndarray) -> np.ndarray:
