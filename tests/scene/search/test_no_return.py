@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
-from scene import parsing
+from scene import joint_search, parsing
 from scene.config import ParseConfig
 from scene.likelihood.pixel_density import UNKNOWN, PixelDensity
 from scene.objects.scene_object import SceneObject, scene_object
@@ -54,7 +54,7 @@ def test_parse_searches_with_the_sensors_own_rates(key: jax.Array, monkeypatch: 
         assert (noise.none_hit_probability, noise.none_miss_probability) == (0.11, 0.83)
         raise SearchedError
 
-    monkeypatch.setattr(parsing, "initialise", initialise)
+    monkeypatch.setattr(joint_search, "initialise", initialise)
     camera = CameraIntrinsics(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
     objects: Sequence[SceneObject] = [box]
     frame = Frame(time_ns=0, depth_m=depth)
