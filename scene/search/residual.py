@@ -19,15 +19,18 @@ AGREE_M, FITTING = 0.006, 0.85
 may be wrong."""
 
 
-def unexplained_by_others(pools: PosePools, scene: NDArray[np.integer]) -> dict[int, NDArray[np.bool_]]:
+def unexplained_by_others(
+    pools: PosePools, scene: NDArray[np.integer], *, by_all: bool = False
+) -> dict[int, NDArray[np.bool_]]:
     """For every object that a scene lacks, or that fits badly, the foreground that others leave to it.
 
-    The one of them that the scene would miss least leaves it what it shows: another may be in its place.
+    The one of them that the scene would miss least leaves it what it shows, for another may be in its place;
+    but not where all explain what they show (`by_all`).
     """
     shown_m = pools.shown(scene)
     fits = _fit(pools.data, shown_m) >= FITTING
     shown_m[~fits] = np.inf
-    if (scene < pools.absent).any():
+    if not by_all and (scene < pools.absent).any():
         without = np.asarray(log_gains(pools.layers, scene))[:, pools.absent]
         shown_m[np.where(scene < pools.absent, without, -np.inf).argmax()] = np.inf
     sought = np.flatnonzero(~fits).tolist()
