@@ -21,7 +21,7 @@ from recordings.types import DepthNoise
 from shapes.geometry.poses import matrices_of
 from slam.likelihood.image_density import log_image_density
 from slam.map_hypotheses.cross_registration import KeyframeRegistrar
-from slam.registration.registered import SAME_PLACE, Registration
+from slam.registration.registered import SAME_SHIFT_M, Registration
 
 KEPT_MAPS, TRIED_MAPS = 8, 64
 """Partial maps of every size, and extensions of them that are brought to their optimum. Search effort."""
@@ -67,7 +67,7 @@ class PartialMap:
         if self.keyframes != other.keyframes:
             return False
         apart = self.from_first[:, :3, 3] - other.from_first[:, :3, 3]
-        return bool((np.linalg.norm(apart, axis=1) < SAME_PLACE).all())
+        return bool((np.linalg.norm(apart, axis=1) < SAME_SHIFT_M).all())
 
 
 Ways = dict[tuple[int, int], list[NDArray[np.float64]]]

@@ -23,7 +23,6 @@ from slam.keyframes.depth_view import central_depth
 from slam.map_hypotheses.best_first_search import place_best_first
 from slam.map_hypotheses.circular_paths import circular_steps, repeat_step
 from slam.map_hypotheses.cross_registration import (
-    MOST_ROUNDS,
     KeyframeRegistrar,
     consistent_set,
     register_inconsistent,
@@ -42,6 +41,9 @@ tell no more than the order of magnitude."""
 
 REGULAR_DISTANCES = (0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.25)
 """To the pivot of a circle, in depths at the image centre: the object there, or halfway to a far wall."""
+
+MOST_ROUNDS = 3
+"""After the first, in which keyframes are placed without regard to any map."""
 
 REGULAR_MAPS = 6
 """Circles that are jointly optimised: in a bare room three by quarter turns, a corner each view, came before
@@ -69,7 +71,7 @@ def candidate_maps(
 
     maps = [settle(poses) for poses in (*present, *_regular_maps(registrar, motion))]
     log_weights = [log_weight(poses) for poses in maps]
-    for round_ in range(1 + MOST_ROUNDS):  # in the first, keyframes are placed without regard to any map
+    for round_ in range(1 + MOST_ROUNDS):
         best = maps[int(np.argmax(log_weights))]
         core = consistent_set(registrar, best)
         if len(core) == len(registrar):

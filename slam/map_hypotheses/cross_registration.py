@@ -124,9 +124,6 @@ CONSISTENT_INLIER_RATIO = 0.9
 """Share of the returns that meet the map and lie on it, from which on a keyframe is consistent: at true poses
 round objects it was .92 at least, at wrong ones .6 to .9 (docs/model.md, development films)."""
 
-MOST_ROUNDS = 3
-"""Of removing what is inconsistent: from a first core that is small, places may be wrong again."""
-
 
 def register_inconsistent(
     registrar: KeyframeRegistrar, poses: NDArray[np.float64], core: list[int]

@@ -26,7 +26,6 @@ from slam.config import SlamConfig
 from slam.filter.state import FilterState
 from slam.map_hypotheses.candidate_maps import candidate_maps
 from slam.map_hypotheses.cross_registration import (
-    MOST_ROUNDS,
     KeyframeRegistrar,
     consistent_set,
     register_inconsistent,
@@ -41,6 +40,9 @@ have taken the next corner of a bare room for the last one."""
 
 MOST_KEYFRAMES = 48
 """Search effort: the registrations grow with the square of the keyframes."""
+
+MOST_ROUNDS = 3
+"""From a first core that is small, the places of the others may be wrong again."""
 
 SPARSE_KEYFRAMES = 12
 """Keyframes few enough to be placed without regard to what the filter found."""

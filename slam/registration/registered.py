@@ -29,8 +29,8 @@ PLAUSIBLE_EXPLAINED = 0.6
 PLAUSIBLE_COVERED = 0.1
 """The least with which the camera counts as found at all."""
 
-SAME_PLACE = 0.02
-"""Metres and radians: optima closer than this are one component of the proposal."""
+SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
+"""Optima closer than this are one component of the proposal."""
 
 NEGLIGIBLE_LOG_SHARE = 15.0
 """exp(-15) is far less than a hypothesis must weigh."""
@@ -70,10 +70,10 @@ class Registration:
         """Whether alignment stayed within the numbers: a start that sees next to nothing may leave them."""
         return bool(np.isfinite(np.asarray(self.optimum.pose)).all())
 
-    def is_within(self, reach: float, pose: ArrayLike) -> bool:
-        """Whether it is so near a pose (7,), metres and radians."""
+    def is_within(self, shift_m: float, angle_rad: float, pose: ArrayLike) -> bool:
+        """Whether it is so near a pose (7,)."""
         start, found = matrices_of(np.asarray(pose)), matrices_of(self.optimum.pose)
-        return bool(pose_sets.within_reach(start, found, reach, reach))
+        return bool(pose_sets.within_reach(start, found, shift_m, angle_rad))
 
     @property
     def is_accepted(self) -> bool:
@@ -104,7 +104,7 @@ def suppress_duplicates(found: list[Registration]) -> list[Registration]:
     if not ranked:
         return []
     poses = np.stack([matrices_of(located.optimum.pose) for located in ranked])
-    return [ranked[i] for i in pose_sets.suppress_similar(poses, len(ranked), SAME_PLACE, SAME_PLACE)]
+    return [ranked[i] for i in pose_sets.suppress_similar(poses, len(ranked), SAME_SHIFT_M, SAME_ANGLE_RAD)]
 
 
 def prune_improbable(found: list[Registration], exponent: float) -> list[Registration]:

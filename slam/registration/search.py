@@ -43,12 +43,15 @@ WIDE_SHIFT_M, WIDE_ANGLE_RAD = 0.12, 0.15
 WIDE_BLUR, CLIMBED_BLUR = 0.06, 0.01
 """Relative to depth, as in `slam.registration.global_search`."""
 
-WIDE_CLIMBED = 256
-"""Candidates that climb, and that are scored at once: one size for which kernels are compiled. The grid is
-coarser than the modes, the right place may be the three hundredth on it (measured)."""
+SCORED_AT_ONCE = 256
+"""Candidates: one size for which a kernel is compiled."""
 
-CLIMBED_ALIKE = 0.05
-"""Metres and radians: climbed candidates closer than this are one."""
+WIDE_CLIMBED = 256
+"""Candidates that climb: the grid is coarser than the modes, the right place may be the three hundredth on it
+(measured)."""
+
+CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD = 0.05, 0.05
+"""Climbed candidates closer than this are one."""
 
 WIDE_RENDERED = 24
 """Search effort."""
@@ -56,10 +59,10 @@ WIDE_RENDERED = 24
 WIDE_REFINED = 6
 """Search effort."""
 
-FAR = 0.08
-"""Metres or radians: a refinement that ends farther from its start is begun again there."""
+FAR_SHIFT_M, FAR_ANGLE_RAD = 0.08, 0.08
+"""A refinement that ends farther from its start is begun again there."""
 
-SETTLED = 0.003
+SETTLED_SHIFT_M, SETTLED_ANGLE_RAD = 0.003, 0.003
 """Half a pixel of the working image, at a metre: a rendering anew would show the same."""
 
 LEAST_HELD = 0.1
@@ -113,7 +116,7 @@ class Searcher:
         for _ in range(REFINEMENTS):
             if not located.is_finite:
                 break
-            is_near = located.is_within(FAR, padded[0])
+            is_near = located.is_within(FAR_SHIFT_M, FAR_ANGLE_RAD, padded[0])
             if is_near and hold > 0:
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
@@ -135,7 +138,7 @@ class Searcher:
                 return None
             if hold > LEAST_HELD * found.weakest_share:
                 return None
-            if found.is_within(SETTLED, pose):
+            if found.is_within(SETTLED_SHIFT_M, SETTLED_ANGLE_RAD, pose):
                 return found
             pose = found.optimum.pose
         return None
@@ -165,7 +168,7 @@ class Searcher:
             return []
         scores = self._map_scores(climbed, CLIMBED_BLUR)
         ranked = climbed[np.argsort(-scores, kind="stable")]
-        best = pose_sets.suppress_similar(ranked, WIDE_RENDERED, CLIMBED_ALIKE, CLIMBED_ALIKE)
+        best = pose_sets.suppress_similar(ranked, WIDE_RENDERED, CLIMBED_SHIFT_M, CLIMBED_ANGLE_RAD)
         rendered = suppress_duplicates([self.at(single_precision_poses(pose)) for pose in ranked[best]])
         meeting = [located for located in rendered if located.explained >= LEAST_EXPLAINED]
         found = [self.near([located.optimum.pose]) for located in meeting[:WIDE_REFINED]]
@@ -202,12 +205,12 @@ class Searcher:
 
     def _map_scores(self, candidates: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
         """Scores (C,) against all keyframes, `WIDE_KEYFRAMES` at a time; the best set counts."""
-        padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, WIDE_CLIMBED))
+        padded = single_precision_poses(pose_sets.pad_to_multiple(candidates, SCORED_AT_ONCE))
         scores = [
             np.concatenate(
                 [
                     np.asarray(log_map_scores(local_map, self.view, self.noise, some, blur))
-                    for some in jnp.split(padded, len(padded) // WIDE_CLIMBED)
+                    for some in jnp.split(padded, len(padded) // SCORED_AT_ONCE)
                 ]
             )
             for local_map in self._neighbourhoods()
