@@ -87,7 +87,8 @@ def search_frames(
     first, numbers = next(iter(searched)), np.array(list(searched))
     compared = ComparedFrames.of(views, first, first_camera_from_camera, objects, noise, learned, config)
     starts = []
-    for number, frame_key in zip(searched, [key, *jax.random.split(other_key, len(searched))], strict=False):
+    frame_keys = [key, *jax.random.split(other_key, len(searched) - 1)]
+    for number, frame_key in zip(searched, frame_keys, strict=True):
         start = initialise(frame_key, views[number], objects, renderer, noise, config, learned)
         if number != first:
             start = start.seen_from(compared.searched_from(number))

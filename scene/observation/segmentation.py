@@ -93,13 +93,11 @@ def scene_views(
     supports: list[SupportPlane] = []
     for number in showing:
         image, pose = images[number], first_camera_from_camera[number]
-        if number == showing[0]:
-            own = _supports_of(image, seed, _seen_from(pose, support), region if number == 0 else ())
-        elif support:
-            own = [replace(_in_camera(supports[0], np.linalg.inv(pose)), half_size_m=np.full(2, FARTHEST_M))]
+        if support and number != showing[0]:  # it goes on as far as this image shows it
+            others = [replace(supports[0], half_size_m=np.full(2, FARTHEST_M))]
         else:
-            own = _supports_of(image, seed)
-        others = [_in_camera(one, pose) for one in own]
+            own = _supports_of(image, seed, _seen_from(pose, support), region if number == 0 else ())
+            others = [_in_camera(one, pose) for one in own]
         supports = joined(supports, others, image.near_m @ pose[:3, :3].T + pose[:3, 3])
     views = []
     for number, (image, pose) in enumerate(zip(images, first_camera_from_camera, strict=True)):
@@ -130,7 +128,7 @@ class _Image:
 
 
 def _supports_of(
-    image: _Image, seed: int, support: tuple[float, ...] = (), region: tuple[float, ...] = ()
+    image: _Image, seed: int, support: tuple[float, ...], region: tuple[float, ...]
 ) -> list[SupportPlane]:
     """The supports that one image shows, in its camera's frame, that on which most stands first."""
     if support:
@@ -191,7 +189,7 @@ def _data_over(
     pooled_foreground = _pooled_any(foreground, factor, view.depth_m.shape) & (np.asarray(view.depth_m) > 0)
     window = window_of(depth_m, intrinsics)
     support_m = support_depth(supports, window, intrinsics)
-    elsewhere = ~window.of(foreground) & (window.depth_m != NO_RETURN)
+    no_object = ~window.of(foreground) & (window.depth_m != NO_RETURN)
     return SceneData(
         view=replace(view, unexplained=jax.device_put(pooled_foreground)),
         foreground=pooled_foreground,
@@ -199,7 +197,7 @@ def _data_over(
         window=window,
         window_foreground=np.asarray(binary_dilation(window.of(foreground), iterations=2), bool),
         support_m=support_m,
-        rest_m=np.where(elsewhere, window.depth_m, support_m),
+        rest_m=np.where(no_object, window.depth_m, support_m),
         supports=tuple(supports),
         region=region,
         intrinsics=intrinsics,

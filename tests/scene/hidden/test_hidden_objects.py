@@ -12,7 +12,7 @@ from scipy import stats
 
 from recordings.types import DepthNoise
 from scene.hidden.depth_evidence import DepthImages, SeenImage
-from scene.hidden.hidden_objects import hidden_posterior
+from scene.hidden.hidden_objects import HiddenPosterior, hidden_posterior
 from scene.model.number_prior import BinomialNumber
 from scene.objects.scene_object import SceneObject, scene_object
 from shapes.geometry.camera import Camera
@@ -107,21 +107,19 @@ def ratios(observed_m: np.ndarray, places_m: np.ndarray, objects: Sequence[int])
     return np.exp([log_density(observed_m, depth_of(scene)) - alone for scene in scenes])
 
 
+def of_one(seed: int, places_m: np.ndarray, images: DepthImages, keep: int = 256) -> HiddenPosterior:
+    """The posterior of the first box over these places (1, PLACES, 3), with presence 0.9 a priori."""
+    rng, prior = np.random.default_rng(seed), GivenPlaces(places_m)
+    return hidden_posterior(rng, boxes()[:1], prior, images, BinomialNumber(0.9), draws=PLACES, keep=keep)
+
+
 def test_one_hidden_object(
     seed: int, places_m: np.ndarray, observed_m: np.ndarray, images: DepthImages
 ) -> None:
     """P = 9 m / (1 + 9 m), and its places are drawn in proportion to their ratios."""
     brute = ratios(observed_m, places_m, [0])
 
-    found = hidden_posterior(
-        np.random.default_rng(seed),
-        boxes()[:1],
-        GivenPlaces(places_m),
-        images,
-        BinomialNumber(0.9),
-        draws=PLACES,
-        keep=4000,
-    )
+    found = of_one(seed, places_m, images, keep=4000)
 
     assert abs(found.ratios[(0,)].mean - brute.mean()) < 0.02 * brute.mean()
     expected = 9 * brute.mean() / (1 + 9 * brute.mean())
@@ -170,14 +168,7 @@ def test_what_lies_outside_every_image_is_told(seed: int, images: DepthImages) -
     places[0, :, 2] = 1.0
     places[0, ::2, 0] = 3.0
 
-    found = hidden_posterior(
-        np.random.default_rng(seed),
-        boxes()[:1],
-        GivenPlaces(places),
-        images,
-        BinomialNumber(0.9),
-        draws=PLACES,
-    )
+    found = of_one(seed, places, images)
 
     assert abs(found.ratios[(0,)].mean - 1) < 1e-6
     outside = ~images.seen(found.poses[0, :, :3, 3])
@@ -191,14 +182,7 @@ def test_what_would_be_seen_everywhere_is_not_there(
     monkeypatch.setattr(DepthImages, "log_ratios", lambda *given: np.full(len(given[2]), -2000.0))
     places = np.ones((1, PLACES, 3))
 
-    found = hidden_posterior(
-        np.random.default_rng(seed),
-        boxes()[:1],
-        GivenPlaces(places),
-        images,
-        BinomialNumber(0.9),
-        draws=PLACES,
-    )
+    found = of_one(seed, places, images)
 
     assert found.ratios[(0,)].mean == 0
     assert found.presence[0] == 0
