@@ -137,7 +137,10 @@ class PosePools:
             floating_weight=config.floating_weight,
         )
         below = None if config.graph == "fixed" else table
-        return replace(layers, rests=gravity.rests(self.data.view, below, self.objects, poses))
+        changed = np.zeros(poses.shape[:2], bool)
+        changed[which, first : first + found.shape[1]] = True
+        rests = gravity.rests(self.data.view, below, self.objects, poses, changed, self.layers.rests)
+        return replace(layers, rests=rests)
 
     def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
         """The chosen poses (N, 7) of a scene (N,), of the absent ones any."""

@@ -16,10 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from recordings.types import NO_RETURN
-from scene.execution import FAST_COMPILE
+from scene.execution import FAST_COMPILE, map_parallel
 from scene.model.prior import FLOATING_HEIGHT_M, gap_density
 from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import PooledView, unproject
@@ -31,6 +30,13 @@ UNKNOWN_CARRIER = 0.1
 """Odds of resting on something that is seen but not known against resting on what is. Chosen on five
 synthetic tables (docs/model.md, development films) without the shapes of some carriers: 0.5 lost an object
 that was only found for what it carries, 0.03 one on something unknown."""
+
+
+ROWS = 32
+"""Poses of which the gaps to all others are computed together, so that they stay in a core's cache: speed."""
+
+GAPS = 2**16
+"""Densities of a kernel: one size serves any number."""
 
 
 @jax.tree_util.register_dataclass
@@ -49,8 +55,10 @@ class Gravity:
         table: SupportPlane | None,
         objects: Sequence[SceneObject],
         poses: NDArray[np.floating],
+        changed: NDArray[np.bool_],
+        before: SupportTable,
     ) -> SupportTable:
-        """How poses (N, K, 7) camera_from_box and, last, the absent object rest; without a table all do.
+        """How poses (N, K, 7) camera_from_box and, last, the absent object rest; without a table as before.
 
         What is beside the table may stand on something else.
 
@@ -59,34 +67,55 @@ class Gravity:
             table: in the camera's frame.
             objects: N.
             poses: of each of them.
+            changed: (N, K) which of them `before` does not hold.
+            before: how the others rest.
         """
-        count, places = poses.shape[0], poses.shape[1] + 1
         if table is None:
-            return SupportTable.sure(count, places)
-        heights_m = np.zeros((count, places), np.float32)
-        gaps_m = np.full((count, places, count, places), np.inf, np.float32)
+            return before
         table_from_box = np.linalg.inv(table.camera_from_table) @ matrices_of(poses)
         undersides_m = _undersides(objects, table_from_box)
-        lowest = undersides_m[:, :, 0]
-        heights_m[:, :-1] = _heights(table, lowest)
-        seen_m = np.full((count, places), np.inf, np.float32)
-        hanging = heights_m[:, :-1] > 0
-        seen_m[:, :-1][hanging] = gaps_to_seen(view, table, undersides_m[hanging])
-        gaps_m[:, :-1, :, :-1] = _gaps(objects, table_from_box, lowest, hanging)
-        return _rests(self, heights_m, seen_m, gaps_m)
+        lowest_m = undersides_m[:, :, 0]
+        heights_m = _heights(table, lowest_m)
+        hanging = heights_m > 0
+        seen_m = np.full(changed.shape, np.inf, np.float32)
+        seen_m[hanging & changed] = gaps_to_seen(view, table, undersides_m[hanging & changed])
+        log_alone, log_on = np.array(before.log_alone), np.array(before.log_on)
+        anew = np.asarray(_log_alone(self, heights_m.astype(np.float32), seen_m))
+        log_alone[:, :-1][changed], log_on[:, :-1][changed] = anew[changed], -np.inf
+        for children, parents in ((changed, np.ones_like(changed)), (~changed, changed)):
+            rows, columns = np.nonzero(hanging & children), np.nonzero(parents)
+            log_on[(*(one[:, None] for one in rows), *columns)] = self._log_on(
+                _gaps(objects, table_from_box, lowest_m, rows, columns)
+            )
+        return SupportTable(jax.device_put(log_alone), jax.device_put(log_on))
+
+    def _log_on(self, gaps_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Log densities of gaps of any shape, over that of none; -inf of infinite ones."""
+        log_density = np.full(gaps_m.shape, -np.inf, np.float32)
+        finite = np.flatnonzero(np.isfinite(gaps_m))
+        for first in range(0, len(finite), GAPS):
+            some = finite[first : first + GAPS]
+            gap_m = np.resize(gaps_m.ravel()[some], GAPS)
+            log_density.ravel()[some] = np.asarray(_log_gap(self, gap_m))[: len(some)]
+        return log_density
+
+
+def _log_over_none(gravity: Gravity, gap_m: jax.Array) -> jax.Array:
+    """Log density of gaps over that of none."""
+    return jnp.log(gap_density(gravity, gap_m) / gap_density(gravity, jnp.zeros_like(gap_m)))
+
+
+_log_gap = jax.jit(_log_over_none, compiler_options=FAST_COMPILE)
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
-def _rests(gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array, gaps_m: jax.Array) -> SupportTable:
-    """Logs of the densities of gaps, over that of none."""
-
-    def log_gap(gap_m: jax.Array) -> jax.Array:
-        return jnp.log(gap_density(gravity, gap_m) / gap_density(gravity, jnp.zeros_like(gap_m)))
-
+def _log_alone(gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array) -> jax.Array:
+    """Log densities (N, K) of poses by what is below them, over that of no gap, beside other objects'."""
     floating = gravity.floating_weight / FLOATING_HEIGHT_M / gap_density(gravity, jnp.zeros_like(heights_m))
-    log_unknown = jnp.log(UNKNOWN_CARRIER) + log_gap(seen_m)
-    log_alone = jnp.maximum(jnp.maximum(log_gap(heights_m), jnp.log(floating)), log_unknown)
-    return SupportTable(log_alone, log_gap(gaps_m))
+    log_unknown = jnp.log(UNKNOWN_CARRIER) + _log_over_none(gravity, seen_m)
+    return jnp.maximum(
+        jnp.maximum(_log_over_none(gravity, heights_m), jnp.log(floating)), log_unknown
+    )
 
 
 def _undersides(objects: Sequence[SceneObject], table_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -110,37 +139,50 @@ def _gaps(
     objects: Sequence[SceneObject],
     table_from_box: NDArray[np.float64],
     lowest_m: NDArray[np.float64],
-    hanging: NDArray[np.bool_],
+    children: tuple[NDArray[np.intp], ...],
+    parents: tuple[NDArray[np.intp], ...],
 ) -> NDArray[np.float32]:
-    """Gaps (N, K, N, K) of poses that are `hanging` (N, K) to the tops of others' boxes, +inf beside them.
+    """Gaps (n, m) of poses to the tops of others' boxes, +inf beside them and to their own object's.
 
     The top is looked for below an object's middle and below its lowest point.
+
+    Args:
+        objects: N.
+        table_from_box: (N, K, 4, 4) their poses.
+        lowest_m: (N, K, 3) the lowest points.
+        children: (n,) objects and (n,) numbers of the poses that rest on others.
+        parents: (m,) objects and (m,) numbers of these.
     """
-    count, places = hanging.shape
-    boxes = table_from_box.reshape(-1, 4, 4)
-    middles, half = boxes[:, :3, 3], np.repeat([one.half_extents_m for one in objects], places, axis=0)
-    owners = np.repeat(np.arange(count), places)
-    gaps_m = np.full((count * places, count * places), np.inf, np.float32)
-    rows = np.flatnonzero(hanging)
-    for foot in (middles[rows, :2], lowest_m.reshape(-1, 3)[rows, :2]):
-        near = cdist(foot, middles[:, :2], "sqeuclidean") < (half**2).sum(axis=1)
-        child, parent = np.nonzero(near & (owners[rows][:, None] != owners))
-        top_m = _top_below(boxes[parent], half[parent], foot[child])
-        gap_m = np.abs(lowest_m.reshape(-1, 3)[rows[child], 2] - top_m)
-        gaps_m[rows[child], parent] = np.minimum(gaps_m[rows[child], parent], gap_m)
-    return gaps_m.reshape(count, places, count, places)
+    half_m = np.stack([one.half_extents_m for one in objects])[parents[0]]
+    boxes, lowest_m = table_from_box[parents], lowest_m[children]
+    feet_m = np.stack([table_from_box[children][:, :2, 3], lowest_m[:, :2]])
+
+    def to_tops(first: int) -> NDArray[np.float32]:
+        mine = slice(first, first + ROWS)
+        gaps_m = np.abs(lowest_m[mine, 2, None] - _tops_below(boxes, half_m, feet_m[:, mine])).min(axis=0)
+        return np.where(children[0][mine, None] == parents[0], np.inf, gaps_m).astype(np.float32)
+
+    shares = map_parallel(to_tops, range(0, len(lowest_m), ROWS))
+    return np.concatenate(shares) if shares else np.zeros((0, len(boxes)), np.float32)
 
 
-def _top_below(
+def _tops_below(
     boxes: NDArray[np.float64], half_extents_m: NDArray[np.float64], feet_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Height (M,) at which vertical lines through feet (M, 2) leave boxes (M, 4, 4) upwards, or inf."""
+    """Heights (..., m) at which vertical lines through feet (..., 2) leave boxes (m, 4, 4) upwards, or inf.
+
+    A line meets the middle plane between two faces at a height that is linear in its foot.
+    """
     up = boxes[:, 2, :3]
-    start = np.einsum("mij,mi->mj", boxes[:, :2, :3], feet_m - boxes[:, :2, 3])
-    start -= up * boxes[:, 2, 3, None]
     slope = np.where(np.abs(up) < 1e-9, 1e-9, up)
-    far, near = (half_extents_m - start) / slope, (-half_extents_m - start) / slope
-    leaves, enters = np.maximum(near, far).min(axis=1), np.minimum(near, far).max(axis=1)
+    per_m = -boxes[:, :2, :3] / slope[:, None]
+    middle_m = (up * boxes[:, 2, 3, None] / slope) - (per_m * boxes[:, :2, 3, None]).sum(axis=1)
+    beyond_m = half_extents_m / np.abs(slope)
+    enters, leaves = np.float64(-np.inf), np.float64(np.inf)
+    for axis in range(3):
+        between_m = feet_m @ per_m[:, :, axis].T + middle_m[:, axis]
+        enters = np.maximum(enters, between_m - beyond_m[:, axis])
+        leaves = np.minimum(leaves, between_m + beyond_m[:, axis])
     return np.where(enters < leaves, leaves, np.inf)
 
 

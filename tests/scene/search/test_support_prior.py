@@ -1,5 +1,6 @@
 """What hangs in the air is improbable, by how far it is over what is below it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -7,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 from scene.model.prior import FLOATING_HEIGHT_M
@@ -14,6 +17,7 @@ from scene.objects.scene_object import SceneObject, scene_object
 from scene.observation.depth_view import PooledView
 from scene.observation.detection import SupportPlane
 from scene.search.support_prior import UNKNOWN_CARRIER, Gravity
+from scene.search.support_table import SupportTable
 from shapes.geometry.poses import poses_of
 from tests.scene.observation.test_detection import CAMERA_FROM_TABLE
 from tests.scene.table_views import depth_of, view_of
@@ -42,6 +46,15 @@ def expected(gap_m: float) -> float:
     return float(np.log(max(density(gap_m), 0.02 / FLOATING_HEIGHT_M) / density(0.0)))
 
 
+def all_rest(
+    view: PooledView, table: SupportPlane | None, objects: Sequence[SceneObject], poses: NDArray[np.floating]
+) -> SupportTable:
+    """How poses rest that are all new."""
+    count, places = poses.shape[:2]
+    nothing = SupportTable.sure(count, places + 1)
+    return GRAVITY.rests(view, table, objects, poses, np.ones((count, places), bool), nothing)
+
+
 def log_rests(
     table: SupportPlane | None, *bottoms_m: tuple[float, float], view: PooledView = BARE
 ) -> list[float]:
@@ -50,7 +63,7 @@ def log_rests(
     for pose, (x_m, bottom_m) in zip(table_from_box, bottoms_m, strict=True):
         pose[:3, 3] = [x_m, 0.0, bottom_m + HALF_M[2]]
     poses = poses_of(TABLE.camera_from_table @ table_from_box)[:, None]
-    rests = GRAVITY.rests(view, table, [upright_box()] * len(bottoms_m), poses)
+    rests = all_rest(view, table, [upright_box()] * len(bottoms_m), poses)
     choice = np.append(np.zeros(len(bottoms_m) - 1, int), ABSENT)
     return [float(value) for value in rests.of(jnp.asarray(choice))]
 
@@ -104,6 +117,27 @@ def test_a_box_rests_by_its_edge_on_what_its_middle_is_not_over() -> None:
     lower = np.eye(4)
     lower[:3, 3] = [np.sign(lowest[0]) * (HALF_M[0] + 0.01) + 0.03, 0.0, HALF_M[2]]
     poses = poses_of(TABLE.camera_from_table @ np.stack([tilted, lower]))[:, None]
-    rests = GRAVITY.rests(BARE, TABLE, [box, box], poses)
+    rests = all_rest(BARE, TABLE, [box, box], poses)
     np.testing.assert_allclose(rests.of(jnp.zeros(2, int)), 0, atol=1e-3)
     assert float(rests.of(jnp.array([0, ABSENT]))[0]) < -5
+
+
+def test_poses_that_change_one_after_another_rest_as_all_at_once() -> None:
+    """Seeded random poses, tilted and in each other's way, in pools of which parts are replaced twice."""
+    rng = np.random.default_rng(11)
+    table_from_box = np.tile(np.eye(4), (3, 6, 1, 1))
+    table_from_box[..., :3, :3] = Rotation.random(18, random_state=rng).as_matrix().reshape(3, 6, 3, 3)
+    table_from_box[..., :3, 3] = rng.uniform([-0.08, -0.08, -0.02], [0.08, 0.08, 0.25], (3, 6, 3))
+    poses = poses_of(TABLE.camera_from_table @ table_from_box)
+    objects = [upright_box()] * 3
+    changed = np.zeros((2, 3, 6), bool)
+    changed[0, :2, 1:4] = changed[1, 1:, 2:5] = True
+    then = poses.copy()
+    rests = all_rest(BARE, TABLE, objects, poses)
+    for part in changed:
+        then[part] = poses[rng.permuted(part)]
+        rests = GRAVITY.rests(BARE, TABLE, objects, then, part, rests)
+    at_once = all_rest(BARE, TABLE, objects, then)
+    assert np.isfinite(at_once.log_on).sum() > 30
+    np.testing.assert_array_equal(rests.log_alone, at_once.log_alone)
+    np.testing.assert_array_equal(rests.log_on, at_once.log_on)
