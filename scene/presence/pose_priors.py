@@ -102,8 +102,7 @@ class PosePriors:
 
     def alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weights (n, S) of poses (n, S, 7) of boxes (n, S, 3) by themselves, floating or on a support."""
-        with jax.enable_x64(True):
-            floating = np.exp(np.asarray(log_floating(self.prior, jnp.asarray(poses[..., 4:]))))
+        floating = self._floating(poses[..., 4:].reshape(-1, 3)).reshape(poses.shape[:2])
         if not self.grafts:
             return floating
         shape = len(self.supports), floating.size
@@ -152,6 +151,15 @@ class PosePriors:
         near[slot] = False
         return near
 
+    def _floating(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Densities (P,) of floating poses at positions (P, 3)."""
+        shares = []
+        for first in range(0, len(positions_m), PAIRS):
+            part = positions_m[first : first + PAIRS]
+            with jax.enable_x64(True):
+                shares.append(np.asarray(_log_floating(self.prior, np.resize(part, (PAIRS, 3))))[: len(part)])
+        return np.exp(np.concatenate(shares))
+
     def _contacts(
         self, poses: NDArray[np.float64], half_m: NDArray[np.float64], *, on_support: bool = False
     ) -> NDArray[np.float64]:
@@ -165,6 +173,9 @@ class PosePriors:
             found = np.asarray(_on_another(given[0], faces, *given[1:]))
             densities[first : first + PAIRS] = found[: count - first]
         return np.exp(LOG_CONTACT_JACOBIAN) * densities
+
+
+_log_floating = jax.jit(log_floating, compiler_options=FAST_COMPILE)
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
