@@ -14,7 +14,14 @@ import jax
 import jax.numpy as jnp
 
 from scene.execution import FAST_COMPILE
-from scene.search.assignment import PoseLayers, improve_pairs, log_density_of_choice, nearest_layer, no_object
+from scene.search.assignment import (
+    PoseLayers,
+    improve_pairs,
+    log_conditional,
+    log_density_of_choice,
+    nearest_layer,
+    no_object,
+)
 
 REPLACING = 8
 """Poses of each object that are tried in the place of others."""
@@ -119,8 +126,8 @@ def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array, kept: jax.A
 
     Those that are `kept` (N,), itself among them, stay.
 
-    The poses that are tried are the best ones if they were granted every pixel that they explain, whether or
-    not others explain it too.
+    The poses that are tried are the best one beside all others, and the best ones if they were granted every
+    pixel that they explain, whether or not others explain it too.
     """
     front_m, density = nearest_layer(layers, choice, jnp.arange(len(choice)) != one)
     covers = layers.depth_m[one] < layers.rest_m[None]
@@ -129,6 +136,8 @@ def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array, kept: jax.A
     gain = jnp.sum(jnp.where(explained > 0, explained, jnp.minimum(spoilt, 0.0)), axis=1)
     gain = (gain + layers.log_alone[one]).at[no_object(layers)].set(-jnp.inf)
     _, poses = jax.lax.top_k(gain, min(REPLACING, len(gain) - 1))
+    beside = log_conditional(layers, choice, one).at[no_object(layers)].set(-jnp.inf)
+    poses = jnp.append(poses, jnp.argmax(beside))
 
     density_of = partial(log_density_of_choice, layers)
 

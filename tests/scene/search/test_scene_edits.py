@@ -120,3 +120,28 @@ def test_copies_do_not_stand_for_each_other() -> None:
 
     np.testing.assert_allclose(alone, [7.0, -3.0], atol=1e-4)
     np.testing.assert_allclose(by_name, [0.0, 0.0], atol=1e-4)
+
+
+def test_the_rival_of_an_absent_object_is_the_best_scene_with_it() -> None:
+    """By enumeration; a dozen poses explain more, but not beside the object that is there and explains most."""
+    depth, log_density = np.full((2, 14, PIXELS), np.inf, np.float32), np.zeros((2, 14, PIXELS), np.float32)
+    depth[0, 0, :15], log_density[0, 0, :15] = 0.5, 2.0
+    depth[1, :12, :14], log_density[1, :12, :14] = 0.4, 1.0
+    depth[1, 12, 16:20], log_density[1, 12, 16:20] = 0.4, 0.5
+    alone = np.where(np.arange(14) < 13, -3.0, 0.0) * np.ones((2, 1))
+    layers = replace(
+        _layers(_covering((0, 0)), 0.0, 0.0),
+        depth_m=jnp.asarray(depth),
+        log_density=jnp.asarray(log_density),
+        log_alone=jnp.asarray(alone, jnp.float32),
+        rests=SupportTable.sure(2, 14),
+    )
+    scenes = jnp.asarray(list(itertools.product([0, 13], range(13))))
+    densities = jax.vmap(lambda scene: log_density_of_choice(layers, scene))(scenes)
+    found = jnp.array([0, 13])
+
+    others, log_odds = rivals(layers, found, no_copies(layers))
+
+    np.testing.assert_array_equal(others[1], scenes[int(densities.argmax())])
+    expected = float(densities.max() - log_density_of_choice(layers, found))
+    assert float(log_odds[1]) == pytest.approx(expected, abs=1e-4)
