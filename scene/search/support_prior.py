@@ -31,7 +31,6 @@ UNKNOWN_CARRIER = 0.1
 synthetic tables (docs/model.md, development films) without the shapes of some carriers: 0.5 lost an object
 that was only found for what it carries, 0.03 one on something unknown."""
 
-
 ROWS = 32
 """Poses of which the gaps to all others are computed together, so that they stay in a core's cache: speed."""
 
@@ -113,9 +112,7 @@ def _log_alone(gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array) -> jax
     """Log densities (N, K) of poses by what is below them, over that of no gap, beside other objects'."""
     floating = gravity.floating_weight / FLOATING_HEIGHT_M / gap_density(gravity, jnp.zeros_like(heights_m))
     log_unknown = jnp.log(UNKNOWN_CARRIER) + _log_over_none(gravity, seen_m)
-    return jnp.maximum(
-        jnp.maximum(_log_over_none(gravity, heights_m), jnp.log(floating)), log_unknown
-    )
+    return jnp.maximum(jnp.maximum(_log_over_none(gravity, heights_m), jnp.log(floating)), log_unknown)
 
 
 def _undersides(objects: Sequence[SceneObject], table_from_box: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -123,7 +123,7 @@ def test_copies_do_not_stand_for_each_other() -> None:
 
 
 def test_the_rival_of_an_absent_object_is_the_best_scene_with_it() -> None:
-    """By enumeration; a dozen poses explain more, but not beside the object that is there and explains most."""
+    """By enumeration; a dozen poses explain more, but not beside the object that explains most."""
     depth, log_density = np.full((2, 14, PIXELS), np.inf, np.float32), np.zeros((2, 14, PIXELS), np.float32)
     depth[0, 0, :15], log_density[0, 0, :15] = 0.5, 2.0
     depth[1, :12, :14], log_density[1, :12, :14] = 0.4, 1.0
