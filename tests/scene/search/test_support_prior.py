@@ -126,7 +126,7 @@ def test_poses_that_change_one_after_another_rest_as_all_at_once() -> None:
     """Seeded random poses, tilted and in each other's way, in pools of which parts are replaced twice."""
     rng = np.random.default_rng(11)
     table_from_box = np.tile(np.eye(4), (3, 6, 1, 1))
-    table_from_box[..., :3, :3] = Rotation.random(18, random_state=rng).as_matrix().reshape(3, 6, 3, 3)
+    table_from_box[..., :3, :3] = Rotation.random(18, rng=rng).as_matrix().reshape(3, 6, 3, 3)
     table_from_box[..., :3, 3] = rng.uniform([-0.08, -0.08, -0.02], [0.08, 0.08, 0.25], (3, 6, 3))
     poses = poses_of(TABLE.camera_from_table @ table_from_box)
     objects = [upright_box()] * 3
