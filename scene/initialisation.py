@@ -61,9 +61,11 @@ def initialise(
     masks = dict.fromkeys(range(len(objects)), first)
     with compile_in_background(*_kernels(pools)):
         for index, round_key in enumerate(keys):
-            if masks:
-                pools, scene = search_round(round_key, pools, scene, masks, index)
-                masks = unexplained_by_others(pools, scene, by_all=index + 1 < config.rounds)
+            if index:
+                masks = unexplained_by_others(pools, scene, by_all=True)
+            if not masks:
+                break
+            pools, scene = search_round(round_key, pools, scene, masks, index)
         pools, scene = compare_refined(last_key, pools, scene, noise)
         pools, scene = search_missing(again_key, search_round, pools, scene, noise)
     others, _ = rivals_of(pools, scene)

@@ -102,12 +102,20 @@ def _best_given(
 
     Whether they rest on anything is left open.
     """
-    front_m, shown = others
-    nearer = layers.depth_m[one] < front_m[None]
-    log_given = jnp.sum(jnp.where(nearer, layers.log_density[one] - shown[None], 0.0), axis=1)
     absent = no_object(layers)
-    _, best = jax.lax.top_k(log_given + layers.log_alone[one], min(count - 2, absent))
+    _, best = jax.lax.top_k(gain_before(layers, others, one), min(count - 2, absent))
     return jnp.concatenate([choice[one][None], best, jnp.full(1, absent)])
+
+
+def gain_before(layers: PoseLayers, front: tuple[jax.Array, jax.Array], one: jax.Array) -> jax.Array:
+    """Log density (K,) that each pose of an object adds before a front, its depth and log density (X,).
+
+    Without what carries it.
+    """
+    front_m, shown = front
+    nearer = layers.depth_m[one] < front_m[None]
+    gain = jnp.sum(jnp.where(nearer, layers.log_density[one] - shown[None], 0.0), axis=1)
+    return gain + layers.log_alone[one]
 
 
 def _joint_log_density(

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from scene.execution import FAST_COMPILE
 from scene.search.assignment import (
     PoseLayers,
+    gain_before,
     improve_pairs,
-    log_conditional,
     log_density_of_choice,
     nearest_layer,
     no_object,
@@ -71,12 +71,10 @@ def filled(layers: PoseLayers, choice: jax.Array, banned: jax.Array) -> jax.Arra
     objects = jnp.arange(len(choice))
 
     def gains(choice: jax.Array) -> tuple[jax.Array, jax.Array]:
-        front_m, density = nearest_layer(layers, choice, objects >= 0)
+        front = nearest_layer(layers, choice, objects >= 0)
 
         def best(one: jax.Array) -> tuple[jax.Array, jax.Array]:
-            nearer = layers.depth_m[one] < front_m[None]
-            gain = jnp.sum(jnp.where(nearer, layers.log_density[one] - density[None], 0.0), axis=1)
-            gain = gain + layers.log_alone[one] + layers.rests.given(choice, one)
+            gain = gain_before(layers, front, one) + layers.rests.given(choice, one)
             gain = gain.at[no_object(layers)].set(-jnp.inf)  # rounding is no object
             return jnp.argmax(gain), jnp.max(gain)
 
@@ -129,15 +127,15 @@ def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array, kept: jax.A
     The poses that are tried are the best one beside all others, and the best ones if they were granted every
     pixel that they explain, whether or not others explain it too.
     """
-    front_m, density = nearest_layer(layers, choice, jnp.arange(len(choice)) != one)
+    front_m, density = front = nearest_layer(layers, choice, jnp.arange(len(choice)) != one)
     covers = layers.depth_m[one] < layers.rest_m[None]
     explained = jnp.where(covers, layers.log_density[one] - layers.rest_log_density[None], 0.0)
     spoilt = jnp.where(layers.depth_m[one] < front_m[None], layers.log_density[one] - density[None], 0.0)
     gain = jnp.sum(jnp.where(explained > 0, explained, jnp.minimum(spoilt, 0.0)), axis=1)
     gain = (gain + layers.log_alone[one]).at[no_object(layers)].set(-jnp.inf)
     _, poses = jax.lax.top_k(gain, min(REPLACING, len(gain) - 1))
-    beside = log_conditional(layers, choice, one).at[no_object(layers)].set(-jnp.inf)
-    poses = jnp.append(poses, jnp.argmax(beside))
+    beside = gain_before(layers, front, one) + layers.rests.given(choice, one)
+    poses = jnp.append(poses, jnp.argmax(beside.at[no_object(layers)].set(-jnp.inf)))
 
     density_of = partial(log_density_of_choice, layers)
 
