@@ -57,8 +57,10 @@ Item = TypeVar("Item")
 Done = TypeVar("Done")
 
 
-def score_on_all_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDArray[np.float32]:
-    """The scores (N,) of a batch, leaves (N, ...).
+def score_on_all_cores(
+    score: Callable[[Batch], jax.Array], batch: Batch, per_share: int = PER_SHARE
+) -> NDArray[np.float32]:
+    """The scores (N,) of a batch, leaves (N, ...), one or more.
 
     Shares have one size, filled up by the last member, for one kernel to serve batches of any size. The
     number of cores changes no byte.
@@ -69,10 +71,10 @@ def score_on_all_cores(score: Callable[[Batch], jax.Array], batch: Batch) -> NDA
     batch = jax.tree.map(np.asarray, batch)
 
     def scored(first: int) -> NDArray[np.float32]:
-        mine = np.minimum(np.arange(first, first + PER_SHARE), count - 1)
+        mine = np.minimum(np.arange(first, first + per_share), count - 1)
         return np.asarray(score(jax.tree.map(lambda leaf: leaf[mine], batch)))
 
-    return np.concatenate(map_parallel(scored, range(0, count, PER_SHARE)))[:count]
+    return np.concatenate(map_parallel(scored, range(0, count, per_share)))[:count]
 
 
 def map_parallel(work: Callable[[Item], Done], items: Iterable[Item]) -> list[Done]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -24,7 +24,7 @@ from scene.presence.size_prior import SizePrior
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 PAIRS = 256
-"""Of boxes, in one call of the kernel: a candidate has some hundred others near it."""
+"""Of boxes, or boxes that float, in one call of a kernel: a candidate has some hundred others near it."""
 
 TOUCHING_SIGMAS = 10.0
 """Boxes further apart than so many standard deviations of a loose contact rest not on each other."""
@@ -153,26 +153,31 @@ class PosePriors:
 
     def _floating(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Densities (P,) of floating poses at positions (P, 3)."""
-        shares = []
-        for first in range(0, len(positions_m), PAIRS):
-            part = positions_m[first : first + PAIRS]
-            with jax.enable_x64(True):
-                shares.append(np.asarray(_log_floating(self.prior, np.resize(part, (PAIRS, 3))))[: len(part)])
-        return np.exp(np.concatenate(shares))
+        with jax.enable_x64(True):
+            return np.exp(
+                _in_batches(lambda part: _log_floating(self.prior, positions_m[part]), len(positions_m))
+            )
 
     def _contacts(
         self, poses: NDArray[np.float64], half_m: NDArray[np.float64], *, on_support: bool = False
     ) -> NDArray[np.float64]:
         """Densities (P,) of the second of two boxes at poses (2, P, 7) on the first, all pairs of faces."""
-        count = poses.shape[1]
-        densities = np.empty(count)
         faces = np.arange(6) == TOP_FACE if on_support else np.ones(6, bool)
-        for first in range(0, count, PAIRS):
-            part = np.resize(np.arange(first, min(first + PAIRS, count)), PAIRS)
-            given = jax.tree.map(np.float32, (self.prior, half_m[:, part], poses[:, part]))
-            found = np.asarray(_on_another(given[0], faces, *given[1:]))
-            densities[first : first + PAIRS] = found[: count - first]
-        return np.exp(LOG_CONTACT_JACOBIAN) * densities
+
+        def densities(part: NDArray[np.intp]) -> jax.Array:
+            prior, *boxes = jax.tree.map(np.float32, (self.prior, half_m[:, part], poses[:, part]))
+            return _on_another(prior, faces, *boxes)
+
+        return np.exp(LOG_CONTACT_JACOBIAN) * _in_batches(densities, poses.shape[1])
+
+
+def _in_batches(values: Callable[[NDArray[np.intp]], jax.Array], count: int) -> NDArray[np.float64]:
+    """What a kernel gives (count,) of items, named by their numbers (PAIRS,) in each call."""
+    found = np.empty(count)
+    for first in range(0, count, PAIRS):
+        part = np.resize(np.arange(first, min(first + PAIRS, count)), PAIRS)
+        found[first : first + PAIRS] = np.asarray(values(part))[: count - first]
+    return found
 
 
 _log_floating = jax.jit(log_floating, compiler_options=FAST_COMPILE)

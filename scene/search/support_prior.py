@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN
-from scene.execution import FAST_COMPILE, map_parallel
+from scene.execution import FAST_COMPILE, map_parallel, score_on_all_cores
 from scene.model.prior import FLOATING_HEIGHT_M, gap_density
 from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import PooledView, unproject
@@ -35,7 +35,7 @@ ROWS = 32
 """Poses of which the gaps to all others are computed together, so that they stay in a core's cache: speed."""
 
 GAPS = 2**16
-"""Densities of a kernel: one size serves any number."""
+"""Densities of one call of a kernel."""
 
 
 @jax.tree_util.register_dataclass
@@ -91,11 +91,9 @@ class Gravity:
     def _log_on(self, gaps_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Log densities of gaps of any shape, over that of none; -inf of infinite ones."""
         log_density = np.full(gaps_m.shape, -np.inf, np.float32)
-        finite = np.flatnonzero(np.isfinite(gaps_m))
-        for first in range(0, len(finite), GAPS):
-            some = finite[first : first + GAPS]
-            gap_m = np.resize(gaps_m.ravel()[some], GAPS)
-            log_density.ravel()[some] = np.asarray(_log_gap(self, gap_m))[: len(some)]
+        finite = np.isfinite(gaps_m)
+        if finite.any():
+            log_density[finite] = score_on_all_cores(partial(_log_gap, self), gaps_m[finite], GAPS)
         return log_density
 
 
