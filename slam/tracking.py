@@ -139,7 +139,12 @@ class _Tracker:
         return [*told, info]
 
     def _images(self, state: FilterState) -> KeyframeImages:
-        return KeyframeImages(keyframe_map=state.keyframe_map, details=self.details, noise=self.noise)
+        return KeyframeImages(
+            keyframe_map=state.keyframe_map,
+            details=self.details,
+            noise=self.noise,
+            asked=state.refined_keyframes,
+        )
 
     def result(self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None) -> SlamResult:
         """After the last frame.

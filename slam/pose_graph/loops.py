@@ -85,13 +85,13 @@ NO_LOOPS = Loops(
 def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float32]) -> Loops:
     """Pairs that the graph at poses (N, 7) holds together by a long way only, as registration confirms them.
 
-    The later one of each is not fixed. After a keyframe that closes a loop the next ones that its overlaps
-    reach are passed over.
+    The later one of each is not fixed, and is asked for the first time. After a keyframe that closes a loop
+    the next ones that its overlaps reach are passed over.
     """
     together = held_together(len(poses), graph.pairs if images.known is None else images.known)
     lengths = _path_lengths(poses)
     pairs, ways, precisions, passed = [], [], [], -1
-    for later in range(graph.fixed, len(poses)):
+    for later in range(max(graph.fixed, images.asked), len(poses)):
         if later <= passed:
             continue
         walked = lengths[later] - lengths

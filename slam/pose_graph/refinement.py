@@ -165,7 +165,7 @@ def refine_keyframes(
     modes = [
         _refined(
             jax.random.fold_in(draw_key, mode),
-            replace(images, known=known),
+            _of_map(images, known),
             poses,
             unknown,
             scales,
@@ -180,6 +180,11 @@ def refine_keyframes(
         mode=mode_of,
         drawn=np.stack([modes[mode].drawn[number] for number, mode in enumerate(mode_of)]),
     )
+
+
+def _of_map(images: KeyframeImages, known: NDArray[np.int32] | None) -> KeyframeImages:
+    """The images with what is known of a map; in one that was placed by search no loop has been looked for."""
+    return replace(images, known=known, asked=1 if known is None else images.asked)
 
 
 def dealt(key: jax.Array, probabilities: NDArray[np.float64], count: int) -> NDArray[np.int_]:

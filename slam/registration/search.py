@@ -114,10 +114,11 @@ class Searcher:
         padded = jnp.stack([jnp.asarray(one) for one in [*starts, *[starts[0]] * (3 - len(starts))]])
         located = self._near(padded, hold)
         for _ in range(REFINEMENTS):
-            if not located.is_finite:
+            if not (located.is_finite and located.is_plausible):
                 break
             is_near = located.is_within(FAR_SHIFT_M, FAR_ANGLE_RAD, padded[0])
-            if is_near and hold > 0:
+            is_settled = located.is_within(SETTLED_SHIFT_M, SETTLED_ANGLE_RAD, padded[0])
+            if is_settled or (is_near and hold > 0):
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
             again = self._near(padded, hold)

@@ -73,6 +73,16 @@ def test_a_loop_is_found_and_closed(images):
     assert abs(_turn(closed(alone.graph, alone.poses, loops), 0, VIEWS - 1) - true) < np.radians(2)
 
 
+def test_keyframes_are_asked_once(images):
+    """The last view closes a loop by itself; once it has been asked, too, nothing is left to be compared."""
+    alone = _chained(images, YAWS, DRIFTED)
+
+    last = find_loops(replace(images, asked=VIEWS - 1), alone.graph, alone.poses)
+
+    assert last.pairs[:, 0].tolist() == [VIEWS - 1]
+    assert len(find_loops(replace(images, asked=VIEWS), alone.graph, alone.poses)) == 0
+
+
 def test_overlaps_that_do_not_agree_hide_no_loop(images):
     """Where the views were drawn to, ends of the way overlap with its start, as wrong walls and one floor."""
     wrong = _chained(images, YAWS, DRIFTED).poses
