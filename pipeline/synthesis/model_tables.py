@@ -2,8 +2,9 @@
 
 Scenes are drawn from the priors of sections L and O of docs/model.md, images from the density of section L2,
 pixel after pixel, unknown things included. What is not drawn: the camera and the table, which are given;
-boxes and cylinders of free size, half of which would be longer than the table; and scenes in which objects
-enter each other or the table, which the prior allows and the search does not look for.
+boxes and cylinders of free size, half of which would be longer than the table; scenes in which objects
+enter each other or the table, which the prior allows and the search does not look for; and those with an
+object whose middle no image shows, for what is there is in sight (`scene.hidden`).
 """
 
 from __future__ import annotations
@@ -195,7 +196,8 @@ def _drawn_scene(
     if len(present):
         chosen = [objects[one] for one in present.tolist()]
         placed, floats = _drawn_poses(rng, half_m[present], camera_from_table, config)
-        while not _is_possible(chosen, placed, SUNK_SIGMAS * config.contact_sigma_m):
+        sunk_m = SUNK_SIGMAS * config.contact_sigma_m
+        while not (_is_possible(chosen, placed, sunk_m) and _is_in_sight(camera_from_table @ placed)):
             placed, floats = _drawn_poses(rng, half_m[present], camera_from_table, config)
         lies = np.array([_lies(*pair, config) for pair in zip(chosen, placed, strict=True)])
         at_rest[present] = lies & ~floats
@@ -241,6 +243,15 @@ def _is_possible(objects: Sequence[SceneObject], table_from_box: NDArray[np.floa
         return False
     placed = [(one, pose[None]) for one, pose in zip(objects, table_from_box, strict=True)]
     return not any(meet(*first, *second).any() for first, second in combinations(placed, 2))
+
+
+def _is_in_sight(camera_from_box: NDArray[np.float64]) -> bool:
+    """Whether the middles of objects (n, 4, 4) project into the image."""
+    camera, middles_m = intrinsics(), camera_from_box[:, :3, 3]
+    x, y = (middles_m[:, :2] / middles_m[:, 2:]).T
+    columns, rows = camera.fx * x + camera.cx + 0.5, camera.fy * y + camera.cy + 0.5
+    inside = (columns >= 0) & (columns < WIDTH) & (rows >= 0) & (rows < HEIGHT)
+    return bool((inside & (middles_m[:, 2] > 0)).all())
 
 
 def _lies(one: SceneObject, table_from_box: NDArray[np.float64], config: ParseConfig) -> bool:

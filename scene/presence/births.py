@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import permutations
@@ -34,6 +34,9 @@ LEAST_DENSITY = 1e-30
 
 LEAST_SIZE = 0.002
 """Least standard deviation of the logs of sizes, as that of places."""
+
+SITES = 4
+"""Places of an object that the search did not find, of all that are tried, the densest after a turn."""
 
 CLIMBS, SOLID_CLIMBS = 4, 8
 """Turns of climbing to the best place of an object, which was found nearly, and to that of a solid."""
@@ -94,15 +97,16 @@ def born_near(
         rng: random numbers.
         frames: what is seen.
         priors: of poses and sizes.
-        sites: where each of N objects may be, one or more.
+        sites: where each of N objects may be, one or more; of one that was not found the best are gone on
+            with.
         lines: (N, 2, 3) direction and point of the lines about which they are round, zeros without one.
         found: (N,) whether the search found them, at the first of their sites.
     """
-    owners = np.repeat(np.arange(len(sites)), [len(one) for one in sites])
+    every = np.repeat(np.arange(len(sites)), [len(one) for one in sites])
     sizes = priors.sizes
     front_m, front_gain = _others(rng, frames, sizes, sites, found)
 
-    def log_density(states: NDArray[np.float64]) -> NDArray[np.float64]:
+    def log_densities(owners: NDArray[np.intp], states: NDArray[np.float64]) -> NDArray[np.float64]:
         states = sizes.tied(states, owners)
         each = np.repeat(owners, states.shape[1])
         depth_m, gain = frames.shown(rng, each, states.reshape(-1, 10))
@@ -112,7 +116,9 @@ def born_near(
         log_size = sizes.log_density(states[..., 7:], owners)
         return log_alone + np.log(np.maximum(log_prior, LEAST_DENSITY)) + log_size
 
-    centres = np.concatenate([np.concatenate(sites), sizes.log_half[owners]], axis=1)
+    centres = np.concatenate([np.concatenate(sites), sizes.log_half[every]], axis=1)
+    owners, centres = _best_of_each(partial(log_densities, every), every, centres, found)
+    log_density = partial(log_densities, owners)
     centres = sizes.tied(climbed(log_density, centres, NEAR, CLIMBS)[:, None], owners)[:, 0]
     factors = face_factors(log_density, centres)
     free = np.concatenate([np.ones((len(owners), 6), bool), free_sizes(sizes.ties)[owners]], axis=1)
@@ -120,6 +126,25 @@ def born_near(
     fits = fitted(rng, log_density, centres, factors, least, TURNS, DRAWS)
     fits = replace(fits, centres=sizes.tied(fits.centres[:, None], owners)[:, 0])
     return _mixture(fits, owners, lines, sizes)
+
+
+def _best_of_each(
+    log_density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    owners: NDArray[np.intp],
+    centres: NDArray[np.float64],
+    found: NDArray[np.bool_],
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """The places of objects owners (n,) from which they go on, after one turn of climbing from each (n, 10).
+
+    All places of what was found, and the `SITES` densest of others.
+    """
+    centres = climbed(log_density, centres, NEAR, 1)
+    values, kept = log_density(centres[:, None])[:, 0], []
+    for one in range(len(found)):
+        mine = np.flatnonzero(owners == one)
+        kept.append(mine if found[one] else mine[np.argsort(-values[mine], kind="stable")[:SITES]])
+    chosen = np.concatenate(kept)
+    return owners[chosen], centres[chosen]
 
 
 def _others(

@@ -29,8 +29,9 @@ from shapes.geometry.poses import matrices_of, poses_of
 MOST_SOLIDS = 12
 """Unknown solids that a frame proposes: more things of that kind on one table are rare."""
 
-SITES = 4
-"""Places of an object that the search did not find."""
+TRIED = 24
+"""Places of an object that the search did not find, from the first of which one climbs: its poses may lie some
+nats below their tops."""
 
 CHAINS = 4
 """Whose differences tell the standard error."""
@@ -66,7 +67,7 @@ def presence_in_scene(
     world_from_camera = compared.world_from_camera
     supports = carrying(compared.data.supports, objects, start)
     priors = PosePriors.over(chains.model.prior, sizes, supports, world_from_camera, len(objects), config)
-    every = [sites_of(start, one, SITES) for one in range(len(objects))]
+    every = [sites_of(start, one, TRIED) for one in range(len(objects))]
     sites = [poses_of(world_from_camera @ matrices_of(one)) for one in every]
     for slot, one in enumerate(found.indices):
         sites[one] = distinct(chains.samples.poses[-1, :, slot])

@@ -104,21 +104,23 @@ class Searcher:
         placed[~chosen, 4:] += OUT_OF_SIGHT_M
         return replace(self, keyframe_poses=placed)
 
-    def near(self, starts: Sequence[ArrayLike], hold: float = 0.0) -> Registration:
+    def near(
+        self, starts: Sequence[ArrayLike], hold: float = 0.0, refinements: int = REFINEMENTS
+    ) -> Registration:
         """The best optimum near the starts (7,), the likeliest first, and on the grid around that one.
 
-        `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`).
+        `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`),
+        `refinements` how often at most as `REFINEMENTS`.
         """
         if hold > 0 and (settled := self._settled(starts[0], hold)) is not None:
             return settled
         padded = jnp.stack([jnp.asarray(one) for one in [*starts, *[starts[0]] * (3 - len(starts))]])
         located = self._near(padded, hold)
-        for _ in range(REFINEMENTS):
-            if not (located.is_finite and located.is_plausible):
+        for _ in range(refinements):
+            if not located.is_finite:
                 break
             is_near = located.is_within(FAR_SHIFT_M, FAR_ANGLE_RAD, padded[0])
-            is_settled = located.is_within(SETTLED_SHIFT_M, SETTLED_ANGLE_RAD, padded[0])
-            if is_settled or (is_near and hold > 0):
+            if is_near and hold > 0:
                 break
             padded = jnp.stack([located.optimum.pose] * 3)
             again = self._near(padded, hold)
