@@ -30,8 +30,7 @@ MOST_SOLIDS = 12
 """Unknown solids that a frame proposes: more things of that kind on one table are rare."""
 
 TRIED = 24
-"""Places of an object that the search did not find, from the first of which one climbs: its poses may lie some
-nats below their tops."""
+"""Places that are tried of an object that the search did not find: its poses lie nats below their tops."""
 
 CHAINS = 4
 """Whose differences tell the standard error."""

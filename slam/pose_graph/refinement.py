@@ -183,7 +183,7 @@ def refine_keyframes(
 
 
 def _of_map(images: KeyframeImages, known: NDArray[np.int32] | None) -> KeyframeImages:
-    """The images with what is known of a map; in one that was placed by search no loop has been looked for."""
+    """The images with what is known of a map; no loop was looked for in one that was placed by search."""
     return replace(images, known=known, asked=1 if known is None else images.asked)
 
 

@@ -27,7 +27,7 @@ def test_nothing_stands_beside_where_nothing_was_found() -> None:
 
 
 def test_places_are_told_apart_by_their_tops() -> None:
-    """Of a cube that was not found the last of many places is the best one, but 8 mm beside its top the worst."""
+    """Of a cube that was not found the last place is the best one, but 8 mm beside its top the worst."""
     poses = np.tile([1.0, 0, 0, 0, 0, 0, 1], (births.SITES + 2, 1))
     poses[:, 4] = 0.1 * np.arange(len(poses))
     centres = np.concatenate([poses, np.full((len(poses), 3), np.log(0.05))], axis=1)
