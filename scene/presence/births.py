@@ -112,9 +112,9 @@ def born_near(
         depth_m, gain = frames.shown(rng, each, states.reshape(-1, 10))
         gain = np.where(depth_m < front_m[each], gain - front_gain[each], 0.0)
         log_alone = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
-        log_prior = priors.alone(states[..., :7], np.exp(states[..., 7:]))
-        log_size = sizes.log_density(states[..., 7:], owners)
-        return log_alone + np.log(np.maximum(log_prior, LEAST_DENSITY)) + log_size
+        prior = priors.alone(states[..., :7], np.exp(states[..., 7:]))
+        log_alone += np.log(np.maximum(prior, LEAST_DENSITY)) + sizes.log_density(states[..., 7:], owners)
+        return log_alone + priors.log_not_buried(owners, states[..., :7])
 
     centres = np.concatenate([np.concatenate(sites), sizes.log_half[every]], axis=1)
     owners, centres = _best_of_each(partial(log_densities, every), every, centres, found)

@@ -18,7 +18,7 @@ from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
 from scene.presence.births import born_near, distinct, sites_of, solids_near
 from scene.presence.depth_candidates import PresenceFrames
-from scene.presence.pose_priors import PosePriors
+from scene.presence.pose_priors import Burial, PosePriors
 from scene.presence.posterior import Presence, presence_posterior
 from scene.presence.size_prior import SizePrior
 from scene.presence.solid_proposals import proposed_solids
@@ -65,7 +65,16 @@ def presence_in_scene(
     frames = PresenceFrames(compared=compared, renderer=draws, log_half=sizes.log_half)
     world_from_camera = compared.world_from_camera
     supports = carrying(compared.data.supports, objects, start)
-    priors = PosePriors.over(chains.model.prior, sizes, supports, world_from_camera, len(objects), config)
+    table, burial = compared.data.table, None
+    if table is not None:
+        camera_from_world = np.linalg.inv(world_from_camera)
+        burial = Burial(
+            table=table,
+            camera_from_world=camera_from_world,
+            objects=objects,
+            sigma_m=config.loose_sigma_m,
+        )
+    priors = PosePriors.over(chains.model.prior, sizes, supports, world_from_camera, burial, config)
     every = [sites_of(start, one, TRIED) for one in range(len(objects))]
     sites = [poses_of(world_from_camera @ matrices_of(one)) for one in every]
     for slot, one in enumerate(found.indices):

@@ -18,9 +18,12 @@ from scene.model.contact import TOP_FACE
 from scene.model.number_prior import UncertainBinomialNumber
 from scene.model.prior import PosePrior, densities_on, log_floating
 from scene.model.scene_graph import Bodies
+from scene.objects.scene_object import SceneObject
 from scene.observation.detection import SupportPlane
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.size_prior import SizePrior
+from scene.search.support_prior import log_not_buried
+from shapes.geometry.poses import matrices_of, poses_of
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 PAIRS = 256
@@ -28,6 +31,28 @@ PAIRS = 256
 
 TOUCHING_SIGMAS = 10.0
 """Boxes further apart than so many standard deviations of a loose contact rest not on each other."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Burial:
+    """The search's prior of how deep things reach below the table (`scene.search.support_prior`).
+
+    Attributes:
+        table: in a camera's frame.
+        camera_from_world: (4, 4) of that camera.
+        objects: all N.
+        sigma_m: of a half Gaussian.
+    """
+
+    table: SupportPlane
+    camera_from_world: NDArray[np.float64]
+    objects: Sequence[SceneObject]
+    sigma_m: float
+
+    def log_prior(self, owners: NDArray[np.integer], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of objects owners (n,) at poses (n, S, 7) world_from_box, (n, S); 0 of what is not below."""
+        in_camera = poses_of(self.camera_from_world @ matrices_of(poses))
+        return log_not_buried(self.table, [self.objects[one] for one in owners], in_camera, self.sigma_m)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +67,7 @@ class PosePriors:
         floating_weight: of trees, the odds of floating.
         log_sets: (N + 1,) of sets, by their size.
         grafts: whether things rest on others; else all float.
+        burial: of what reaches below the table; None without one. Solids may go on there, as parts of things.
     """
 
     prior: PosePrior
@@ -51,6 +77,7 @@ class PosePriors:
     floating_weight: float
     log_sets: NDArray[np.float64]
     grafts: bool
+    burial: Burial | None = None
 
     @classmethod
     def over(
@@ -59,18 +86,19 @@ class PosePriors:
         sizes: SizePrior,
         supports: Sequence[SupportPlane],
         world_from_camera: NDArray[np.float64],
-        most: int,
+        burial: Burial | None,
         config: ParseConfig,
     ) -> PosePriors:
-        """The priors of scenes of so many objects at most, on supports as a camera (4, 4) sees them."""
+        """The priors of scenes of these objects at most, on supports as a camera (4, 4) sees them."""
         return cls(
             prior=jax.device_get(prior),
             sizes=sizes,
             supports=slabs_under(supports, world_from_camera),
             slab_half_m=half_sizes(supports),
             floating_weight=config.floating_weight if supports else 1.0,
-            log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(most),
+            log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(len(sizes.log_half)),
             grafts=config.graph == "infer",
+            burial=burial,
         )
 
     def of(
@@ -88,7 +116,9 @@ class PosePriors:
             log_sizes: (N + U, K) log density of these, of solids with their rate.
             asked: N.
         """
-        rate, slots = np.exp(log_sizes), len(poses)
+        log_rate, slots = log_sizes.copy(), len(poses)
+        log_rate[:asked] += self.log_not_buried(np.arange(asked), poses[:asked])
+        rate = np.exp(log_rate)
         log_trees = np.zeros(slots + 1)
         if self.grafts:
             log_trees = log_weighted_trees(self.floating_weight, len(self.supports), slots)
@@ -99,6 +129,12 @@ class PosePriors:
             self.log_sets,
             asked,
         )
+
+    def log_not_buried(self, owners: NDArray[np.integer], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log prior (n, S) of how deep objects owners (n,) at poses (n, S, 7) reach below the table."""
+        if self.burial is None:
+            return np.zeros(poses.shape[:2])
+        return self.burial.log_prior(owners, poses)
 
     def alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weights (n, S) of poses (n, S, 7) of boxes (n, S, 3) by themselves, floating or on a support."""

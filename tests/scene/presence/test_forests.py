@@ -1,11 +1,13 @@
 """The prior of poses with graphs summed out: against all trees, and what comes back without data."""
 
 import itertools
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from pipeline.benchmarks.cubes import cube_model
@@ -20,9 +22,11 @@ from scene.model.number_prior import (
 from scene.model.prior import WeightedTrees
 from scene.model.scene_graph import ROOT, SceneGraph, all_trees
 from scene.objects.orientations import cube_rotations
+from scene.objects.scene_object import scene_object
+from scene.observation.detection import SupportPlane
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.forests import ForestPrior, log_weighted_trees
-from scene.presence.pose_priors import PosePriors
+from scene.presence.pose_priors import Burial, PosePriors
 from scene.presence.posterior import Presence, presence_posterior
 from scene.presence.size_prior import SizePrior
 from scene.presence.solids import SolidFits
@@ -59,6 +63,27 @@ def priors_of(free: int, number: NumberPrior) -> PosePriors:
         log_sets=number.log_set_probabilities(free),
         grafts=True,
     )
+
+
+def test_what_reaches_below_the_table_weighs_less() -> None:
+    """Alone and beside others as the search has it; the solid, last, may go on there."""
+    mesh = trimesh.creation.box((0.1, 0.1, 0.1))
+    cube = scene_object("cube", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    table = SupportPlane(camera_from_table=np.eye(4), half_size_m=np.full(2, 0.4), bend=np.zeros(6))
+    burial = Burial(table=table, camera_from_world=np.eye(4), objects=[cube, cube], sigma_m=0.02)
+    poses = np.tile([1.0, 0, 0, 0, 0, 0, 0.05], (3, 1, 1))
+    poses[:, 0, 4] = 0.1 * np.arange(3)
+    poses[1:, 0, 6] -= 0.04
+    given = poses, np.full((3, 1, 3), 0.05), np.zeros((3, 1)), 2
+
+    free = priors_of(2, FixedNumber(2))
+    priors = free.of(*given), replace(free, burial=burial).of(*given)
+
+    factor = np.exp([[0.0], [-2.0], [0.0]])
+    np.testing.assert_allclose(priors[1].on_root, priors[0].on_root * factor, rtol=0.1)
+    beside = [one.weights_beside(0, 0) for one in priors]
+    np.testing.assert_allclose(beside[1][0], beside[0][0] * factor, rtol=0.1)
+    np.testing.assert_allclose(beside[1][1], beside[0][1], rtol=1e-12)
 
 
 def test_forests_are_summed(seed: int) -> None:
