@@ -5,12 +5,13 @@ apart in the recording; round an object that looks alike from many sides a pair 
 So every pair of keyframes is registered first, and the places found are put together: partial maps begin with
 the pairs of most evidence, whichever they are, and are extended by any keyframe where its place beside any
 one of theirs puts it. The maps kept are those of most evidence, sum of log p(image | map, pose) -
-log p(image | no map), which compares maps of different keyframes; a few of every size (a beam).
+log p(image | no map), which compares maps of different keyframes; a few of every size (a beam). Of whole maps
+those are kept that the prior of motion, too, says are likely.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -74,16 +75,23 @@ Ways = dict[tuple[int, int], list[NDArray[np.float64]]]
 """By two keyframes: poses first_from_second (4, 4) where the one may stand beside the other."""
 
 
-def place_best_first(registrar: KeyframeRegistrar) -> list[NDArray[np.float64]]:
+def place_best_first(
+    registrar: KeyframeRegistrar, log_weight: Callable[[float, NDArray[np.float64]], float]
+) -> list[NDArray[np.float64]]:
     """Poses (N, 4, 4) of all keyframes from the first: maps that differ, none where one has no place.
 
     They are settled, and the one that all images agree with most is improved keyframe by keyframe.
+
+    Args:
+        registrar: the keyframes.
+        log_weight: of a whole map, given its log evidence and its poses.
     """
     ways, maps = _pairs(registrar)
     unknown = np.asarray([registrar.log_score_of_unknown(index, BLUR) for index in range(len(registrar))])
     for _ in range(len(registrar) - 2):
-        maps = _surest(_extended(registrar, maps, ways, unknown))
-    settled = [_settled(registrar, each.from_first) for each in maps[:COMPLETE_MAPS]]
+        maps = _extended(registrar, _surest(maps), ways, unknown)
+    weights = [log_weight(each.log_evidence, each.from_first) for each in maps]
+    settled = [_settled(registrar, each.from_first) for each in _distinct(maps, weights, COMPLETE_MAPS)]
     if not settled:
         return []
     settled.sort(key=registrar.log_composite, reverse=True)
@@ -91,7 +99,7 @@ def place_best_first(registrar: KeyframeRegistrar) -> list[NDArray[np.float64]]:
 
 
 def _pairs(registrar: KeyframeRegistrar) -> tuple[Ways, list[PartialMap]]:
-    """The ways between all pairs of keyframes, and the `KEPT_MAPS` pairs of most evidence."""
+    """The ways between all pairs of keyframes, and the pairs."""
     ways: Ways = {}
     maps: list[PartialMap] = []
     alone = np.tile(np.eye(4), (len(registrar), 1, 1))
@@ -105,7 +113,7 @@ def _pairs(registrar: KeyframeRegistrar) -> tuple[Ways, list[PartialMap]]:
                 PartialMap({first: np.eye(4), second: way}, _log_evidence(place, registrar.noise))
                 for way, place in zip(found, places, strict=True)
             ]
-    return ways, _surest(maps)
+    return ways, maps
 
 
 def _extended(

@@ -66,8 +66,11 @@ def candidate_maps(
     """
     settle = partial(optimise_jointly, images=images, motion=motion)
 
+    def weighed(log_evidence: float, poses: NDArray[np.float64]) -> float:
+        return MODES_EXPONENT * log_evidence + motion.log_density(poses)
+
     def log_weight(poses: NDArray[np.float64]) -> float:
-        return MODES_EXPONENT * registrar.log_composite(poses) + motion.log_density(poses)
+        return weighed(registrar.log_composite(poses), poses)
 
     maps = [settle(poses) for poses in (*present, *_regular_maps(registrar, motion))]
     log_weights = [log_weight(poses) for poses in maps]
@@ -76,7 +79,10 @@ def candidate_maps(
         core = consistent_set(registrar, best)
         if len(core) == len(registrar):
             break
-        proposed = [register_inconsistent(registrar, best, core)] if round_ else place_best_first(registrar)
+        if round_:
+            proposed = [register_inconsistent(registrar, best, core)]
+        else:
+            proposed = place_best_first(registrar, weighed)
         maps += [settle(poses) for poses in proposed]
         log_weights += [log_weight(poses) for poses in maps[len(log_weights) :]]
     return Modes.of(maps, log_weights)

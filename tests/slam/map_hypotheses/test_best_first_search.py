@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from slam.map_hypotheses import best_first_search
 from slam.map_hypotheses.best_first_search import (
+    COMPLETE_MAPS,
     KEPT_MAPS,
     PartialMap,
     _improved_singly,
@@ -108,9 +109,27 @@ def test_the_surest_pairs_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the first keyframe on most would stand wrong: their neighbours come after them."""
     monkeypatch.setattr(best_first_search, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
 
-    placed = place_best_first(cast("KeyframeRegistrar", RingJury()))
+    placed = place_best_first(cast("KeyframeRegistrar", RingJury()), lambda log_evidence, _: log_evidence)
 
     np.testing.assert_allclose(placed[0][:, 0, 3], np.arange(len(RING)), atol=1e-6)
+
+
+def test_whole_maps_are_told_apart_by_their_weight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against all evidence the prior wants the last keyframe far to the left: those maps are settled."""
+    monkeypatch.setattr(best_first_search, "_log_evidence", lambda place, noise: place.evidence)  # noqa: ARG005
+    monkeypatch.setattr(best_first_search, "_settled", lambda registrar, poses: poses)  # noqa: ARG005
+    monkeypatch.setattr(best_first_search, "_improved_singly", lambda registrar, poses: poses)  # noqa: ARG005
+    asked: list[tuple[float, float]] = []
+
+    def log_weight(log_evidence: float, poses: NDArray[np.float64]) -> float:
+        asked.append((float(poses[-1, 0, 3]), log_evidence))
+        return log_evidence - 1e3 * float(poses[-1, 0, 3])
+
+    placed = place_best_first(cast("KeyframeRegistrar", RingJury()), log_weight)
+
+    leftmost = sorted({x for x, _ in asked})
+    assert min(one[-1, 0, 3] for one in placed) == leftmost[0] < max(asked, key=lambda one: one[1])[0]
+    assert len(placed) <= COMPLETE_MAPS
 
 
 def test_what_stands_wrong_alone_is_moved() -> None:
