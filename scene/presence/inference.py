@@ -65,15 +65,7 @@ def presence_in_scene(
     frames = PresenceFrames(compared=compared, renderer=draws, log_half=sizes.log_half)
     world_from_camera = compared.world_from_camera
     supports = carrying(compared.data.supports, objects, start)
-    table, burial = compared.data.table, None
-    if table is not None:
-        camera_from_world = np.linalg.inv(world_from_camera)
-        burial = Burial(
-            table=table,
-            camera_from_world=camera_from_world,
-            objects=objects,
-            sigma_m=config.loose_sigma_m,
-        )
+    burial = Burial.under(compared.data.table, world_from_camera, objects, config.loose_sigma_m)
     priors = PosePriors.over(chains.model.prior, sizes, supports, world_from_camera, burial, config)
     every = [sites_of(start, one, TRIED) for one in range(len(objects))]
     sites = [poses_of(world_from_camera @ matrices_of(one)) for one in every]

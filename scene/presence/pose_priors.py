@@ -49,6 +49,20 @@ class Burial:
     objects: Sequence[SceneObject]
     sigma_m: float
 
+    @classmethod
+    def under(
+        cls,
+        table: SupportPlane | None,
+        world_from_camera: NDArray[np.float64],
+        objects: Sequence[SceneObject],
+        sigma_m: float,
+    ) -> Burial | None:
+        """Under the table that a camera (4, 4) sees; None without one."""
+        if table is None:
+            return None
+        camera_from_world = np.linalg.inv(world_from_camera).astype(np.float64)
+        return cls(table=table, camera_from_world=camera_from_world, objects=objects, sigma_m=sigma_m)
+
     def log_prior(self, owners: NDArray[np.integer], poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Of objects owners (n,) at poses (n, S, 7) world_from_box, (n, S); 0 of what is not below."""
         in_camera = poses_of(self.camera_from_world @ matrices_of(poses))
