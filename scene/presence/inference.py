@@ -66,7 +66,8 @@ def presence_in_scene(
     world_from_camera = compared.world_from_camera
     supports = carrying(compared.data.supports, objects, start)
     burial = Burial.under(compared.data.table, world_from_camera, objects, config.loose_sigma_m)
-    priors = PosePriors.over(chains.model.prior, sizes, supports, world_from_camera, burial, config)
+    given = sizes, supports, world_from_camera, len(objects), burial
+    priors = PosePriors.over(chains.model.prior, *given, config)
     every = [sites_of(start, one, TRIED) for one in range(len(objects))]
     sites = [poses_of(world_from_camera @ matrices_of(one)) for one in every]
     for slot, one in enumerate(found.indices):

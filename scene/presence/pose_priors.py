@@ -100,17 +100,18 @@ class PosePriors:
         sizes: SizePrior,
         supports: Sequence[SupportPlane],
         world_from_camera: NDArray[np.float64],
+        most: int,
         burial: Burial | None,
         config: ParseConfig,
     ) -> PosePriors:
-        """The priors of scenes of these objects at most, on supports as a camera (4, 4) sees them."""
+        """The priors of scenes of so many objects at most, on supports as a camera (4, 4) sees them."""
         return cls(
             prior=jax.device_get(prior),
             sizes=sizes,
             supports=slabs_under(supports, world_from_camera),
             slab_half_m=half_sizes(supports),
             floating_weight=config.floating_weight if supports else 1.0,
-            log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(len(sizes.log_half)),
+            log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(most),
             grafts=config.graph == "infer",
             burial=burial,
         )
