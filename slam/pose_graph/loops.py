@@ -31,9 +31,6 @@ from slam.registration.search import Searcher
 CANDIDATES = 5
 """Search effort: places that a keyframe is compared with."""
 
-LOOP_REFINEMENTS = 1
-"""Search effort: overlaps refine the loops that close."""
-
 DRIFT_SHARE = 0.05
 """Metres and radians by which a camera that went a metre or turned by a radian may have lost its way."""
 
@@ -205,7 +202,7 @@ def _registered(
     """A keyframe, sought about where an earlier one stands, among those (N,) beside that one alone."""
     view = images.keyframe_map.surface(later).view
     searcher = Searcher(images.keyframe_map, poses, view, images.noise, LEAST_HOPS).among(beside)
-    return searcher.near([poses[earlier]], refinements=LOOP_REFINEMENTS)
+    return searcher.near([poses[earlier]])
 
 
 @jax.jit

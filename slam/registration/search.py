@@ -104,19 +104,16 @@ class Searcher:
         placed[~chosen, 4:] += OUT_OF_SIGHT_M
         return replace(self, keyframe_poses=placed)
 
-    def near(
-        self, starts: Sequence[ArrayLike], hold: float = 0.0, refinements: int = REFINEMENTS
-    ) -> Registration:
+    def near(self, starts: Sequence[ArrayLike], hold: float = 0.0) -> Registration:
         """The best optimum near the starts (7,), the likeliest first, and on the grid around that one.
 
-        `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`),
-        `refinements` how often at most as `REFINEMENTS`.
+        `hold` says how firmly the first start is kept where depth tells nothing (`PixelTerms.held_step`).
         """
         if hold > 0 and (settled := self._settled(starts[0], hold)) is not None:
             return settled
         padded = jnp.stack([jnp.asarray(one) for one in [*starts, *[starts[0]] * (3 - len(starts))]])
         located = self._near(padded, hold)
-        for _ in range(refinements):
+        for _ in range(REFINEMENTS):
             if not located.is_finite:
                 break
             is_near = located.is_within(FAR_SHIFT_M, FAR_ANGLE_RAD, padded[0])
