@@ -143,7 +143,7 @@ class _Tracker:
             keyframe_map=state.keyframe_map,
             details=self.details,
             noise=self.noise,
-            asked=state.refined_keyframes,
+            first_new=state.refined_keyframes,
         )
 
     def result(self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None) -> SlamResult:

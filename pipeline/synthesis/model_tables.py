@@ -23,6 +23,7 @@ from recordings.sensor_profile import UnknownTable
 from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from scene.common_errors import with_common_errors
 from scene.config import ParseConfig
+from scene.hidden.depth_evidence import project_into
 from scene.hidden.pose_priors import meet
 from scene.likelihood.image_draws import drawn_image
 from scene.likelihood.object_renderer import ObjectRenderer
@@ -247,11 +248,7 @@ def _is_possible(objects: Sequence[SceneObject], table_from_box: NDArray[np.floa
 
 def _is_in_sight(camera_from_box: NDArray[np.float64]) -> bool:
     """Whether the middles of objects (n, 4, 4) project into the image."""
-    camera, middles_m = intrinsics(), camera_from_box[:, :3, 3]
-    x, y = (middles_m[:, :2] / middles_m[:, 2:]).T
-    columns, rows = camera.fx * x + camera.cx + 0.5, camera.fy * y + camera.cy + 0.5
-    inside = (columns >= 0) & (columns < WIDTH) & (rows >= 0) & (rows < HEIGHT)
-    return bool((inside & (middles_m[:, 2] > 0)).all())
+    return bool(project_into(intrinsics(), (HEIGHT, WIDTH), camera_from_box[:, :3, 3]).all())
 
 
 def _lies(one: SceneObject, table_from_box: NDArray[np.float64], config: ParseConfig) -> bool:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
+from recordings.types import CameraIntrinsics, DepthNoise
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.objects.scene_object import SceneObject
 from shapes.geometry.camera import Camera
@@ -42,18 +42,24 @@ class SeenImage:
 
     def middle_seen(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether world points (n, 3) project into the image."""
-        x, y, z = np.moveaxis(
-            points_m @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3], -1, 0
-        )
-        height, width = self.observed_m.shape
-        ahead = np.where(z > 0, z, np.inf)
-        column = x / ahead * float(self.camera.fx) + float(self.camera.cx)
-        row = y / ahead * float(self.camera.fy) + float(self.camera.cy)
-        return (
-            (z > 0)
-            & (np.abs(column - (width - 1) / 2) <= width / 2)
-            & (np.abs(row - (height - 1) / 2) <= height / 2)
-        )
+        in_camera_m = points_m @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
+        return project_into(self.camera, self.observed_m.shape, in_camera_m)
+
+
+def project_into(
+    camera: Camera | CameraIntrinsics, shape: tuple[int, ...], points_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether points (n, 3) in a camera's frame project into its image of that shape (H, W)."""
+    x, y, z = np.moveaxis(points_m, -1, 0)
+    height, width = shape
+    ahead = np.where(z > 0, z, np.inf)
+    column = x / ahead * float(camera.fx) + float(camera.cx)
+    row = y / ahead * float(camera.fy) + float(camera.cy)
+    return (
+        (z > 0)
+        & (np.abs(column - (width - 1) / 2) <= width / 2)
+        & (np.abs(row - (height - 1) / 2) <= height / 2)
+    )
 
 
 class DepthImages:

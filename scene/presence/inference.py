@@ -29,7 +29,7 @@ from shapes.geometry.poses import matrices_of, poses_of
 MOST_SOLIDS = 12
 """Unknown solids that a frame proposes: more things of that kind on one table are rare."""
 
-TRIED = 24
+PROPOSED_SITES = 24
 """Places that are tried of an object that the search did not find: its poses lie nats below their tops."""
 
 CHAINS = 4
@@ -68,7 +68,7 @@ def presence_in_scene(
     burial = Burial.under(compared.data.table, world_from_camera, objects, config.loose_sigma_m)
     given = sizes, supports, world_from_camera, len(objects), burial
     priors = PosePriors.over(chains.model.prior, *given, config)
-    every = [sites_of(start, one, TRIED) for one in range(len(objects))]
+    every = [sites_of(start, one, PROPOSED_SITES) for one in range(len(objects))]
     sites = [poses_of(world_from_camera @ matrices_of(one)) for one in every]
     for slot, one in enumerate(found.indices):
         sites[one] = distinct(chains.samples.poses[-1, :, slot])

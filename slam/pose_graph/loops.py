@@ -91,7 +91,7 @@ def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float
     together = held_together(len(poses), graph.pairs if images.known is None else images.known)
     lengths = _path_lengths(poses)
     pairs, ways, precisions, passed = [], [], [], -1
-    for later in range(max(graph.fixed, images.asked), len(poses)):
+    for later in range(max(graph.fixed, images.first_new), len(poses)):
         if later <= passed:
             continue
         walked = lengths[later] - lengths

@@ -170,14 +170,14 @@ class KeyframeImages:
         noise: the sensor at that detail.
         known: (E, 2) pairs that are known to see the same; only what they hold together is compared. With
             None all that are in sight are.
-        asked: so many, the first ones, have been compared with places that they may have come back to.
+        first_new: keyframe from which on none has been compared with places that it may have come back to.
     """
 
     keyframe_map: KeyframeMap
     details: Sequence[Paged[KeyframeDetail]]
     noise: DepthNoise
     known: NDArray[np.int32] | None = None
-    asked: int = 1
+    first_new: int = 1
 
     def with_known(self, pairs: NDArray[np.integer]) -> KeyframeImages:
         """The same with more pairs (n, 2) that are known to see the same."""

@@ -184,7 +184,7 @@ def refine_keyframes(
 
 def _of_map(images: KeyframeImages, known: NDArray[np.int32] | None) -> KeyframeImages:
     """The images with what is known of a map; no loop was looked for in one that was placed by search."""
-    return replace(images, known=known, asked=1 if known is None else images.asked)
+    return replace(images, known=known, first_new=1 if known is None else images.first_new)
 
 
 def dealt(key: jax.Array, probabilities: NDArray[np.float64], count: int) -> NDArray[np.int_]:

@@ -77,10 +77,10 @@ def test_keyframes_are_asked_once(images):
     """The last view closes a loop by itself; once it has been asked, too, nothing is left to be compared."""
     alone = _chained(images, YAWS, DRIFTED)
 
-    last = find_loops(replace(images, asked=VIEWS - 1), alone.graph, alone.poses)
+    last = find_loops(replace(images, first_new=VIEWS - 1), alone.graph, alone.poses)
 
     assert last.pairs[:, 0].tolist() == [VIEWS - 1]
-    assert len(find_loops(replace(images, asked=VIEWS), alone.graph, alone.poses)) == 0
+    assert len(find_loops(replace(images, first_new=VIEWS), alone.graph, alone.poses)) == 0
 
 
 def test_overlaps_that_do_not_agree_hide_no_loop(images):
