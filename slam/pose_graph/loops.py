@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
 from numpy.typing import NDArray
 
 from shapes.geometry import pose_gaussian
@@ -88,13 +90,15 @@ def find_loops(images: KeyframeImages, graph: PoseGraph, poses: NDArray[np.float
     The later one of each is not fixed, and is asked for the first time. After a keyframe that closes a loop
     the next ones that its overlaps reach are passed over.
     """
-    together = held_together(len(poses), graph.pairs if images.known is None else images.known)
-    lengths = _path_lengths(poses)
+    overlaps = graph.pairs if images.known is None else images.known
+    together = held_together(len(poses), overlaps)
+    first = max(graph.fixed, images.first_new)
+    lengths = way_lengths(poses, overlaps, first)
     pairs, ways, precisions, passed = [], [], [], -1
-    for later in range(max(graph.fixed, images.first_new), len(poses)):
+    for later in range(first, len(poses)):
         if later <= passed:
             continue
-        walked = lengths[later] - lengths
+        walked = lengths[later - first]
         far = ~together[[later]].toarray()[0] & (np.arange(len(walked)) < later)
         far &= _is_in_reach(poses, poses[later], walked)
         for earlier in _most_alike(images, later, np.nonzero(far)[0]):
@@ -161,9 +165,19 @@ def _bent(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray
     return poses
 
 
-def _path_lengths(poses: NDArray[np.float32]) -> NDArray[np.float64]:
-    """How far (N,) the camera went from the first keyframe (N, 7) to each: metres and radians."""
-    return np.append(0.0, np.cumsum(np.add(*_distances(poses[1:], poses[:-1]))))
+def way_lengths(poses: NDArray[np.float32], overlaps: NDArray[np.integer], first: int) -> NDArray[np.float64]:
+    """How far (N - first, N) it is from keyframes from `first` on to all of (N, 7): metres and radians.
+
+    The shortest way counts, along the path or across overlaps (E, 2): where the camera has come back to a
+    known place, errors have added up no farther than since then.
+    """
+    count = len(poses)
+    along = np.stack([np.arange(1, count), np.arange(count - 1)], axis=1)
+    ends = np.unique(np.concatenate([along, overlaps]), axis=0).T
+    steps = np.add(*_distances(poses[ends[0]], poses[ends[1]]))
+    # SciPy takes a step of zero length for no step.
+    steps = scipy.sparse.coo_array((np.maximum(steps, np.finfo(float).tiny), ends), shape=(count, count))
+    return scipy.sparse.csgraph.dijkstra(steps.tocsr(), directed=False, indices=np.arange(first, count))
 
 
 def _distances(

@@ -12,7 +12,7 @@ from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap, place_distances
 from slam.keyframes.surfels import surfel_image
 from slam.pose_graph.gauss_newton import GraphOptimum, agreement, optimise
-from slam.pose_graph.loops import Loops, closed, find_loops
+from slam.pose_graph.loops import Loops, closed, find_loops, way_lengths
 from slam.pose_graph.overlaps import KeyframeImages, keyframe_detail
 from slam.pose_graph.sparse_gaussian import connected_to_first
 from tests.slam import box_room
@@ -118,6 +118,22 @@ def test_three_quarters_of_a_circle_close_no_loop(images):
 
     chained = _chained(part, YAWS[:12], DRIFTED[:12])
     assert len(find_loops(part, chained.graph, chained.poses)) == 0
+
+
+def test_the_way_between_keyframes_is_the_shortest_one():
+    """Along a line of 1 m steps, the last of which turns by 0.5 rad, or across an overlap of its ends."""
+    matrices = np.stack([box_room.pose(0.0, 0.0, float(z), 0.5 * (z == 8)) for z in range(9)])
+    line = np.asarray(single_precision_poses(matrices))
+    at_ends = line.copy()
+    at_ends[8] = line[0]
+
+    along = way_lengths(line, np.zeros((0, 2), int), first=7)
+    across = way_lengths(at_ends, np.asarray([[8, 0], [3, 2]]), first=7)
+
+    np.testing.assert_allclose(
+        along, [[7, 6, 5, 4, 3, 2, 1, 0, 1.5], [8.5, 7.5, 6.5, 5.5, 4.5, 3.5, 2.5, 1.5, 0]]
+    )
+    np.testing.assert_allclose(across, [[7, 6, 5, 4, 3, 2, 1, 0, 7], [0, 1, 2, 3, 4, 5, 6, 7, 0]], atol=1e-12)
 
 
 def test_a_place_resembles_itself_most(images):
