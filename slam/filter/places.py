@@ -44,40 +44,45 @@ def place_at(
 ) -> Place:
     """Laplace's approximation at an optimum of the image density, which is tempered by `exponent`.
 
-    The prior enters by its Gauss-Newton terms at the image's optimum. In double precision: what pixels hold
-    most and least of a pose without noise differ by more than single precision has digits.
+    The prior moves the optimum by its Gauss-Newton terms, and what the image loses on the way there counts.
+    In double precision: what pixels hold most and least of a pose without noise differ by more than single
+    precision has digits.
     """
-    log_prior, jacobian, offset = (
-        np.asarray(term, np.float64) for term in _prior_terms(optimum.pose, past, motion)
-    )
+    jacobian, offset = (np.asarray(term, np.float64) for term in _prior_terms(optimum.pose, past, motion))
     of_keyframes = exponent * np.asarray(optimum.layer_precisions, np.float64)
     seen, axes = np.linalg.eigh(of_keyframes.sum(axis=0))
-    precision = (axes * np.maximum(seen, 0.0)) @ axes.T + jacobian.T @ jacobian
+    of_image = (axes * np.maximum(seen, 0.0)) @ axes.T
+    precision = of_image + jacobian.T @ jacobian
     covariance = np.linalg.inv(precision)
     covariance = 0.5 * (covariance + covariance.T)
     shift = -covariance @ jacobian.T @ offset
     pose = _displaced(optimum.pose, shift.astype(np.float32))
+    log_image = exponent * float(optimum.log_density) - 0.5 * shift @ of_image @ shift
+    log_prior = float(_log_prior(pose, past, motion))
     log_volume = 3.0 * np.log(2.0 * np.pi) - 0.5 * np.linalg.slogdet(precision)[1] - pose_gaussian.LOG_8
     return Place(
         pose=np.asarray(pose),
         covariance=covariance,
         shares=covariance @ of_keyframes,
         keyframes_from_camera=np.asarray(local_map.keyframes_from_camera(pose)),
-        log_evidence=float(exponent * float(optimum.log_density) + log_prior + log_volume),
+        log_evidence=float(log_image + log_prior + log_volume),
     )
 
 
 @jax.jit
-def _prior_terms(
-    pose: jax.Array, past: MotionHistory, motion: MotionPrior
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Log density of a pose (7,), Jacobian (R, 6) of its residual in the chart there, and that (R,)."""
+def _prior_terms(pose: jax.Array, past: MotionHistory, motion: MotionPrior) -> tuple[jax.Array, jax.Array]:
+    """Jacobian (R, 6) of the residual of a pose (7,) in the chart there, and that (R,)."""
 
     def residual(xi: jax.Array) -> jax.Array:
         return motion.whitened_residual(past, pose_gaussian.displace(pose, xi))
 
     zero = jnp.zeros(6, jnp.float32)
-    return motion.log_density(past, pose), jax.jacfwd(residual)(zero), residual(zero)
+    return jax.jacfwd(residual)(zero), residual(zero)
+
+
+@jax.jit
+def _log_prior(pose: jax.Array, past: MotionHistory, motion: MotionPrior) -> jax.Array:
+    return motion.log_density(past, pose)
 
 
 _displaced = jax.jit(pose_gaussian.displace)

@@ -111,10 +111,10 @@ def find_places(
         for of_one, searcher, one in zip(found, searchers, hypotheses, strict=True):
             of_one.append(searcher.near([one.pose]))
             of_one += searcher.anywhere(one.pose, distances)
-        convincing = [suppress_duplicates(of_one) for of_one in found]
+        distinct = [suppress_duplicates(of_one) for of_one in found]
     else:
-        convincing = [[located for located in of_one if located.is_accepted] for of_one in found]
-    kept = [prune_improbable(of_one, state.calibration.exponent)[:MAX_PLACES] for of_one in convincing]
+        distinct = found
+    kept = [prune_improbable(of_one, state.calibration.exponent)[:MAX_PLACES] for of_one in distinct]
     places = [located for of_one in kept for located in of_one]
     best = max(places, key=lambda one: one.log_density, default=found[0][0])
     return Found(kept, best, unexpected, contradicted)

@@ -56,7 +56,7 @@ class FilterState:
         motion: prior over motion.
         pivot: (3,) what an orbit looks at, in the reference frame, metres.
         unseen_step: (6, 6) second moment of a step that only the prior tells of.
-        times_ns: stamps of the last two frames.
+        times_ns: stamps of the previous pose and the last one; the same where the last frame was lost.
         lost_frames: how many in a row were not found.
         steps_were_wide: whether the camera ever moved far from one frame to the next.
         rival: what moves against the camera's motion.

@@ -67,7 +67,7 @@ class KeyframeRegistrar:
         films).
         """
         located = (self.register_locally(poses, index, self.all_but(index)) for index in range(len(self)))
-        return 0.5 * sum(float(one.optimum.log_density) for one in located)
+        return 0.5 * sum(one.log_density for one in located)
 
     def log_scores(
         self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float

@@ -106,7 +106,7 @@ def _chosen(
         proposed = register_inconsistent(registrar, poses, core)
         present = registrar.log_composite(poses) if present is None else present
         log_composite = registrar.log_composite(proposed)
-        if log_uniform >= exponent * (log_composite - present):
+        if not log_uniform < exponent * (log_composite - present):
             break
         poses, present = proposed, log_composite
         core = consistent_set(registrar, poses)

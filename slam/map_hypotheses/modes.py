@@ -26,12 +26,18 @@ class Modes:
 
     @classmethod
     def of(cls, maps: Sequence[NDArray[np.float64]], log_weights: Sequence[float]) -> Modes:
-        """Those of distinct maps (N, 4, 4) that are not negligible; of maps that are alike the likeliest."""
+        """Those of distinct maps (N, 4, 4) that are not negligible; of maps that are alike the likeliest.
+
+        A weight that is no number counts for nothing; where all are none, maps are equally likely.
+        """
+        known = np.where(np.isfinite(log_weights), np.asarray(log_weights, np.float64), -np.inf)
+        if np.isneginf(known).all():
+            known = np.zeros(len(maps))
         kept: list[int] = []
-        for index in np.argsort(-np.asarray(log_weights), kind="stable").tolist():
+        for index in np.argsort(-known, kind="stable").tolist():
             if not any(within_reach(maps[index], maps[other]).all() for other in kept):
                 kept.append(index)
-        weights = np.asarray(log_weights, np.float64)[kept]
+        weights = known[kept]
         shares = np.exp(weights - np.logaddexp.reduce(weights))
         enough = (shares >= LEAST_PROBABILITY) & (np.arange(len(kept)) < MAX_CLUSTERS)
         return cls(np.stack(maps)[kept][enough], shares[enough] / shares[enough].sum())

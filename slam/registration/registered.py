@@ -68,7 +68,7 @@ class Registration:
     @property
     def is_finite(self) -> bool:
         """Whether alignment stayed within the numbers: a start that sees next to nothing may leave them."""
-        return bool(np.isfinite(np.asarray(self.optimum.pose)).all())
+        return bool(np.isfinite(np.append(self.optimum.pose, self.optimum.log_density)).all())
 
     def is_within(self, shift_m: float, angle_rad: float, pose: ArrayLike) -> bool:
         """Whether it is so near a pose (7,)."""
@@ -112,6 +112,6 @@ def prune_improbable(found: list[Registration], exponent: float) -> list[Registr
     plausible = [located for located in found if located.is_plausible]
     if not plausible:
         return []
-    best = max(float(located.optimum.log_density) for located in plausible)
+    best = max(located.log_density for located in plausible)
     limit = NEGLIGIBLE_LOG_SHARE / exponent
-    return [located for located in plausible if float(located.optimum.log_density) > best - limit]
+    return [located for located in plausible if located.log_density > best - limit]

@@ -152,6 +152,28 @@ def test_a_frame_that_shows_nothing_leaves_hypotheses_and_weights(key, tracked):
     np.testing.assert_array_equal(after.population.histories[1].pose, population.histories[1].pose)
 
 
+def test_velocity_is_of_the_frames_that_were_found(key, tracked):
+    """After frames that were lost the motion spans them all, and the next step is one of as many."""
+    blank = replace(FRAMES[3], depth_m=np.zeros_like(FRAMES[3].depth_m))
+    view = view_of_frame(blank, box_room.INTRINSICS)
+    interval, last = FRAMES[2].time_ns - FRAMES[1].time_ns, FRAMES[2].time_ns
+    state = tracked
+    for lost in (1, 2):
+        state, info = step(jax.random.key(lost), state, view, last + lost * interval, CONFIG)
+        assert info.lost
+    np.testing.assert_array_equal(
+        predict(state, last + 3 * interval).poses[0], state.population.heaviest.pose
+    )
+
+    state, info = step(key, state, VIEWS[3], last + 3 * interval, CONFIG)
+
+    assert not info.lost
+    one, expected = state.population.heaviest, predict(state, last + 4 * interval).poses[0]
+    before, after = jnp.asarray(one.previous_pose), jnp.asarray(one.pose)
+    third = pose_gaussian.displace(after, pose_gaussian.coordinates(before, after) / 3)
+    np.testing.assert_allclose(expected, third, atol=1e-5)
+
+
 def test_a_place_is_a_gaussian_also_where_pixels_tell_nothing_of_a_direction(tracked):
     """Precisions are added, and one that rounding left negative, beside one of 1e10, holds nothing."""
     prediction = predict(tracked, FRAMES[3].time_ns)
@@ -169,9 +191,33 @@ def test_a_place_is_a_gaussian_also_where_pixels_tell_nothing_of_a_direction(tra
     np.testing.assert_allclose(np.diag(np.linalg.inv(place.covariance))[:3], seen[:3] + jerk, rtol=0.05)
     assert (np.linalg.eigvalsh(place.covariance) > 0).all()
     assert place.covariance[5, 5] == pytest.approx(0.15**2, rel=0.1)
-    log_prior = float(tracked.motion.log_density(past, optimum.pose))
-    volume = 0.5 * np.linalg.slogdet(2 * np.pi * place.covariance)[1] - np.log(8.0)
-    assert place.log_evidence == pytest.approx(0.5 * float(optimum.log_density) + log_prior + volume)
+
+
+def test_evidence_of_a_place_is_the_integral_of_image_and_motion(tracked):
+    """Of Gaussians: the image's volume, times N(optimum; last pose, covariances of the image and a jerk).
+
+    One direction is not held by pixels, 30 cm from where the camera was: there motion alone decides.
+    Gaussians of translations are exact; the tolerance is for sums in single precision.
+    """
+    prediction = predict(tracked, FRAMES[3].time_ns)
+    ((located,),) = find_places(tracked, VIEWS[3], prediction, CONFIG, None).of_hypotheses
+    one = tracked.population.heaviest
+    away = np.asarray([0.3, 0.1, 0.05, 0.0, 0.0, 0.0], np.float32)
+    known = np.diag([1e-6, 400.0, 100.0, 1e6, 1e6, 1e6])
+    optimum = replace(
+        located.optimum,
+        pose=pose_gaussian.displace(jnp.asarray(one.pose), jnp.asarray(away)),
+        layer_precisions=jnp.asarray(np.stack([known, *[0 * known] * 3]), jnp.float32),
+    )
+    jerks = replace(tracked.motion, log_shares=jnp.asarray([-1e3, 0.0, -1e3]))
+
+    place = place_at(optimum, located.local_map, tracked.past_of(one, one.pose), jerks, 1.0)
+
+    of_image = 3 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(known)[1]
+    spread = np.linalg.inv(known) + 0.15**2 * np.eye(6)
+    met = -0.5 * away @ np.linalg.solve(spread, away) - 0.5 * np.linalg.slogdet(2 * np.pi * spread)[1]
+    expected = float(optimum.log_density) + of_image + met
+    assert place.log_evidence == pytest.approx(expected, abs=0.01)
 
 
 def test_narrow_steps_are_no_reason_to_look_again():

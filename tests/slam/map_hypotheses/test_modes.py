@@ -17,3 +17,13 @@ def test_alike_maps_are_one_and_unlikely_ones_none() -> None:
 
     np.testing.assert_array_equal(modes.maps, [_map(1.0), _map(0.0)])
     np.testing.assert_allclose(modes.shares, [0.75, 0.25])
+
+
+def test_a_map_without_a_weight_does_not_displace_the_others() -> None:
+    """Where alignment left the numbers; of maps of which none has a weight all are as likely."""
+    maps = [_map(0.0), _map(1.0)]
+
+    one, none = Modes.of(maps, [np.nan, -50.0]), Modes.of(maps, [np.nan, -np.inf])
+
+    np.testing.assert_array_equal(one.maps, maps[1:])
+    np.testing.assert_allclose(none.shares, [0.5, 0.5])
