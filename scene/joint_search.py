@@ -20,12 +20,13 @@ from scene.initialisation import initialise
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
-from scene.model.presence import log_prior_odds
+from scene.model.presence import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.pose_priors import Burial
 from scene.presence.size_prior import SizePrior
 from scene.search.importance_sampling import Refinement, refine
 from scene.search.search_result import Initialisation
@@ -197,17 +198,25 @@ def _best_of_each(
     frames = PresenceFrames(compared=compared, renderer=renderer, log_half=log_half)
     in_world = compared.world_from_camera @ matrices_of(np.concatenate([one.poses for one in starts]))
     states = np.concatenate([poses_of(in_world), np.tile(log_half, (len(starts), 1))], axis=1)
-    shown = frames.shown(np.random.default_rng(0), np.tile(np.arange(count), len(starts)), states)
+    whole = np.zeros(len(states), np.intp)
+    shown = frames.shown(np.tile(np.arange(count), len(starts)), states, whole)
     depth_m, log_gain = (part.reshape(len(starts), count, -1) for part in shown)
     found = np.stack([one.found for one in starts])
-    return best_choice(depth_m, log_gain, found, log_prior_odds(config.presence))
+    log_odds = np.full(found.shape, log_prior_odds(config.presence))
+    log_odds += np.where([one.spin_line.any() for one in objects], LOG_SPINS, 0.0)
+    table = compared.data.table
+    burial = Burial.under(table, compared.world_from_camera, objects, config.loose_sigma_m)
+    if burial is not None:
+        by_object = states[:, :7].reshape(len(starts), count, 7).swapaxes(0, 1)
+        log_odds += burial.log_prior(np.arange(count), by_object).T
+    return best_choice(depth_m, log_gain, found, log_odds)
 
 
 def best_choice(
     depth_m: NDArray[np.float32],
     log_gain: NDArray[np.float32],
     found: NDArray[np.bool_],
-    log_odds: float,
+    log_odds: NDArray[np.float64],
 ) -> NDArray[np.intp]:
     """Which of V places (N,) each of N objects takes, ABSENT for none.
 
@@ -218,7 +227,7 @@ def best_choice(
         depth_m: (V, N, X) at which an object in a place hides others, +inf where it shows nothing.
         log_gain: (V, N, X) log density of the pixel there, less that of the scene without objects.
         found: (V, N) whether an object may take that place.
-        log_odds: prior, of an object that is there.
+        log_odds: (V, N) prior, of an object that is there, in that place.
     """
     places, count = found.shape
 
@@ -228,7 +237,7 @@ def best_choice(
             return 0.0
         nearest = depth_m[scene[there], there].argmin(axis=0)[None]
         gains = np.take_along_axis(log_gain[scene[there], there], nearest, axis=0)
-        return float(gains.sum(dtype=np.float64)) + log_odds * len(there)
+        return float(gains.sum(dtype=np.float64) + log_odds[scene[there], there].sum())
 
     def improved(scene: NDArray[np.intp]) -> tuple[float, NDArray[np.intp]]:
         best, before = value(scene), -np.inf

@@ -66,8 +66,9 @@ def parse_scene(
     Raises:
         ValueError: the frames show nothing to parse, or the profile does not know such pixels.
     """
-    seed_key, search_key, refine_key, chain_key, again_key, hidden_key = jax.random.split(key, 6)
-    seed = int(jax.random.randint(seed_key, (), 0, 2**31 - 1))
+    keys = jax.random.split(key, 7)
+    support_key, search_key, refine_key, chain_key, again_key, hidden_key, presence_key = keys
+    seed = int(jax.random.randint(support_key, (), 0, 2**31 - 1))
     views = _views(frames, first_camera_from_camera, intrinsics, seed, config)
     renderer = ObjectRenderer.of(objects)
     noise = replace(noise, outlier_probability=config.outlier_probability)
@@ -82,7 +83,7 @@ def parse_scene(
         (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, learned, config
     )
     compared, start = joint.compared, joint.start
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(presence_key)))
     seen_noise = with_surface_error(noise, config.model_error_m)
     sampled = partial(_sampled, rng, joint, objects, renderer, seen_noise, config, progress)
     best = sampled(refine_key, chain_key, start)

@@ -60,7 +60,7 @@ def summarise(
         visible_fraction: (N,).
         colour_nats: (N,).
         hidden: what is known of objects that were not found.
-        presence: of all, but for those in `hidden` that were asked for exactly.
+        presence: of all, but for those in `hidden` that were asked for exactly and are not in sight.
         world_from_camera: (4, 4).
         objects: all N.
         frames: numbers of the frames used.
@@ -80,7 +80,8 @@ def summarise(
     there = with_common_errors(rng, boxes, radii_m, config.scale_error, config.model_error_m)
     poses = np.where(start.found[:, None, None], there, boxes) @ box_from_object
     alike = copies_among([one.name for one in objects])
-    presence = presence.with_exact(hidden.exact, hidden.both, alike)
+    exact = {one: told for one, told in hidden.exact.items() if not presence.seen[one]}
+    presence = presence.with_exact(exact, hidden.both, alike)
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
     return SceneResult(
         names=np.array([one.name for one in objects]),

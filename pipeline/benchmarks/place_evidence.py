@@ -69,7 +69,7 @@ class PlaceEvidence:
         """Those `TRIED` of poses (S, 4, 4), apart from each other, that explain most by themselves."""
         poses, frames = self._in_world(camera_from_box), self._frames(1)
         states = np.concatenate([poses, np.tile(frames.log_half[0], (len(poses), 1))], axis=1)
-        _, gain = frames.shown(np.random.default_rng(0), np.zeros(len(poses), np.intp), states)
+        _, gain = frames.shown(np.zeros(len(poses), np.intp), states, np.zeros(len(poses), np.intp))
         order = np.argsort(-gain.sum(axis=1, dtype=np.float64), kind="stable")
         world_from_camera = self.compared.world_from_camera
         return np.linalg.inv(world_from_camera) @ matrices_of(distinct(poses[order])[:TRIED])

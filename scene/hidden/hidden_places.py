@@ -19,7 +19,7 @@ from scene.config import EXACT_DRAWS, ParseConfig
 from scene.hidden.depth_evidence import DepthImages, SeenImage, rendered_m
 from scene.hidden.hidden_objects import hidden_posterior, mean_ratio
 from scene.hidden.pose_priors import EulerUniformPoses, PlacedObject, PosePrior, RestingPoses, Support
-from scene.model.number_prior import BinomialNumber
+from scene.model.number_prior import NumberBesideOthers, UncertainBinomialNumber
 from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import PooledView
 from scene.observation.frame_data import SceneData
@@ -115,7 +115,8 @@ def hidden_places(
             places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
             places.poses[one] = ratio.poses[0]
     if asked:
-        chosen, number = [objects[one] for one in asked], BinomialNumber(config.presence)
+        chosen = [objects[one] for one in asked]
+        number = NumberBesideOthers(UncertainBinomialNumber(config.presence), int(found.sum()))
         exact = hidden_posterior(rng, chosen, prior, images, number, draws=EXACT_DRAWS, keep=KEPT)
         for rank, one in enumerate(asked):
             ratio = exact.ratios[(rank,)]

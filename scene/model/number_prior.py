@@ -112,6 +112,25 @@ class UncertainBinomialNumber:
         return betaln(first + there, second + slots - there) - betaln(first, second)
 
 
+@dataclass(frozen=True)
+class NumberBesideOthers:
+    """How many more are there where some are already.
+
+    Attributes:
+        number: prior of all.
+        others: how many are there.
+    """
+
+    number: NumberPrior
+    others: int
+
+    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
+        """Of sets of the further slots, given that the others are taken."""
+        with_others = self.number.log_set_probabilities(self.others + slots)[self.others :]
+        of_size = with_others + _log_sets(slots)
+        return with_others - np.logaddexp.reduce(of_size)
+
+
 def _check_presence(presence: float) -> None:
     if not 0 < presence < 1:
         raise ValueError(f"presence must lie between 0 and 1, got {presence}")

@@ -109,7 +109,7 @@ def born_near(
     def log_densities(owners: NDArray[np.intp], states: NDArray[np.float64]) -> NDArray[np.float64]:
         states = sizes.tied(states, owners)
         each = np.repeat(owners, states.shape[1])
-        depth_m, gain = frames.shown(rng, each, states.reshape(-1, 10))
+        depth_m, gain = frames.shown(each, states.reshape(-1, 10), frames.drawn_shapes(rng, len(each)))
         gain = np.where(depth_m < front_m[each], gain - front_gain[each], 0.0)
         log_alone = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
         prior = priors.alone(states[..., :7], np.exp(states[..., 7:]))
@@ -161,7 +161,7 @@ def _others(
         return front_m, front_gain
     present = np.flatnonzero(found)
     states = np.stack([np.append(sites[one][0], sizes.log_half[one]) for one in present.tolist()])
-    depth_m, gain = frames.shown(rng, present, states)
+    depth_m, gain = frames.shown(present, states, frames.drawn_shapes(rng, len(present)))
     for one, other in permutations(range(len(present)), 2):
         nearer = depth_m[other] < front_m[present[one]]
         front_m[present[one], nearer] = depth_m[other, nearer]

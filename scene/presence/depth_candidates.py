@@ -37,14 +37,18 @@ class PresenceFrames:
         """X."""
         return sum(view.window.depth_m.size for view in self.compared.views)
 
+    def drawn_shapes(self, rng: np.random.Generator, shape: int | tuple[int, ...]) -> NDArray[np.intp]:
+        """Numbers of draws of an object's shape, that many."""
+        return rng.integers(self.renderer.draws, size=shape)
+
     def shown(
-        self, rng: np.random.Generator, slots: NDArray[np.integer], states: NDArray[np.float64]
+        self, slots: NDArray[np.integer], states: NDArray[np.float64], shapes: NDArray[np.integer]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and log gain (n, X) of slots (n,) in states (n, 10), each of a drawn shape.
+        """Depth and log gain (n, X) of slots (n,) in states (n, 10), of these draws (n,) of their shapes.
 
         A state is world_from_box and logs of half sizes.
         """
-        numbers = rng.integers(self.renderer.draws, size=len(slots)) * len(self.log_half) + slots
+        numbers = shapes * len(self.log_half) + slots
         scales = np.exp(states[:, 7:] - self.log_half[slots])
 
         def in_frame(
@@ -114,10 +118,10 @@ def slot_layers(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> 
 
 
 def candidates_of(
-    rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
     states: NDArray[np.float64],
+    shapes: NDArray[np.integer],
     is_round: NDArray[np.bool_],
     log_offered: NDArray[np.float64],
     log_hidden: NDArray[np.float64],
@@ -127,10 +131,10 @@ def candidates_of(
     """Candidates ready for moves.
 
     Args:
-        rng: random numbers.
         frames: what is seen.
         priors: of poses.
         states: (N + U, K, 10) world_from_box and logs of half sizes, of N objects and then of U solids.
+        shapes: (N + U, K) draws of their shapes; of solids without meaning.
         is_round: (U,) which of these are cylinders.
         log_offered: (N + U, K) log q.
         log_hidden: (N,).
@@ -139,7 +143,9 @@ def candidates_of(
     """
     asked, some = len(log_offered) - len(is_round), np.flatnonzero(anew)
     layers = {} if before is None else dict(enumerate(before.layers))
-    layers |= zip(some.tolist(), _slots_shown(rng, frames, some, states[some], is_round, asked), strict=True)
+    layers |= zip(
+        some.tolist(), _slots_shown(frames, some, states[some], shapes[some], is_round, asked), strict=True
+    )
     log_sizes = priors.sizes.log_density(states[:asked, :, 7:], np.arange(asked))
     log_solids = log_sizes_density(states[asked:, :, 7:], is_round[:, None])
     half_m = np.concatenate([np.exp(states[:asked, :, 7:]), solid_half_sizes(states[asked:])])
@@ -150,10 +156,10 @@ def candidates_of(
 
 
 def _slots_shown(
-    rng: np.random.Generator,
     frames: PresenceFrames,
     slots: NDArray[np.integer],
     states: NDArray[np.float64],
+    shapes: NDArray[np.integer],
     is_round: NDArray[np.bool_],
     asked: int,
 ) -> list[SlotLayers]:
@@ -162,7 +168,8 @@ def _slots_shown(
     objects, solids = slots[slots < asked], slots[slots >= asked] - asked
     seen = []
     if len(objects):
-        seen.append(frames.shown(rng, np.repeat(objects, count), states[: len(objects)].reshape(-1, 10)))
+        of_objects = states[: len(objects)].reshape(-1, 10), shapes[: len(objects)].ravel()
+        seen.append(frames.shown(np.repeat(objects, count), *of_objects))
     if len(solids):
         rounds = np.repeat(is_round[solids], count)
         seen.append(frames.shown_solids(states[len(objects) :].reshape(-1, 10), rounds))

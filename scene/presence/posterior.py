@@ -87,11 +87,13 @@ class Ensemble:
 
     Attributes:
         states: (N, K, ...) of the candidates.
+        shapes: (N, K) which draws of their shapes they have.
         candidates: what they show.
         choice: (N,) the scene.
     """
 
     states: NDArray[np.float64]
+    shapes: NDArray[np.integer]
     candidates: Candidates
     choice: NDArray[np.integer]
 
@@ -99,6 +101,7 @@ class Ensemble:
     def of(
         cls,
         states: NDArray,
+        shapes: NDArray[np.integer],
         candidates: Candidates,
         before: Ensemble | None,
         anew: NDArray[np.bool_] | bool = True,
@@ -107,7 +110,7 @@ class Ensemble:
         choice = np.full(candidates.slots, ABSENT)
         if before is not None:
             choice = np.where(before.in_use & anew, 0, before.choice)
-        return cls(states=states, candidates=candidates, choice=choice)
+        return cls(states=states, shapes=shapes, candidates=candidates, choice=choice)
 
     @property
     def in_use(self) -> NDArray[np.bool_]:
@@ -117,7 +120,16 @@ class Ensemble:
     @property
     def chosen(self) -> NDArray[np.float64]:
         """(N, ...) states of the scene; of what is not in use any."""
-        return self.states[np.arange(len(self.choice)), np.maximum(self.choice, 0)]
+        return self.states[self._in_scene]
+
+    @property
+    def chosen_shapes(self) -> NDArray[np.integer]:
+        """(N,) draws of shapes that the scene has."""
+        return self.shapes[self._in_scene]
+
+    @property
+    def _in_scene(self) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+        return np.arange(len(self.choice)), np.maximum(self.choice, 0)
 
 
 DrawEnsemble = Callable[[Ensemble | None], Ensemble]
@@ -176,6 +188,8 @@ def drawn_ensemble(
 ) -> Ensemble:
     """Candidates of objects and then of solids; states are (N, K, 10).
 
+    A shape is drawn with each pose, and stays with the pose that is in use.
+
     Args:
         rng: random numbers.
         frames: what is seen.
@@ -187,16 +201,18 @@ def drawn_ensemble(
         slots: (N,) which get other candidates; None for all.
     """
     states = np.concatenate([mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
+    shapes = frames.drawn_shapes(rng, states.shape[:2])
     anew = np.ones(len(states), bool) if slots is None else slots
     if before is not None:
         states = np.where(anew[:, None, None], states, before.states)
+        shapes = np.where(anew[:, None], shapes, before.shapes)
         kept = before.in_use & anew
-        states[kept, 0] = before.chosen[kept]
+        states[kept, 0], shapes[kept, 0] = before.chosen[kept], before.chosen_shapes[kept]
     objects = len(mixture.centres)
     log_offered = [mixture.log_density(states[:objects]), solids.log_density(states[objects:])]
-    given = states, solids.is_round, np.concatenate(log_offered), log_hidden
-    candidates = candidates_of(rng, frames, priors, *given, before and before.candidates, anew)
-    return Ensemble.of(states, candidates, before, anew)
+    given = states, shapes, solids.is_round, np.concatenate(log_offered), log_hidden
+    candidates = candidates_of(frames, priors, *given, before and before.candidates, anew)
+    return Ensemble.of(states, shapes, candidates, before, anew)
 
 
 def presence_posterior(

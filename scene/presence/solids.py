@@ -16,6 +16,7 @@ import jaxlie
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 
 from scene.presence.gaussian_fits import moved
 from shapes.geometry.camera import Camera
@@ -32,6 +33,10 @@ FREE_OF_CYLINDERS = np.array([1, 1, 1, 1, 1, 0, 1, 0, 1])
 
 BOX_TURNS, CYLINDER_TURNS = 24, 2
 """Ways in which one solid is told: axes exchanged, with the sizes; the ends."""
+
+
+LEAST_SINC = 1e-6
+"""Of an angle's sine over it, which vanishes where a turn is the farthest one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,24 +73,33 @@ class SolidFits:
     def log_density(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log density (U, K) of states (U, K, 10): the sum over the Gaussians of the solid's kind.
 
-        Lebesgue times rotations of mass pi^2 times Lebesgue for the logs of sizes.
+        Of a solid in whatever way it is told: the sum over all of them. Lebesgue times rotations of mass pi^2
+        times Lebesgue for the logs of sizes.
         """
         total = np.full(states.shape[:2], -np.inf)
-        for one in range(len(self.centres)):
-            alike = np.flatnonzero(self.is_round == self.is_round[one])
-            steps = self._steps(one, states[alike])
-            free = np.flatnonzero(FREE_OF_CYLINDERS) if self.is_round[one] else np.arange(9)
-            covariance = self.factors[one] @ self.factors[one].T
-            factor = np.linalg.cholesky(covariance[np.ix_(free, free)])
-            white = np.linalg.solve(factor, steps[..., free].reshape(-1, len(free)).T)
-            log_normal = -0.5 * (white**2).sum(axis=0) - np.log(np.diag(factor)).sum()
-            log_normal -= len(free) / 2 * math.log(2 * math.pi)
-            log_normal += LOG_CONTACT_JACOBIAN - (math.log(2 * math.pi) if self.is_round[one] else 0.0)
-            total[alike] = np.logaddexp(total[alike], log_normal.reshape(len(alike), -1))
+        for kind in np.unique(self.is_round).tolist():
+            alike = np.flatnonzero(self.is_round == kind)
+            told = _tellings(states[alike], is_round=kind)
+            parts = [self._log_normal(one, told) for one in alike.tolist()]
+            total[alike] = logsumexp(parts, axis=(0, 1))
         return total
 
+    def _log_normal(self, one: int, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log density (...) of one Gaussian at states (..., 10) as they are told."""
+        steps, is_round = self._steps(one, states), self.is_round[one]
+        free = np.flatnonzero(FREE_OF_CYLINDERS) if is_round else np.arange(9)
+        covariance = self.factors[one] @ self.factors[one].T
+        factor = np.linalg.cholesky(covariance[np.ix_(free, free)])
+        white = steps[..., free] @ np.linalg.inv(factor).T
+        log_normal = -0.5 * (white**2).sum(axis=-1) - np.log(np.diag(factor)).sum()
+        log_normal -= len(free) / 2 * math.log(2 * math.pi)
+        angles = np.linalg.norm(steps[..., 3:6], axis=-1)
+        if is_round:  # an area of directions is sin(t) / t of one in the chart
+            return log_normal + LOG_CONTACT_JACOBIAN - math.log(2 * math.pi) - _log_sinc(angles)
+        return log_normal + LOG_CONTACT_JACOBIAN - 2 * _log_sinc(angles / 2)
+
     def _steps(self, one: int, states: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Steps (u, K, 9) from a centre to states (u, K, 10)."""
+        """Steps (..., 9) from a centre to states (..., 10)."""
         centre = self.centres[one]
         turn = Rotation.from_quat(centre[:4], scalar_first=True).inv()
         turns = turn * Rotation.from_quat(states[..., :4].reshape(-1, 4), scalar_first=True)
@@ -96,10 +110,32 @@ class SolidFits:
             tangents = np.stack([-axis[:, 1] * scale, axis[:, 0] * scale, np.zeros(len(axis))], axis=1)
         else:
             tangents = turns.as_rotvec()
-        tangents = tangents.reshape(*states.shape[:2], 3)
+        tangents = tangents.reshape(*states.shape[:-1], 3)
         return np.concatenate(
             [states[..., 4:7] - centre[4:7], tangents, states[..., 7:] - centre[7:]], axis=-1
         )
+
+
+def _tellings(states: NDArray[np.float64], *, is_round: bool) -> NDArray[np.float64]:
+    """Solids (..., 10) told in all ways (W, ..., 10): axes exchanged, with the sizes, or the ends."""
+    turns = _HALF_TURN if is_round else _TURNS_OF_A_BOX
+    before = Rotation.from_quat(states[..., :4].reshape(-1, 4), scalar_first=True)
+    told = np.tile(states, (len(turns), *[1] * states.ndim))
+    for one, turn in enumerate(turns):
+        after = (before * turn).as_quat(scalar_first=True)
+        told[one, ..., :4] = after.reshape(*states.shape[:-1], 4)
+        told[one, ..., 7:] = states[..., 7 + np.abs(turn.as_matrix()).argmax(axis=0)]
+    return told
+
+
+_TURNS_OF_A_BOX = Rotation.create_group("O")
+
+_HALF_TURN = Rotation.from_rotvec([[0.0, 0.0, 0.0], [np.pi, 0.0, 0.0]])
+
+
+def _log_sinc(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Log of sin(t) / t (...) of angles from 0 to pi."""
+    return np.log(np.maximum(np.sinc(angles / np.pi), LEAST_SINC))
 
 
 def tied(states: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -26,9 +26,9 @@ def drawn_scene(rng: np.random.Generator, places: int, count: int) -> tuple[np.n
     return depth_m, gain
 
 
-def log_density(depth_m: np.ndarray, gain: np.ndarray, scene: tuple[int, ...], log_odds: float) -> float:
+def log_density(depth_m: np.ndarray, gain: np.ndarray, scene: tuple[int, ...], log_odds: np.ndarray) -> float:
     """Pixel by pixel the gain of the nearest object, and the prior odds of what is there."""
-    total = log_odds * sum(place != ABSENT for place in scene)
+    total = sum(log_odds[place, one] for one, place in enumerate(scene) if place != ABSENT)
     for pixel in range(PIXELS):
         there = [
             (depth_m[place, one, pixel], gain[place, one, pixel])
@@ -47,14 +47,14 @@ def test_the_best_choice_is_that_of_all_scenes(seed: int) -> None:
     rng, best = np.random.default_rng(seed), 0
     for _ in range(200):
         depth_m, gain = drawn_scene(rng, 2, 3)
-        found = rng.random((2, 3)) < 0.8
+        found, log_odds = rng.random((2, 3)) < 0.8, rng.uniform(-4.0, 0.0, (2, 3))
         options = [[ABSENT, *np.flatnonzero(found[:, one])] for one in range(3)]
         values = {
-            tuple(int(place) for place in scene): log_density(depth_m, gain, scene, -2.0)
+            tuple(int(place) for place in scene): log_density(depth_m, gain, scene, log_odds)
             for scene in product(*options)
         }
 
-        chosen = tuple(best_choice(depth_m, gain, found, -2.0).tolist())
+        chosen = tuple(best_choice(depth_m, gain, found, log_odds).tolist())
 
         assert all(place == ABSENT or found[place, one] for one, place in enumerate(chosen))
         changed = [other for other in values if sum(np.array(other) != np.array(chosen)) == 1]

@@ -8,6 +8,7 @@ from scipy.special import comb
 from scene.model.number_prior import (
     BinomialNumber,
     FixedNumber,
+    NumberBesideOthers,
     NumberPrior,
     PoissonNumber,
     UncertainBinomialNumber,
@@ -47,3 +48,15 @@ def test_numbers_that_cannot_be_are_refused() -> None:
         FixedNumber(6).log_set_probabilities(SLOTS)
     with pytest.raises(ValueError, match="positive, got 0"):
         PoissonNumber(0)
+
+
+def test_slots_beside_others_have_the_law_given_that_these_are_taken() -> None:
+    """Against the joint law of all slots, for any prior; of independent slots the others tell nothing."""
+    for number in (UncertainBinomialNumber(0.9), UncertainBinomialNumber(0.3), BinomialNumber(0.6)):
+        of_all, sets = number.log_set_probabilities(5), np.array([1.0, 2.0, 1.0])
+        given = np.exp(of_all[3:]) / (sets * np.exp(of_all[3:])).sum()
+
+        beside = NumberBesideOthers(number, 3).log_set_probabilities(2)
+
+        np.testing.assert_allclose(np.exp(beside), given)
+    np.testing.assert_allclose(np.exp(beside), [0.16, 0.24, 0.36])

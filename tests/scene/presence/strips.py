@@ -68,7 +68,8 @@ def drawn_ensemble(
         places = np.where(slots[:, None], places, before.states)
         kept = before.in_use & slots
         places[kept, 0] = before.chosen[kept]
-    return Ensemble.of(places, candidates_at(observed_m, kinds, number, places), before, slots)
+    candidates = candidates_at(observed_m, kinds, number, places)
+    return Ensemble.of(places, np.zeros_like(places), candidates, before, slots)
 
 
 def candidates_at(

@@ -153,11 +153,16 @@ class NothingSeen(PresenceFrames):
         """One."""
         return 1
 
+    def drawn_shapes(self, rng: np.random.Generator, shape: int | tuple[int, ...]) -> np.ndarray:
+        """The only ones."""
+        del rng
+        return np.zeros(shape, int)
+
     def shown(
-        self, rng: np.random.Generator, slots: np.ndarray, states: np.ndarray
+        self, slots: np.ndarray, states: np.ndarray, shapes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Depth 1, no gain."""
-        del rng, states
+        del states, shapes
         return np.ones((len(slots), 1), np.float32), np.zeros((len(slots), 1), np.float32)
 
 

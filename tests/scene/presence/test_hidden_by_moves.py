@@ -43,7 +43,7 @@ def test_moves_tell_what_the_sum_tells(name: str, seed: int) -> None:
             alone, beside = np.ones((1, COUNT)), np.zeros((2, 1, COUNT))
             prior = ForestPrior(alone, lambda *_: beside, np.zeros(2), number.log_set_probabilities(1), 1)
             candidates = Candidates([layers], np.zeros((1, COUNT)), prior, np.full(1, -np.inf))
-            return Ensemble.of(drawn, candidates, before)
+            return Ensemble.of(drawn, np.zeros(drawn.shape[:2], int), candidates, before)
 
         told = [chain_presence(rng, draw, None, DRAWINGS, 2)[0][0, 0] for _ in range(CHAINS)]
 
