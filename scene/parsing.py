@@ -195,7 +195,7 @@ def _hidden(
     noise: DepthNoise,
     config: ParseConfig,
 ) -> HiddenPlaces:
-    """Where the objects that were not found may be; the scene is in the searched frame's camera."""
+    """Where objects may be out of sight; the scene is in the searched frame's camera."""
     world_from_camera = compared.world_from_camera
     world_from_box = world_from_camera @ matrices_of(start.poses)
     return hidden_places(
@@ -208,11 +208,10 @@ def _hidden(
         ],
         compared.camera_from_world[0],
         objects,
-        [
-            PlacedObject(shape=objects[one], world_from_box=world_from_box[one])
+        {
+            one: PlacedObject(shape=objects[one], world_from_box=world_from_box[one])
             for one in np.flatnonzero(start.found).tolist()
-        ],
-        start.found,
+        },
         noise,
         config,
     )

@@ -59,7 +59,7 @@ def summarise(
         start: the best scene of all objects.
         visible_fraction: (N,).
         colour_nats: (N,).
-        hidden: what is known of objects that were not found.
+        hidden: what is known of objects out of sight.
         presence: of all, but for those in `hidden` that were asked for exactly and are not in sight.
         world_from_camera: (4, 4).
         objects: all N.

@@ -1,13 +1,15 @@
-"""Objects of a parsed scene that were not found: where they may be all the same, and with what probability.
+"""Objects of a parsed scene out of sight: where they may be, and with what probability.
 
-A priori they lie at rest on a support in sight of a camera, clear of what was found; without supports
+Those that were not found may be there, and those that were found: what was taken for them may be another
+thing. A priori they lie at rest on a support in sight of a camera, clear of what was found; without supports
 anywhere in the region that was given. What was measured hides what is behind it, whatever it is; where
 nothing was measured anything may hide.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import jax
@@ -18,7 +20,14 @@ from recordings.types import NO_RETURN, DepthNoise
 from scene.config import EXACT_DRAWS, ParseConfig
 from scene.hidden.depth_evidence import DepthImages, SeenImage, rendered_m
 from scene.hidden.hidden_objects import hidden_posterior, mean_ratio
-from scene.hidden.pose_priors import EulerUniformPoses, PlacedObject, PosePrior, RestingPoses, Support
+from scene.hidden.pose_priors import (
+    EulerUniformPoses,
+    NoRoomError,
+    PlacedObject,
+    PosePrior,
+    RestingPoses,
+    Support,
+)
 from scene.model.number_prior import NumberBesideOthers, UncertainBinomialNumber
 from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import PooledView
@@ -40,7 +49,7 @@ KEPT = 256
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HiddenPlaces:
-    """What is known of the objects that were not found; zeros for those that were.
+    """What is known of N objects out of sight; a share of zero where there is no room for one.
 
     Attributes:
         share: (N,) mean likelihood ratio over prior poses: about the share of them that no image shows.
@@ -70,12 +79,11 @@ def hidden_places(
     supports: Sequence[Support],
     first_from_world: NDArray[np.float64],
     objects: Sequence[SceneObject],
-    placed: Sequence[PlacedObject],
-    found: NDArray[np.bool_],
+    placed: Mapping[int, PlacedObject],
     noise: DepthNoise,
     config: ParseConfig,
 ) -> HiddenPlaces:
-    """Shares and poses of the objects that were not found.
+    """Shares and poses of all objects out of sight; those that were found may be there instead.
 
     Args:
         rng: random numbers.
@@ -84,65 +92,77 @@ def hidden_places(
         supports: on which objects can stand.
         first_from_world: (4, 4) to the camera that the region is told in.
         objects: all N.
-        placed: those found, in the world.
-        found: (N,).
+        placed: those found, in the world, by number.
         noise: of the sensor and the surfaces together.
         config: settings.
 
     Raises:
-        ValueError: there is no room for an object, or nothing tells where one asked for exactly might be.
+        ValueError: there is no room for an object asked for exactly, or nothing tells where it might be.
     """
     places = HiddenPlaces.none(len(objects))
-    missing = np.flatnonzero(~found).tolist()
-    if not missing:
-        return places
-    images = DepthImages(
-        [
-            seen_image(view.view, pose, placed, pixel_weight(view))
-            for view, pose in zip(views, camera_from_world, strict=True)
-        ],
-        noise,
+    surroundings = _Surroundings(
+        views=views,
+        camera_from_world=camera_from_world,
+        supports=tuple(supports),
+        first_from_world=first_from_world,
+        noise=noise,
+        config=config,
     )
+    missing = [one for one in range(len(objects)) if one not in placed]
     asked = [one for one in missing if objects[one].name in config.exact]
-    prior = _pose_prior(supports, first_from_world, placed, images, config)
-    if prior is None:
+    if not supports and not config.region:
         if asked:
             raise ValueError("no support was found; tell with --region where hidden objects may be")
         return places
-    for one in missing:
-        if one not in asked:
+    beside_all = surroundings.beside(placed)
+    for one in range(len(objects)):
+        if one in asked:
+            continue
+        others = {number: known for number, known in placed.items() if number != one}
+        prior, images = surroundings.beside(others) if one in placed else beside_all
+        with suppress(NoRoomError):
             ratio = mean_ratio(rng, [objects[one]], prior, images, draws=DRAWS, keep=KEPT)
             places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
             places.poses[one] = ratio.poses[0]
-    if asked:
-        chosen = [objects[one] for one in asked]
-        number = NumberBesideOthers(UncertainBinomialNumber(config.presence), int(found.sum()))
-        exact = hidden_posterior(rng, chosen, prior, images, number, draws=EXACT_DRAWS, keep=KEPT)
-        for rank, one in enumerate(asked):
-            ratio = exact.ratios[(rank,)]
-            places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
-            places.poses[one] = exact.poses[rank]
-            places.exact[one] = float(exact.presence[rank]), float(exact.standard_error[rank])
-        places = replace(places, both=exact.both)
-    return places
+    if not asked:
+        return places
+    number = NumberBesideOthers(UncertainBinomialNumber(config.presence), len(placed))
+    chosen = [objects[one] for one in asked]
+    exact = hidden_posterior(rng, chosen, *beside_all, number, draws=EXACT_DRAWS, keep=KEPT)
+    for rank, one in enumerate(asked):
+        ratio = exact.ratios[(rank,)]
+        places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
+        places.poses[one] = exact.poses[rank]
+        places.exact[one] = float(exact.presence[rank]), float(exact.standard_error[rank])
+    return replace(places, both=exact.both)
 
 
-def _pose_prior(
-    supports: Sequence[Support],
-    first_from_world: NDArray[np.float64],
-    placed: Sequence[PlacedObject],
-    images: DepthImages,
-    config: ParseConfig,
-) -> PosePrior | None:
-    """At rest in sight, else anywhere in the region; None where there is neither."""
-    if supports:
-        return RestingPoses(supports=tuple(supports), others=tuple(placed), in_sight=images.seen)
-    if not config.region:
-        return None
-    low_m, high_m = np.array(config.region[:3]), np.array(config.region[3:])
-    return EulerUniformPoses(
-        low_m=low_m, high_m=high_m, world_from_cuboid=np.asarray(np.linalg.inv(first_from_world), np.float64)
-    )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Surroundings:
+    """Where objects may be out of sight; attributes as the arguments of `hidden_places`."""
+
+    views: Sequence[SceneData]
+    camera_from_world: NDArray[np.float64]
+    supports: tuple[Support, ...]
+    first_from_world: NDArray[np.float64]
+    noise: DepthNoise
+    config: ParseConfig
+
+    def beside(self, placed: Mapping[int, PlacedObject]) -> tuple[PosePrior, DepthImages]:
+        """The prior of poses beside some objects, at rest in sight or in the region, and what images say."""
+        known = list(placed.values())
+        images = DepthImages(
+            [
+                seen_image(view.view, pose, known, pixel_weight(view))
+                for view, pose in zip(self.views, self.camera_from_world, strict=True)
+            ],
+            self.noise,
+        )
+        if self.supports:
+            return RestingPoses(supports=self.supports, others=tuple(known), in_sight=images.seen), images
+        low_m, high_m = np.array(self.config.region[:3]), np.array(self.config.region[3:])
+        world_from_first = np.asarray(np.linalg.inv(self.first_from_world), np.float64)
+        return EulerUniformPoses(low_m=low_m, high_m=high_m, world_from_cuboid=world_from_first), images
 
 
 def pixel_weight(view: SceneData) -> float:

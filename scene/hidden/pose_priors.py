@@ -23,6 +23,10 @@ MOST_REJECTED = 200
 """Rounds of draws without one that is clear of the others before there counts as no room."""
 
 
+class NoRoomError(ValueError):
+    """Nowhere that is known to carry objects an object can stand clear of the others."""
+
+
 class PosePrior(Protocol):
     """A density of poses of one object, or of two together: of their box frames in the world."""
 
@@ -32,7 +36,7 @@ class PosePrior(Protocol):
         """Poses (n, count, 4, 4) world_from_box of n objects.
 
         Raises:
-            ValueError: there is no room for the object.
+            NoRoomError: there is no room for the object.
         """
         ...
 
@@ -136,7 +140,7 @@ class RestingPoses:
             if kept.shape[1] >= count:
                 return kept[:, :count]
         names = " and ".join(one.name for one in objects)
-        raise ValueError(f"there is no room for {names} on what was found to carry objects")
+        raise NoRoomError(f"there is no room for {names} on what was found to carry objects")
 
     def _clear(self, objects: Sequence[SceneObject], poses: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(count,) draws in which no object, at poses (n, count, 4, 4), meets any, and all are in sight."""

@@ -57,7 +57,7 @@ def presence_in_scene(
         start: the best scene of the search, and its pools.
         found: which of the objects chains looked at.
         chains: what they left.
-        hidden: what is known of objects that were not found.
+        hidden: what is known of objects out of sight.
         config: settings.
     """
     draws = ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects)

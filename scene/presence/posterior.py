@@ -234,7 +234,7 @@ def presence_posterior(
         mixture: of the objects, from which candidates are drawn.
         solids: unknown things that may be there in their place.
         chains: how many.
-        hidden: what objects that were not found do to the likelihood out of sight.
+        hidden: what objects do to the likelihood out of sight.
         alike: (N, N) which objects are of one shape.
     """
     with np.errstate(divide="ignore"):
