@@ -60,8 +60,8 @@ class ParseConfig:
         sweeps: of each chain, a move for every object; the first third teaches the proposals and is dropped.
         model_error_m: error of shapes and calibration, added in quadrature to the sensor's; as a whole it
             also moves and turns every object of a sample (2 mm is what YCB-Video's poses differ by).
-        scale_error: of the camera, by which all objects of a sample are farther or nearer, over 1.
         search_error_m: the same during the search, where poses are coarse.
+        scale_error: of the camera, by which all objects of a sample are farther or nearer, over 1.
         outlier_probability: share of pixels that show what nobody models.
         cloud_radius_m: of the ball round a rendered point in which observed points lie.
         cloud_outlier_probability: share of points that show what nobody models.

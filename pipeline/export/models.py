@@ -18,7 +18,6 @@ from pipeline.shape_folder import usable
 from shapes.prior import ShapePrior
 
 Origin = Literal["base", "middle", "grid"]
-ORIGINS: tuple[Origin, ...] = ("base", "middle", "grid")
 
 SHELLS = (0.1, 0.9)
 GRID_FRAME = (

@@ -71,11 +71,6 @@ class PixelCounts:
         """Share of the silhouette that the image shows."""
         return self.shown / self.whole if self.whole else 0.0
 
-    @property
-    def inside_fraction(self) -> float:
-        """Share of the silhouette that the image's border leaves."""
-        return self.inside / self.whole if self.whole else 0.0
-
 
 def bounding_box(mask: NDArray[np.bool_]) -> Box:
     """Bounding box of the set pixels of an image, `NO_BOX` where there is none."""

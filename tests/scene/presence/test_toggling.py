@@ -201,7 +201,10 @@ def test_a_move_that_forgets_what_was_open_does_not(seed: int, monkeypatch: pyte
 
 @pytest.mark.parametrize("worlds", [40, pytest.param(1000, marks=pytest.mark.slow)])
 def test_presence_is_calibrated_on_worlds_of_its_own(worlds: int, seed: int) -> None:
-    """Worlds drawn from the model: what is told in bins of presence is there that often (1e-6 a bin)."""
+    """Worlds drawn from the model: what is told is there that often, in 1,000 worlds in bins of presence, too.
+
+    Found half the time: a gap of 0.25 over all, and in a bin of 300 one of 0.15 (1e-6 each).
+    """
     rng = np.random.default_rng(seed)
     number, kinds = BinomialNumber(0.5), np.array([0, 1])
     told, there = [], []
@@ -215,10 +218,11 @@ def test_presence_is_calibrated_on_worlds_of_its_own(worlds: int, seed: int) -> 
     bins = np.digitize(presence, [0.2, 0.4, 0.6, 0.8])
     shares = [(np.mean(bins == one), np.mean((truth - presence)[bins == one])) for one in np.unique(bins)]
     print(f"ECE {sum(share * abs(gap) for share, gap in shares):.3f} on {worlds} worlds")
+    assert_mean(truth - presence, 0.0, detectable=0.25)
     for one in np.unique(bins):
         gap = (truth - presence)[bins == one]
-        if len(gap) > 20:
-            assert_mean(gap, 0.0, detectable=5 / np.sqrt(len(gap)))
+        if len(gap) > 100:
+            assert_mean(gap, 0.0, detectable=0.25 if len(gap) < 300 else 0.15)
 
 
 def test_poses_are_those_of_the_chain_that_agrees_best() -> None:
