@@ -201,7 +201,7 @@ def test_a_move_that_forgets_what_was_open_does_not(seed: int, monkeypatch: pyte
 
 @pytest.mark.parametrize("worlds", [40, pytest.param(1000, marks=pytest.mark.slow)])
 def test_presence_is_calibrated_on_worlds_of_its_own(worlds: int, seed: int) -> None:
-    """Worlds drawn from the model: what is told is there that often, in 1,000 worlds in bins of presence, too.
+    """Worlds drawn from the model: what is told is there that often, of 1,000 worlds in bins, too.
 
     Found half the time: a gap of 0.25 over all, and in a bin of 300 one of 0.15 (1e-6 each).
     """
