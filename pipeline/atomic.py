@@ -13,20 +13,42 @@ from pathlib import Path
 
 from pipeline.errors import PipelineError
 
+RECORDINGS = (b"\x89MCAP0\r\n", b"#ROSBAG", b"SQLite format 3\x00")
+"""First bytes of MCAP files, bags of ROS 1 and those of rosbag2."""
+
+
+def check_output(path: Path) -> None:
+    """Refuse a file that cannot be written, or that would take a recording's place, before any work.
+
+    Raises:
+        PipelineError: it says what stands in the way.
+    """
+    if not path.parent.is_dir():
+        raise PipelineError(f"cannot write {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise PipelineError(f"cannot write {path}: it is a folder, name a file in it")
+    if path.is_file():
+        with path.open("rb") as file:
+            if file.read(16).startswith(RECORDINGS):
+                raise PipelineError(f"cannot write {path}: it is a recording, name another file")
+
 
 @contextmanager
 def atomic_path(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """A temporary path of the same suffix; it takes the place of `path` when the block ends well.
 
-    Its name is its own: of several writers to one path, the last whole file stays.
+    Its name is its own: of several writers to one path, the last whole file stays. A recording is never
+    replaced (`recordings.writer` replaces its own).
 
     Args:
         path: the file.
         durable: whether it survives a power cut; waiting for the disk takes milliseconds.
 
     Raises:
-        PipelineError: the file cannot be written.
+        PipelineError: the file cannot be written, or is a recording.
     """
+    if path.exists():
+        check_output(path)
     partial = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield partial

@@ -7,6 +7,8 @@ import os
 import warnings
 from pathlib import Path
 
+from pipeline.errors import PipelineError
+
 
 def keep_compiled_kernels(name: str = "jax") -> None:
     """Switch JAX's persistent compilation cache on, for the shortest kernels too.
@@ -16,8 +18,19 @@ def keep_compiled_kernels(name: str = "jax") -> None:
 
     Args:
         name: of the folder among those that the program keeps in the user's cache.
+
+    Raises:
+        PipelineError: JAX was told to use a device that is not there.
     """
     import jax
+
+    try:
+        jax.devices()
+    except Exception as error:  # JAX raises what its plugins raise
+        asked = os.environ.get("JAX_PLATFORMS", "")
+        raise PipelineError(
+            f"JAX finds no device for JAX_PLATFORMS={asked}; unset it, or set it to cpu"
+        ) from error
     from jax._src import compilation_cache  # what keeps its entries cannot be chosen otherwise
 
     from pipeline.kernel_cache import KernelCache

@@ -20,6 +20,10 @@ FORESEEN = (PipelineError, RecordingError, OSError, KeyboardInterrupt, Generator
 """Errors that say in one line what is wrong; others need their traceback."""
 
 
+_IN_LOG = "the traceback is in "
+"""How a note begins that names the log; libraries add notes of their own."""
+
+
 def show_on_stderr(level: int) -> None:
     """Print what is logged at this level or above on stderr, as every message of the program."""
     log.handlers = [one for one in log.handlers if not isinstance(one, _Stderr)]
@@ -40,7 +44,7 @@ def logging_to(path: Path) -> Iterator[None]:
     except BaseException as error:
         _append_error(handler, error)
         if not isinstance(error, FORESEEN):
-            error.add_note(str(path))
+            error.add_note(f"{_IN_LOG}{path}")
         raise
     finally:
         log.removeHandler(handler)
@@ -54,8 +58,8 @@ def unforeseen(error: Exception) -> str:
     what = f"{type(error).__name__}: {said[0]}" if said else type(error).__name__
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in what:
         return f"there is not enough memory ({what}); ask for less: fewer particles, frames or pixels"
-    notes = getattr(error, "__notes__", [])
-    place = notes[-1] if notes else _write_traceback(error)
+    notes = [note for note in getattr(error, "__notes__", []) if note.startswith(_IN_LOG)]
+    place = notes[-1].removeprefix(_IN_LOG) if notes else _write_traceback(error)
     return f"{what}; this is a mistake of the program, please report it with the traceback in {place}"
 
 

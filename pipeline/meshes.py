@@ -97,11 +97,13 @@ def check_size(path: Path, extent_m: float) -> None:
         PipelineError: it is too large or too small; the message says what may have been meant.
     """
     if not extent_m <= LARGEST_M:
-        raise PipelineError(f"{path} is {extent_m:.4g} m large; looks like millimetres, use --units mm")
+        raise PipelineError(
+            f"{path} is {extent_m:.4g} m large: no object in a hand; is it in mm (--units mm)?"
+        )
     if extent_m == 0:
         raise PipelineError(f"all vertices of {path} are the same point")
     if extent_m < SMALLEST_M:
-        raise PipelineError(f"{path} is {extent_m:.4g} m large; looks like metres, use --units m")
+        raise PipelineError(f"{path} is {extent_m:.4g} m large: no object in a hand; is it in m (--units m)?")
 
 
 def _units_of(folder: Path) -> Units:

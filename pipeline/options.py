@@ -245,6 +245,10 @@ def run_options(command: Command) -> Command:
     return _decorated(command, options)
 
 
+LARGEST_PX = 4096
+"""Of a picture: graphics drivers draw no larger ones, and what is filmed is held in memory."""
+
+
 def image_size(text: str) -> tuple[int, int]:
     """Width and height from "640x480".
 
@@ -254,6 +258,8 @@ def image_size(text: str) -> tuple[int, int]:
     width, separator, height = text.lower().partition("x")
     if not separator or not width.isdecimal() or not height.isdecimal():
         raise ConfigError(f"--size {text}: write WIDTHxHEIGHT, such as 640x480")
+    if not all(1 <= int(side) <= LARGEST_PX for side in (width, height)):
+        raise ConfigError(f"--size {text}: both sides must be 1 to {LARGEST_PX} pixels")
     return int(width), int(height)
 
 

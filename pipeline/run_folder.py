@@ -174,6 +174,18 @@ class RunFolder:
         }
 
     @property
+    def changed(self) -> list[str]:
+        """A sentence on each stage whose value is not what was committed: damaged, or changed by hand."""
+        folder = self.path / "stages"
+        names = [str(path.relative_to(folder).with_suffix("")) for path in sorted(folder.rglob("*.json"))]
+        return [
+            f"{self.value_path(name).relative_to(self.path)} is not what the run committed and is left out; "
+            "the command that made it makes it anew"
+            for name in names
+            if name != "inputs" and self.record(name) is None
+        ]
+
+    @property
     def identity(self) -> str:
         """Eight letters that differ where what the folder was made from, or its place, differs."""
         made_from = {name: record.fingerprint for name, record in self.records().items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import importlib
 import importlib.metadata
+import os
 import platform
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,7 +105,11 @@ def _device() -> Check:
 
         devices = ", ".join(f"{device.platform} ({device.device_kind})" for device in jax.devices())
     except Exception as error:  # jaxlib raises its own kinds for drivers that do not fit
-        return Check(name="JAX device", found=f"none: {error}", remedy="pip install --upgrade jax jaxlib")
+        asked = os.environ.get("JAX_PLATFORMS")
+        remedy = "unset JAX_PLATFORMS" if asked else "pip install --upgrade jax jaxlib"
+        return Check(
+            name="JAX device", found=f"none {f'for {asked}' if asked else ''}: {error}", remedy=remedy
+        )
     return Check(name="JAX device", found=devices)
 
 

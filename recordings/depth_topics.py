@@ -19,6 +19,8 @@ from recordings.messages.types import (
     UndecodableMessage,
 )
 
+_SECOND_NS = 1_000_000_000
+
 DepthMessage = ImageMessage | CompressedImageMessage | PointCloudMessage
 
 
@@ -40,7 +42,7 @@ def depth_topics(decoded: DecodedBag) -> list[str]:
     return kinds["certain"] or kinds["grey"] or kinds["cloud"]
 
 
-def choose_depth_topic(decoded: DecodedBag, wanted: str | None) -> DepthTopic | None:
+def choose_depth_topic(decoded: DecodedBag, wanted: str | None, start_s: float = 0.0) -> DepthTopic | None:
     """The depth topic of a recording, or None where it has none.
 
     Of several, the one that is neither another's copy in another transport nor resampled into the frame of a
@@ -49,6 +51,7 @@ def choose_depth_topic(decoded: DecodedBag, wanted: str | None) -> DepthTopic | 
     Args:
         decoded: the recording.
         wanted: the topic that the user names, if any.
+        start_s: seconds after its first message from which messages count, as far as there are any.
 
     Raises:
         RecordingError: several topics could be meant, the wanted one holds no depth, or none of its
@@ -60,13 +63,13 @@ def choose_depth_topic(decoded: DecodedBag, wanted: str | None) -> DepthTopic | 
         if wanted not in topics:
             known = ", ".join(topics) or "none"
             raise RecordingError(f"{path} has no depth topic {wanted}; its depth topics: {known}")
-        return _with_first(decoded, wanted)
+        return _with_first(decoded, wanted, start_s)
     candidates = depth_topics(decoded)
     own = _measured(decoded, candidates)
     if len(own) > 1:
         names = ", ".join(candidates)
         raise RecordingError(f"{path} has {len(candidates)} depth topics: {names}; choose with --depth-topic")
-    return _with_first(decoded, own[0]) if own else None
+    return _with_first(decoded, own[0], start_s) if own else None
 
 
 def is_aligned_to_colour(decoded: DecodedBag, topic: str) -> bool:
@@ -110,16 +113,25 @@ def _kind(first: DecodedMessage | None) -> str | None:
     return None
 
 
-def _with_first(decoded: DecodedBag, topic: str) -> DepthTopic:
+def _with_first(decoded: DecodedBag, topic: str, start_s: float) -> DepthTopic:
+    """The topic with its first message that can be used, from a time on if there is one."""
     problem: UndecodableMessage | None = None
-    for _, message in decoded.messages({topic}):
+    earliest: DepthTopic | None = None
+    start_ns: int | None = None
+    for log_time_ns, message in decoded.messages({topic}):
         try:
             _check_size(message)
         except UndecodableMessage as error:
             problem = problem or error
             continue
         if isinstance(message, DepthMessage):
-            return DepthTopic(name=topic, first=message)
+            stamp_ns = message.stamp_ns or log_time_ns
+            start_ns = stamp_ns if start_ns is None else start_ns
+            earliest = earliest or DepthTopic(name=topic, first=message)
+            if stamp_ns - start_ns >= start_s * _SECOND_NS:
+                return DepthTopic(name=topic, first=message)
+    if earliest is not None:
+        return earliest
     raise RecordingError(f"{decoded.bag.path}, {topic}: no message can be used; the first {problem}")
 
 

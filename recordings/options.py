@@ -8,7 +8,8 @@ from pathlib import Path
 
 from recordings.settings import check_finite
 
-_LARGEST_PX = 1e4
+LARGEST_PX = 1e4
+"""Of focal lengths and principal points."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +50,7 @@ class ReadOptions:
         check_finite(self, unbounded=("max_depth_m", "end_s"))
         if self.intrinsics is not None:
             fx, fy, cx, cy = self.intrinsics
-            if not (all(abs(value) < _LARGEST_PX for value in self.intrinsics) and fx > 0 < fy):
+            if not (all(abs(value) < LARGEST_PX for value in self.intrinsics) and fx > 0 < fy):
                 raise ValueError(f"intrinsics need pixels with fx, fy > 0, got {fx:g},{fy:g},{cx:g},{cy:g}")
         if self.depth_scale_m is not None and not 0 < self.depth_scale_m <= 1:
             raise ValueError(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recordings.colour_topics import unread_images
 from recordings.depth_statistics import DepthStatistics
 from recordings.depth_topics import DepthTopic, choose_depth_topic, depth_topics, is_aligned_to_colour
 from recordings.errors import RecordingError
@@ -117,8 +118,8 @@ def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overvie
         depth = _survey_depth(recording, hashes=hashes)
         damage, problems = recording.damage, recording.problems
     else:
-        lost = decoded.undecodable_topics()
-        depth, problems = None, [*bag.problems, *lost]
+        lost, unread = decoded.undecodable_topics(), unread_images(decoded)
+        depth, problems = None, [*bag.problems, *lost, *([unread] if unread and not names else [])]
         damage = replace(bag.damage, lost_messages=bag.damage.lost_messages + sum(lost.values()))
     return Overview(
         topics=topics,
@@ -133,7 +134,7 @@ def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overvie
 def _taken(decoded: DecodedBag, options: ReadOptions, count: int) -> DepthTopic | None:
     """The topic that commands take; None where there is none or the user has to choose."""
     try:
-        return choose_depth_topic(decoded, options.depth_topic)
+        return choose_depth_topic(decoded, options.depth_topic, options.start_s)
     except RecordingError:
         if options.depth_topic is not None or count < 2:
             raise
@@ -141,7 +142,7 @@ def _taken(decoded: DecodedBag, options: ReadOptions, count: int) -> DepthTopic 
 
 
 def _candidate(decoded: DecodedBag, name: str, options: ReadOptions) -> DepthCandidate:
-    topic = choose_depth_topic(decoded, name)
+    topic = choose_depth_topic(decoded, name, options.start_s)
     assert topic is not None
     recording = McapRecording(decoded, topic, options)
     return DepthCandidate(

@@ -39,6 +39,8 @@ from recordings.types import NO_RETURN, CameraIntrinsics, Damage, Frame
 _DEFAULT_OPTIONS = ReadOptions()
 _OUT_OF_ORDER = "its stamp is not after those before it: the clock stood still or was set back"
 _SECOND_NS = 1_000_000_000
+_LEAST_SIDE_PX = 4
+"""Surfaces are fitted to neighbours on all sides."""
 _END_OF_TIME_NS = 1 << 62
 """The year 2116: later stamps are damage, and those of all frames fit into 64 bits."""
 _KEPT_FOR_COLOUR = 1 << 26
@@ -53,7 +55,7 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
             topics, or its camera is unknown and `options` do not give it.
     """
     decoded = DecodedBag(Bag(Path(path)))
-    topic = choose_depth_topic(decoded, options.depth_topic)
+    topic = choose_depth_topic(decoded, options.depth_topic, options.start_s)
     if topic is None and options.colour_alone:
         topic = first_colour_topic(decoded)
         if topic is None:
@@ -62,6 +64,9 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
         raise RecordingError(f"{path} has no depth; {_what_else(decoded)}")
     recording = McapRecording(decoded, topic, options)
     _ = recording.intrinsics
+    if min(recording.size) < _LEAST_SIDE_PX:
+        width, height = recording.size
+        raise RecordingError(f"{path}, {topic.name}: images of {width}x{height} pixels show no shape")
     return recording
 
 
@@ -216,6 +221,7 @@ class McapRecording:
             if wanted is not None and number not in wanted:
                 continue
             try:
+                self._check_frame(message)
                 depth_m = self._corrected(self._depth.depth(message, stamp_ns))
             except UndecodableMessage as error:
                 lose(error)
@@ -251,6 +257,7 @@ class McapRecording:
 
     def _add_frame(self, found: DepthStatistics, message: DecodedMessage, stamp_ns: int) -> None:
         try:
+            self._check_frame(message)
             if isinstance(self._depth, DepthImages):
                 stored = self._depth.stored(message)
                 found.add_frame(self._corrected(self._depth.metres(stored, stamp_ns)), stored)
@@ -293,18 +300,22 @@ class McapRecording:
             return None, None
 
     def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DecodedMessage]]:
-        """Stamp and content of the depth messages that were taken where the first was."""
+        """Stamp and content of the depth messages."""
         for log_time_ns, message in self.decoded.messages({self.depth_topic}):
             if not isinstance(message, DepthMessage):
                 lose(message)
-            elif message.frame_id.lstrip("/") != self.frame_id.lstrip("/"):
-                lose(f"taken in the frame {message.frame_id!r}, the first in {self.frame_id!r}")
             else:
                 stamp_ns = log_time_ns if self._uses_log_time else message.stamp_ns
                 if 0 <= stamp_ns < _END_OF_TIME_NS:
                     yield stamp_ns, message
                 else:
                     lose("its stamp is no time of this age")
+
+    def _check_frame(self, message: DecodedMessage) -> None:
+        """Raise UndecodableMessage unless a depth message was taken where the first was."""
+        frame_id = message.frame_id if isinstance(message, DepthMessage) else ""
+        if frame_id.lstrip("/") != self.frame_id.lstrip("/"):
+            raise UndecodableMessage(f"taken in the frame {frame_id!r}, the first in {self.frame_id!r}")
 
     def _colour_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, ColourMessage]]:
         if self._colour is None:

@@ -12,11 +12,13 @@ from types import TracebackType
 from typing import BinaryIO, Literal
 
 import numpy as np
+from mcap.reader import make_reader
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from recordings.errors import RecordingError
+from recordings.mcap_files.framing import MAGIC
 from recordings.messages import ros2_standard as ros2
 from recordings.types import NO_RETURN, CameraIntrinsics, Frame
 
@@ -35,6 +37,8 @@ _CHANNEL_METADATA: Mapping[Profile, dict[str, str]] = {"": {}, "ros2": {"offered
 """Which the profile requires; empty where no middleware was there to offer any."""
 _CHUNK_SIZE = 1 << 20
 _MILLIMETRE = 0.001
+_LIBRARY = "voxscene"
+"""In the header of every file that is written here."""
 _LARGEST_MILLIMETRES = 65534  # 65535 reads as saturated
 
 
@@ -84,12 +88,16 @@ class RecordingWriter:
         self._last_time_ns = 0
         if self._path.exists() and not self._path.is_file():
             raise RecordingError(f"cannot write {self._path}: it exists and is not a file")
+        if _is_of_others(self._path):
+            raise RecordingError(
+                f"cannot write {self._path}: it is a recording by another program, name another file"
+            )
         with self._reporting():
             self._file: BinaryIO = _opened_alone(self._partial)
             self._writer = Writer(
                 self._file, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
             )
-            self._writer.start(profile=profile, library="voxscene")
+            self._writer.start(profile=profile, library=_LIBRARY)
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -198,6 +206,20 @@ class RecordingWriter:
             self._partial.unlink(missing_ok=True)
             with suppress(OSError):  # the rest of the buffer does not fit on a full disk either
                 file.close()
+
+
+def _is_of_others(path: Path) -> bool:
+    """Whether a file is an MCAP file that was not written here."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            return False
+        file.seek(0)
+        try:
+            return make_reader(file).get_header().library != _LIBRARY
+        except Exception:  # what the mcap library raises on damage; a damaged recording is one, too
+            return True
 
 
 def _opened_alone(path: Path) -> BinaryIO:

@@ -107,10 +107,12 @@ class SlamResult:
     def path_probabilities(self) -> NDArray[np.float64]:
         """Of the paths (G,) that are told apart, the likeliest first: one where all draws agree.
 
-        Of a long recording every so many frames decide.
+        Frames that were found decide, of a long recording every so many.
         """
-        weights = np.exp(self.log_weights)
-        compared = matrices_of(self.draws[:, :: -(-len(self) // COMPARED_FRAMES)])
+        weights, found = np.exp(self.log_weights), np.flatnonzero(~self.lost)
+        if not len(found):
+            return np.ones(1)
+        compared = matrices_of(self.draws[:, found[:: -(-len(found) // COMPARED_FRAMES)]])
         shares = np.bincount(cluster(compared, weights), weights).astype(np.float64)
         return np.sort(shares)[::-1]
 

@@ -52,18 +52,15 @@ def command(
     Noise over depth, missing returns, how far errors are alike, how well pixels foretell each other, and,
     where the camera moves, the static distortion. Objects in view do no harm if there are smooth parts.
     """
+    from pipeline.atomic import check_output
     from pipeline.calibration.calibrate import calibrate
     from pipeline.calibration.told import document_of, lines_of, warnings_of
-    from pipeline.errors import PipelineError
     from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
     from pipeline.quiet_stdout import stdout_to_stderr
     from pipeline.stored_profile import StoredProfile
     from recordings.reading import open_recording
 
-    if not sensor_path.parent.is_dir():
-        raise PipelineError(f"cannot write {sensor_path}: there is no folder {sensor_path.parent}")
-    if sensor_path.is_dir():
-        raise PipelineError(f"cannot write {sensor_path}: it is a folder, name a file in it")
+    check_output(sensor_path)
     keep_compiled_kernels()
     trace_without_pauses()
     opened = [(one.path, open_recording(one.path, one.read_options(common.settings))) for one in sources]

@@ -31,6 +31,8 @@ def command(ctx: click.Context, source: RecordingSource, hashes: bool, common: C
 
     overview = survey(source.path, source.read_options(common.settings), hashes=hashes)
     common.report(_document(overview), _lines(overview))
+    if overview.depth and not overview.depth.frames and any(source.said[one] for one in ("start_s", "end_s")):
+        click.echo("voxscene: no frame lies between --start and --end", err=True)
     for warning in _document(overview)["warnings"]:
         click.echo(f"voxscene: {warning}", err=True)
     for problem in overview.problems[:_PROBLEMS_SHOWN]:
@@ -189,12 +191,17 @@ def _topic_lines(overview: Overview) -> list[str]:
     for topic in overview.topics:
         rate = "" if topic.pace.rate_hz is None else f"{topic.pace.rate_hz:.3g}"
         kind = f"{topic.schema} ({topic.encoding})"
-        rows.append((topic.name, str(topic.messages), rate, str(len(topic.pace.gaps_s)), kind))
+        rows.append((_printable(topic.name), str(topic.messages), rate, str(len(topic.pace.gaps_s)), kind))
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     return [
         f"{name:<{widths[0]}}  {count:>{widths[1]}}  {rate:>{widths[2]}}  {gaps:>{widths[3]}}  {kind}"
         for name, count, rate, gaps, kind in rows
     ]
+
+
+def _printable(name: str) -> str:
+    """A name without characters that move the cursor or change colours."""
+    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in name)
 
 
 def _verdict(overview: Overview) -> str:

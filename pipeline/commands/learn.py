@@ -75,6 +75,8 @@ def command(
 
     if not re.fullmatch(FILE_NAME, name):
         raise ConfigError(f"--name {name}: use letters, digits, dots, dashes and underscores")
+    if preview is not None and preview.suffix.lower() != ".png":
+        raise ConfigError(f"--preview {preview}: name a file that ends in .png")
     options = {"box": _box(box), "pixel": _pixel(pixel), "pitch_m": pitch_m}
     if preview is not None:
         with open_session(common, source, run_path, force=force) as session:

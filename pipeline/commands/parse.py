@@ -165,6 +165,7 @@ def command(
     from pipeline.publishing.told_spread import verdict_text
     from pipeline.session import open_session
     from pipeline.stages.parse import parse_stage
+    from scene.config import ParseConfig
 
     options = {
         "objects": None if objects in (None, "any") else _names("--objects", objects),
@@ -180,6 +181,9 @@ def command(
         "presence": presence,
         "exact": None if exact is None else _names("--exact", exact),
     }
+    is_photograph = common.settings.section("parse", ParseConfig, {"colour": colour}).colour == "only"
+    if (table or light) and not is_photograph:
+        raise ConfigError("--table and --light are for --colour only")
     if colour == "only":
         source = replace(source, said={**source.said, "colour_alone": True})
     known_ids = read_ids(ids)

@@ -26,9 +26,10 @@ def command(common: Common, runs: tuple[Path, ...], output: Path) -> None:
     Figures side by side, what calls for care, pictures, tables and settings. It holds everything itself and
     opens without a network. Of a project, every recording's run is told.
     """
-    from pipeline.atomic import write_text
+    from pipeline.atomic import check_output, write_text
     from pipeline.report.run_report import report
 
+    check_output(output)
     with common.progress("report", "runs") as progress:
         page = report(runs, progress)
     write_text(output, page.html())

@@ -41,7 +41,7 @@ def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
         return _read_tum(path)
     trajectory = recorded_trajectory(path, options)
     if trajectory is None:
-        raise PipelineError(f"{path} has no recorded poses; give a TUM file with --reference")
+        raise PipelineError(f"{path} has no recorded poses; give a TUM file instead")
     return trajectory
 
 

@@ -91,7 +91,8 @@ def reported(path: Path, name: str) -> ReportedRun:
     folder = RunFolder(path, force=False)
     stages = folder.records()
     if not stages:
-        raise PipelineError(f"{path} holds no finished stage; make one with voxscene slam, learn or parse")
+        what = next(iter(folder.changed), "make one with voxscene slam, learn or parse")
+        raise PipelineError(f"{path} holds no finished stage; {what}")
     values = RunValues.load(folder)
     summary = summary_of(values)
     lost = [Damage(**record.notes["damage"]) for record in stages.values() if "damage" in record.notes]
@@ -102,7 +103,7 @@ def reported(path: Path, name: str) -> ReportedRun:
         values=values,
         summary=summary,
         timing=timing_of(folder, values),
-        warnings=warnings_of(values, summary, worst),
+        warnings=[*(f"{line}." for line in folder.changed), *warnings_of(values, summary, worst)],
     )
 
 

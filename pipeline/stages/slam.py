@@ -24,6 +24,8 @@ SOURCES = ("pipeline.stages.slam", "slam.tracking")
 MANY_SEARCHED = 10
 FRAMES_UNTIL_TIDY, TIDIED_AT = 1000, 100
 """By the hundredth frame most kernels are compiled."""
+MOSTLY_LOST = 0.5
+"""Share of frames without a place from which a run is no path."""
 TOLD_DISPLACEMENT_M = 0.02
 """By which a second motion must widen the told spread of a frame to be worth a warning. Chosen by hand."""
 CAUSES = (
@@ -41,15 +43,34 @@ def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> Co
         options: what the command's own options say, by key of `SlamConfig`.
 
     Raises:
-        PipelineError: the recording has no depth frame with a return.
+        PipelineError: the recording has no depth frame with a return, or none but the first was found.
     """
     config = session.common.settings.section("slam", SlamConfig, options)
-    trajectory = session.stage(
-        "slam", _load, lambda: _track(session, config), {"slam": config}, sources=SOURCES
-    )
+
+    def tracked() -> SlamResult:
+        result = _track(session, config)
+        _tell_lost(session, result)
+        return result
+
+    trajectory = session.stage("slam", _load, tracked, {"slam": config}, sources=SOURCES)
     room_stage(session, trajectory)
     sensor_stage(session)
     return trajectory
+
+
+def _tell_lost(session: Session, result: SlamResult) -> None:
+    """Say where most frames were not found.
+
+    Raises:
+        PipelineError: none but the first was.
+    """
+    if len(result) > 1 and result.lost[1:].all():
+        raise PipelineError(
+            f"{session.source.path}: no frame but the first was found; is it the right unit "
+            "(--depth-scale), camera (--intrinsics) and depth topic, and is there more than a flat wall?"
+        )
+    if result.lost.mean() > MOSTLY_LOST:
+        session.warn(f"{int(result.lost.sum())} of {len(result)} frames are lost: this is no whole path")
 
 
 def _load(path: Path) -> SlamResult:
@@ -102,7 +123,8 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
                 on_checkpoint=keeper.keep,
             )
         except ValueError as error:
-            raise PipelineError(f"{session.source.path}: {error}") from error
+            lost = f"; {recording.problems[0]}" if recording.problems else ""
+            raise PipelineError(f"{session.source.path}: {error}{lost}") from error
         if contested:
             session.warn(
                 f"in {len(contested)} frames, {contested[0]} to {contested[-1]}, two things move against "

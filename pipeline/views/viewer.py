@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pipeline.errors import PipelineError
 from pipeline.fingerprints import file_hash
+from pipeline.logs import log
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.views.rrd import write_rrd
@@ -24,6 +25,8 @@ def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
     found = []
     for folder in [path, *sorted(path.glob("recordings/*"))]:
         run = RunFolder(folder, force=False)
+        for sentence in run.changed:
+            log.warning("%s: %s", folder, sentence)
         if not run.records():
             continue
         rrd = folder / "run.rrd"

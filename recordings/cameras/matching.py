@@ -65,9 +65,10 @@ def matching_camera(
         return None
     best = max(map(nearness, candidates))
     nearest = sorted(topic for topic in candidates if nearness(topic) == best)
-    if any(not np.array_equal(candidates[nearest[0]].K, candidates[topic].K) for topic in nearest):
+    first = candidates[nearest[0]]
+    if any(not np.array_equal(first.K, candidates[topic].K, equal_nan=True) for topic in nearest):
         raise UnusableCamera(f"its camera could be {' or '.join(nearest)}; give --intrinsics fx,fy,cx,cy")
-    return nearest[0], candidates[nearest[0]]
+    return nearest[0], first
 
 
 def shared_namespace(topic: str, other: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from recordings.messages.types import CameraMessage
+from recordings.options import LARGEST_PX
 from recordings.types import CameraIntrinsics
 
 _ASPECT_TOLERANCE_PX = 1.5
@@ -58,6 +59,11 @@ def stored_intrinsics(camera: CameraMessage, width: int, height: int, *, rectifi
         raise UnusableCamera(
             f"its camera is unusable: focal lengths of {region.fx:g} and {region.fy:g} pixels are not "
             f"those of images of {region.width}x{region.height}; give --intrinsics fx,fy,cx,cy"
+        )
+    if not all(abs(centre) < LARGEST_PX for centre in (region.cx, region.cy)):
+        raise UnusableCamera(
+            f"its camera is unusable: a principal point at {region.cx:g}, {region.cy:g} pixels is none; "
+            "give --intrinsics fx,fy,cx,cy"
         )
     return region.resized(width, height)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from recordings.images.compressed_depth import holds_depth
 from recordings.images.depth_pixels import MAX_PIXELS, pixel_rows
 from recordings.messages.types import CompressedImageMessage, ImageMessage, UndecodableMessage
 
@@ -35,7 +36,9 @@ def is_colour(message: object) -> bool:
     """Whether an image message holds colour; what a compressed one holds shows when it is decoded."""
     if isinstance(message, ImageMessage):
         return message.encoding in {*_CHANNELS, *_WIDE_CHANNELS, *_CHROMA_FIRST}
-    return isinstance(message, CompressedImageMessage) and _compressed_format(message.data) is not None
+    if not isinstance(message, CompressedImageMessage) or holds_depth(message):
+        return False
+    return _compressed_format(message.data) is not None
 
 
 def colour_size(message: ColourMessage) -> tuple[int, int]:

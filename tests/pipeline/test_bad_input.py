@@ -1,6 +1,9 @@
 """What cannot be used ends in one clear line and the promised exit code, and leaves nothing behind."""
 
+import json
 import resource
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,6 +79,7 @@ RECORDINGS: dict[str, tuple[Write, int, str]] = {
         "its camera is for images of 40x30",
     ),
     "all zeros": (depth(pixels=MILLIMETRES * 0), 0, "no depth frame has a return"),
+    "one pixel": (depth(pixels=np.full((1, 1), 900, np.uint16)), 0, "images of 1x1 pixels show no shape"),
     "all NaN": (
         depth(pixels=np.full((30, 40), np.nan, "f4"), encoding="32FC1"),
         0,
@@ -176,6 +180,69 @@ def test_a_recording_is_not_imported_over_itself(tmp_path: Path) -> None:
     for out in (path, tmp_path / "same.mcap"):
         assert_one_line(run("import", "bag", path, out), "is what is imported")
     assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["calibrate", "{other}", "-o", "{recording}", "--no-field"],
+        ["calibrate", "{recording}", "-o", "{recording}", "--no-field"],
+        ["report", "{other}", "-o", "{recording}"],
+        ["import", "7scenes", "{source}", "{recording}"],
+        ["synth", "objects", "{recording}", "--frames", "2"],
+    ],
+)
+def test_a_recording_is_not_replaced(arguments: list[str], tmp_path: Path) -> None:
+    """By an output of any kind, named by mistake."""
+    recording, other = (write(tmp_path / name, depth()) for name in ("r.mcap", "other.mcap"))
+    content, source = recording.read_bytes(), seven_scenes(tmp_path / "source")
+    told = run(*(one.format(recording=recording, other=other, source=source) for one in arguments))
+    assert_one_line(told, "it is a recording")
+    assert recording.read_bytes() == content
+
+
+def test_the_first_frame_that_is_wanted_tells_the_size(tmp_path: Path) -> None:
+    """A driver that begins with an image of another mode, or another frame's name."""
+    stamps = [SECOND_NS + one * SECOND_NS // 10 for one in range(4)]
+    with Scribe(tmp_path / "r.mcap") as scribe:
+        scribe.ros2("/c/camera_info", camera_info(stamps[0], (40, 30), K), stamps[0])
+        first = image(stamps[0], "16UC1", MILLIMETRES[:15, :20], frame_id="other")
+        scribe.ros2("/c/depth", first, stamps[0])
+        for stamp in stamps[1:]:
+            scribe.ros2("/c/depth", image(stamp, "16UC1", MILLIMETRES), stamp)
+    whole, later = (
+        run("info", tmp_path / "r.mcap", "--intrinsics", "35,36,18.5,15.25", *more, "--json")
+        for more in ([], ["--start", "0.05"])
+    )
+    assert json.loads(whole.stdout)["depth_frames"] == 1
+    assert (later.exit_code, json.loads(later.stdout)["depth_frames"]) == (0, 3), later.stderr
+
+
+def test_frames_of_which_none_is_found_are_no_path(tmp_path: Path) -> None:
+    """Images of nothing after the first: no run is made of them."""
+    with Scribe(tmp_path / "r.mcap") as scribe:
+        for number in range(3):
+            stamp = SECOND_NS + number * SECOND_NS // 10
+            scribe.ros2("/c/camera_info", camera_info(stamp, (40, 30), K), stamp)
+            scribe.ros2("/c/depth", image(stamp, "16UC1", MILLIMETRES * (number == 0)), stamp)
+    told = run("slam", tmp_path / "r.mcap", "-o", tmp_path / "run", "--quiet")
+    assert_one_line(told, "no frame but the first was found")
+
+
+def test_a_principal_point_far_from_any_image_is_none(tmp_path: Path) -> None:
+    """As --intrinsics refuses it."""
+    with Scribe(tmp_path / "r.mcap") as scribe:
+        scribe.ros2("/c/camera_info", camera_info(SECOND_NS, (40, 30), (35.0, 36.0, 1e9, 15.0)), SECOND_NS)
+        scribe.ros2("/c/depth", image(SECOND_NS, "16UC1", MILLIMETRES), SECOND_NS)
+    assert_one_line(run("slam", tmp_path / "r.mcap", "-o", tmp_path / "run"), "a principal point at 1e+09")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-"])
+def test_a_job_without_output_does_its_work(closed: str, tmp_path: Path) -> None:
+    """Of cron, or of a daemon that closed the streams."""
+    recording = write(tmp_path / "r.mcap", depth())
+    command = f"{sys.executable} -m pipeline info {recording} {closed} > /dev/null"
+    assert subprocess.run(["sh", "-c", command], check=False).returncode == 0
 
 
 def test_a_full_disk_leaves_no_recording(tmp_path: Path) -> None:

@@ -85,6 +85,8 @@ def test_a_damaged_value_is_computed_again(tmp_path: Path) -> None:
         slam(run, Work())
         run.value_path("slam").write_text("damaged")
         assert run.record("slam") is None
+        (changed,) = run.changed
+        assert changed.startswith("slam.npz is not what the run committed")
         assert slam(run, Work()) == Text("value")
 
 

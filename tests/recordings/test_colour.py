@@ -92,6 +92,17 @@ def test_compressed_colours_are_decoded(format_, tolerance, rgb, recording_path)
     assert np.abs(frame.rgb.astype(int) - rgb).max() <= tolerance
 
 
+def test_a_depth_image_is_no_colour(recording_path):
+    """A PNG of 16-bit grey values is depth, though it is a PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.full((30, 40), 900, np.uint16)).save(buffer, "PNG")
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/c/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        scribe.ros2("/c/depth", compressed_image(SECOND_NS, "png", buffer.getvalue()), SECOND_NS)
+    recording = open_recording(recording_path)
+    assert (recording.depth_topic, recording.colour_topic) == ("/c/depth", None)
+
+
 def test_only_registered_colour_is_attached(rgb, recording_path):
     """Another frame, another lens or another view is not registered; a larger image of the same view is."""
     message = image(SECOND_NS, "rgb8", rgb)

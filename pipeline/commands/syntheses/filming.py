@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pipeline.errors import ConfigError
 from pipeline.options import Common, Intrinsics, common_options, image_size, numbers
 
 if TYPE_CHECKING:
@@ -80,7 +81,14 @@ def scene_settings(
 ) -> Mapping[str, Any]:
     """The options that both kinds of scene share, by the setting that each sets."""
     width, height = image_size(size) if size else (None, None)
+    from recordings.options import ReadOptions
+
     fx, fy, cx, cy = intrinsics or (None,) * 4
+    if intrinsics is not None:
+        try:
+            ReadOptions(intrinsics=intrinsics)
+        except ValueError as error:
+            raise ConfigError(f"--intrinsics: {error}") from error
     return {
         "camera.width": width,
         "camera.height": height,
@@ -106,6 +114,9 @@ def write_films(common: Common, out: tuple[Path, ...], film: Film) -> None:
     from pipeline.jax_setup import keep_compiled_kernels
     from pipeline.synthesis.writing import write_recording
 
+    repeated = [path for path in out if out.count(path) > 1]
+    if repeated:
+        raise ConfigError(f"{repeated[0]} is named twice; each sequence needs a file of its own")
     keep_compiled_kernels()
     document = []
     for index, path in enumerate(out):

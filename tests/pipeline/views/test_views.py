@@ -120,6 +120,8 @@ def test_paths_that_differ_are_told(true_trajectory: SlamResult) -> None:
     assert undecided.path_probabilities == pytest.approx([0.8, 0.2])
     assert "2 paths explain what was seen**, with 80%, 20%" in told
     assert "paths explain" not in agreed
+    lost = replace(undecided, lost=np.arange(len(undecided)) == len(undecided) - 1)
+    assert lost.path_probabilities == pytest.approx([1.0])
 
 
 def test_the_graph_stands_as_the_scene_does(parsed_run: RunValues) -> None:
