@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from pipeline.commands.learn import command
+from pipeline.errors import PipelineError
 from pipeline.stages.slam import MANY_SEARCHED, slam_stage
 from slam.filter.rival_motion import CERTAIN, Doubt
 
@@ -53,12 +55,17 @@ def test_truth_and_poses_change_no_byte(mug_file: Path, tmp_path: Path) -> None:
         assert files[0] == files[1], name
 
 
-def _warnings(monkeypatch: pytest.MonkeyPatch, frames: list[SimpleNamespace]) -> list[str]:
-    """What the stage says of a recording whose frames give these reports."""
+def _warnings(
+    monkeypatch: pytest.MonkeyPatch, frames: list[SimpleNamespace], lost: Sequence[int] = ()
+) -> list[str]:
+    """What the stage says of a recording whose frames give these reports, some of them lost."""
 
-    def track(*given: Any, **_: Any) -> None:
+    def track(*given: Any, **_: Any) -> MagicMock:
         for info in frames:
             given[4](info)
+        result = MagicMock(lost=np.isin(np.arange(len(frames)), lost))
+        result.__len__.return_value = len(frames)
+        return result
 
     monkeypatch.setattr("slam.tracking.track", track)
     session = MagicMock()
@@ -81,6 +88,16 @@ def test_frames_that_are_searched_one_by_one_are_told_once(monkeypatch: pytest.M
     assert said[0].startswith(f"frames 3 to {MANY_SEARCHED + 2} had to be searched")
     assert "--depth-scale" in said[0]
     assert silent == []
+
+
+def test_a_path_that_is_mostly_lost_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not where half is; where none but the first frame was found, there is none."""
+    frames = [SimpleNamespace(unexpected=False, doubt=CERTAIN)] * 6
+
+    assert _warnings(monkeypatch, frames, lost=[1, 2, 3]) == []
+    assert _warnings(monkeypatch, frames, lost=[1, 2, 3, 4])[0].startswith("4 of 6 frames are lost")
+    with pytest.raises(PipelineError, match="no frame but the first"):
+        _warnings(monkeypatch, frames, lost=[1, 2, 3, 4, 5])
 
 
 def test_frames_in_which_two_things_move_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
