@@ -69,11 +69,11 @@ def step(
         odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used and not degenerate.
     """
     prediction = predict(state, time_ns)
-    searched, found = state, find_places(state, view, prediction, config, odometry)
+    found = find_places(state, view, prediction, config, odometry)
     if state.calibration.is_learning and state.calibration.frames == 0 and not found.lost:
-        searched = with_calibration(state, found.best)
-        found = find_places(searched, view, prediction, config, odometry)
-    branches, info = _branched(key, searched, found, prediction.poses)
+        state = with_calibration(state, found.best)
+        found = find_places(state, view, prediction, config, odometry)
+    branches, info = _branched(key, state, found, prediction.poses)
     moved = replace(
         state,
         population=smc.Population(tuple(one.hypothesis for one in branches.histories), branches.log_weights),
@@ -84,14 +84,14 @@ def step(
     best, doubt = branches.heaviest.located, CERTAIN
     if best is not None and config.second_motion:
         anchor = int(best.indices[0]), best.local_map.poses[0]
-        rival, doubt = doubt_of_frame(state.rival, view, searched.calibration, best.optimum.pose, *anchor)
+        rival, doubt = doubt_of_frame(state.rival, view, state.calibration, best.optimum.pose, *anchor)
         moved = replace(moved, rival=rival)
     if best is not None:
         moved = with_frame(moved, view, best, doubt)
     heaviest = moved.population.heaviest
     is_wide = is_wide_step(heaviest.previous_pose, heaviest.pose)
     moved = replace(moved, steps_were_wide=state.steps_were_wide or is_wide)
-    return moved, _frame_info(searched, moved, view, branches, info, found, doubt)
+    return moved, _frame_info(state, moved, view, branches, info, found, doubt)
 
 
 def _branched(
