@@ -215,9 +215,11 @@ def _refined(
     graph = found and with_distortion(keyframes, found, unknown, motion)
     if found is None or graph is None:
         return _unrefined(filtered, unknown, scales, count)
+    drawn = draw_poses(found.poses, sparse_gaussian.draws(key, graph, count))
+    if not np.isfinite(drawn).all():  # a map so wrong that its overlaps leave the numbers
+        return _unrefined(filtered, unknown, scales, count)
     field = _estimated_field(keyframes, found, unknown, scales, motion)
     held = sparse_gaussian.connected_to_first(graph)
-    drawn = draw_poses(found.poses, sparse_gaussian.draws(key, graph, count))
     return _Refined(
         poses=np.where(held[:, None], found.poses, filtered),
         covariances=np.where(held[:, None, None], sparse_gaussian.conditional_marginals(graph), 0.0),

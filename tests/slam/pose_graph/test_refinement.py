@@ -156,6 +156,19 @@ def test_a_keyframe_that_overlaps_with_none_is_not_held(key, tracked):
     assert not placed.sensitivity[0, 3].any()
 
 
+def test_a_map_that_leaves_the_numbers_stays_as_the_filter_has_it(key, tracked, monkeypatch):
+    """Its draws are poses all the same, and nothing is held but the first."""
+    maps = _maps(tracked)
+    monkeypatch.setattr(
+        "slam.pose_graph.refinement.draw_poses", lambda poses, _: np.full((8, *poses.shape), np.nan)
+    )
+
+    refined = _refined(key, maps, tracked)
+
+    np.testing.assert_array_equal(refined.drawn, np.tile(maps.poses[0], (8, 1, 1)))
+    assert refined.held[0].tolist() == [True] + [False] * (len(maps.poses[0]) - 1)
+
+
 def test_draws_have_the_graph_s_spread_and_do_not_depend_on_their_number(key, tracked):
     """Of two maps as often as they are probable; squared distances from each have their chi-square's mean."""
     maps = _maps(tracked)
