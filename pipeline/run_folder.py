@@ -175,11 +175,11 @@ class RunFolder:
 
     @property
     def changed(self) -> list[str]:
-        """A sentence on each stage whose value is not what was committed: damaged, or changed by hand."""
+        """A sentence on each stage whose value is not what was committed: damaged, changed, or older."""
         folder = self.path / "stages"
         names = [str(path.relative_to(folder).with_suffix("")) for path in sorted(folder.rglob("*.json"))]
         return [
-            f"{self.value_path(name).relative_to(self.path)} is not what the run committed and is left out; "
+            f"{self.value_path(name).relative_to(self.path)} was changed or is of another version, and is left out; "
             "the command that made it makes it anew"
             for name in names
             if name != "inputs" and self.record(name) is None
