@@ -179,8 +179,8 @@ class RunFolder:
         folder = self.path / "stages"
         names = [str(path.relative_to(folder).with_suffix("")) for path in sorted(folder.rglob("*.json"))]
         return [
-            f"{self.value_path(name).relative_to(self.path)} was changed or is of another version, and is left out; "
-            "the command that made it makes it anew"
+            f"{self.value_path(name).relative_to(self.path)} was changed or is of another version; "
+            "it is left out, and the command that made it makes it anew"
             for name in names
             if name != "inputs" and self.record(name) is None
         ]
