@@ -195,7 +195,8 @@ class McapRecording:
     def stamps_ns(self) -> Iterator[int]:
         """The stamps of the frames, without decoding their pixels."""
         messages = in_order_of_stamps(self._depth_messages(_ignore), leave_out=_ignore)
-        return (stamp_ns for stamp_ns, _ in selected(messages, self.options))
+        chosen = selected(messages, self.options, lambda one: self._is_taken_here(one, _ignore))
+        return (stamp_ns for stamp_ns, _ in chosen)
 
     def __iter__(self) -> Iterator[Frame]:
         """Every frame once, in the order of stamps."""
@@ -217,11 +218,11 @@ class McapRecording:
         colours = NearestInTime(self._colour_messages(lose))
         self._follow_camera()
         messages = in_order_of_stamps(self._depth_messages(lose), leave_out=lambda _: lose(_OUT_OF_ORDER))
-        for number, (stamp_ns, message) in enumerate(selected(messages, self.options)):
+        chosen = selected(messages, self.options, lambda one: self._is_taken_here(one, lose))
+        for number, (stamp_ns, message) in enumerate(chosen):
             if wanted is not None and number not in wanted:
                 continue
             try:
-                self._check_frame(message)
                 depth_m = self._corrected(self._depth.depth(message, stamp_ns))
             except UndecodableMessage as error:
                 lose(error)
@@ -238,15 +239,15 @@ class McapRecording:
         def lose(_: object) -> None:
             found.undecodable += 1
 
-        def stamped() -> Iterator[tuple[int, DecodedMessage]]:
+        def stamped() -> Iterator[tuple[int, DepthMessage]]:
             for stamp_ns, message in self._depth_messages(lose):
                 found.add_stamp(stamp_ns)
                 yield stamp_ns, message
 
         starts_ns, first_ns = self._follow_camera(), None
-        for number, (stamp_ns, message) in enumerate(
-            selected(in_order_of_stamps(stamped(), leave_out=_ignore), self.options)
-        ):
+        messages = in_order_of_stamps(stamped(), leave_out=_ignore)
+        chosen = selected(messages, self.options, lambda one: self._is_taken_here(one, lose))
+        for number, (stamp_ns, message) in enumerate(chosen):
             first_ns = stamp_ns if first_ns is None else first_ns
             found.add_message(message.data if isinstance(message, DepthMessage) else b"")
             if number % (1 << max(0, number.bit_length() - 3)) == 0:
@@ -257,7 +258,6 @@ class McapRecording:
 
     def _add_frame(self, found: DepthStatistics, message: DecodedMessage, stamp_ns: int) -> None:
         try:
-            self._check_frame(message)
             if isinstance(self._depth, DepthImages):
                 stored = self._depth.stored(message)
                 found.add_frame(self._corrected(self._depth.metres(stored, stamp_ns)), stored)
@@ -299,7 +299,7 @@ class McapRecording:
             lose(error)
             return None, None
 
-    def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DecodedMessage]]:
+    def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DepthMessage]]:
         """Stamp and content of the depth messages."""
         for log_time_ns, message in self.decoded.messages({self.depth_topic}):
             if not isinstance(message, DepthMessage):
@@ -311,11 +311,12 @@ class McapRecording:
                 else:
                     lose("its stamp is no time of this age")
 
-    def _check_frame(self, message: DecodedMessage) -> None:
-        """Raise UndecodableMessage unless a depth message was taken where the first was."""
-        frame_id = message.frame_id if isinstance(message, DepthMessage) else ""
-        if frame_id.lstrip("/") != self.frame_id.lstrip("/"):
-            raise UndecodableMessage(f"taken in the frame {frame_id!r}, the first in {self.frame_id!r}")
+    def _is_taken_here(self, message: DepthMessage, lose: Callable[[object], None]) -> bool:
+        """Whether a depth message was taken where the first was; else it is lost."""
+        if message.frame_id.lstrip("/") == self.frame_id.lstrip("/"):
+            return True
+        lose(f"taken in the frame {message.frame_id!r}, the first in {self.frame_id!r}")
+        return False
 
     def _colour_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, ColourMessage]]:
         if self._colour is None:

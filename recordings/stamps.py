@@ -45,8 +45,10 @@ def in_order_of_stamps(
         yield stamp, item
 
 
-def selected(items: Iterable[tuple[int, Item]], options: ReadOptions) -> Iterator[tuple[int, Item]]:
-    """The items between the options' times, counted from the first item, and of those every n-th."""
+def selected(
+    items: Iterable[tuple[int, Item]], options: ReadOptions, is_usable: Callable[[Item], bool]
+) -> Iterator[tuple[int, Item]]:
+    """The usable items between the options' times, counted from the first item, and of those every n-th."""
     start: int | None = None
     within = 0
     for stamp, item in items:
@@ -55,7 +57,7 @@ def selected(items: Iterable[tuple[int, Item]], options: ReadOptions) -> Iterato
         seconds = (stamp - start) / _SECOND_NS
         if seconds > options.end_s:
             return
-        if seconds >= options.start_s:
+        if seconds >= options.start_s and is_usable(item):
             if within % options.every == 0:
                 yield stamp, item
             within += 1

@@ -16,6 +16,8 @@ from PIL import Image
 from pipeline.cli import voxscene
 from pipeline.options import RecordingSource
 from pipeline.session import open_session
+from recordings.options import ReadOptions
+from recordings.reading import open_recording
 from slam.config import SlamConfig
 from slam.result import SlamResult
 from tests.pipeline.test_session import Tracker, common
@@ -216,6 +218,22 @@ def test_the_first_frame_that_is_wanted_tells_the_size(tmp_path: Path) -> None:
     )
     assert json.loads(whole.stdout)["depth_frames"] == 1
     assert (later.exit_code, json.loads(later.stdout)["depth_frames"]) == (0, 3), later.stderr
+
+
+def test_numbers_and_every_count_frames_of_one_camera_alone(tmp_path: Path) -> None:
+    """Of a topic on which two cameras take turns."""
+    stamps = [SECOND_NS + one * SECOND_NS // 10 for one in range(6)]
+    with Scribe(tmp_path / "r.mcap") as scribe:
+        scribe.ros2("/c/camera_info", camera_info(stamps[0], (40, 30), K), stamps[0])
+        for number, stamp in enumerate(stamps):
+            frame_id = "camera" if number % 2 == 0 else "other"
+            scribe.ros2("/c/depth", image(stamp, "16UC1", MILLIMETRES, frame_id=frame_id), stamp)
+
+    whole, second = open_recording(tmp_path / "r.mcap"), ReadOptions(every=2)
+
+    assert [frame.time_ns for frame in whole.chosen([1])] == stamps[2:3]
+    assert list(whole.stamps_ns()) == stamps[::2]
+    assert [frame.time_ns for frame in open_recording(tmp_path / "r.mcap", second)] == stamps[::4]
 
 
 def test_frames_of_which_none_is_found_are_no_path(tmp_path: Path) -> None:

@@ -80,9 +80,9 @@ def scene_settings(
     distortion: float | None,
 ) -> Mapping[str, Any]:
     """The options that both kinds of scene share, by the setting that each sets."""
-    width, height = image_size(size) if size else (None, None)
     from recordings.options import ReadOptions
 
+    width, height = image_size(size) if size else (None, None)
     fx, fy, cx, cy = intrinsics or (None,) * 4
     if intrinsics is not None:
         try:
