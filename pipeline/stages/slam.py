@@ -25,7 +25,7 @@ MANY_SEARCHED = 10
 FRAMES_UNTIL_TIDY, TIDIED_AT = 1000, 100
 """By the hundredth frame most kernels are compiled."""
 MOSTLY_LOST = 0.5
-"""Share of frames without a place from which a run is no path."""
+"""Share of frames without a place from which a run is no whole path. Chosen by hand."""
 TOLD_DISPLACEMENT_M = 0.02
 """By which a second motion must widen the told spread of a frame to be worth a warning. Chosen by hand."""
 CAUSES = (
