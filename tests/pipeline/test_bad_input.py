@@ -1,6 +1,7 @@
 """What cannot be used ends in one clear line and the promised exit code, and leaves nothing behind."""
 
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -137,6 +138,22 @@ def test_what_is_no_recording_is_said_to_be_none(kind: str, command: str, tmp_pa
     output = ["-o", tmp_path / "run"] if command == "slam" else []
     assert_one_line(run(command, path, *output), line)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("command", ["info", "slam"])
+def test_a_pipe_is_not_waited_for(command: str, tmp_path: Path) -> None:
+    """A recording is read back and forth; a pipe that nobody writes to would never open."""
+    path = tmp_path / "r.mcap"
+    os.mkfifo(path)
+    output = ["-o", tmp_path / "run"] if command == "slam" else []
+    assert_one_line(run(command, path, *output), "it is a pipe or a device; copy it")
+
+
+def test_worlds_hold_no_more_than_there_are_meshes(tmp_path: Path) -> None:
+    """The number that was named and those that there are; no file is left."""
+    told = run("synth", "worlds", tmp_path / "w.mcap", "--objects", 50, "--quiet")
+    assert_one_line(told, "name 50 shapes, and there are 8 meshes")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("kind", RECORDINGS)

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pipeline.errors import PipelineError
 from pipeline.options import Common, common_options
 
 
@@ -55,6 +56,10 @@ def command(
     own = {"objects": objects, "absent": absent, "clutter": clutter}
     scene = common.settings.section("synth", WorldScene, own)
     shapes = MeshSource.of(meshes, units, only).meshes
+    if (wanted := (objects or 0) + (absent or 0)) > len(shapes):
+        raise PipelineError(
+            f"--objects and --absent name {wanted} shapes, and there are {len(shapes)} meshes"
+        )
     others = MeshSource.of(unasked, units).meshes if unasked else {}
     document = []
     with common.progress("worlds", "films") as progress:
