@@ -100,9 +100,7 @@ def open_source(path: Path) -> Iterator[Source]:
         RecordingError: the file cannot be opened or read.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise RecordingError(
-            f"cannot read {path}: it is a pipe or a device, not a file; copy it to a file first"
-        )
+        raise RecordingError(f"cannot read {path}: it is a pipe or a device; copy it to a file")
     try:
         with path.open("rb") as file:
             yield ZstdSource(file) if path.suffix == ".zstd" else FileSource(file)

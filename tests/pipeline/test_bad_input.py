@@ -152,7 +152,7 @@ def test_a_pipe_is_not_waited_for(command: str, tmp_path: Path) -> None:
 def test_worlds_hold_no_more_than_there_are_meshes(tmp_path: Path) -> None:
     """The number that was named and those that there are; no file is left."""
     told = run("synth", "worlds", tmp_path / "w.mcap", "--objects", 50, "--quiet")
-    assert_one_line(told, "name 50 shapes, and there are 8 meshes")
+    assert_one_line(told, "name 50 shapes; there are 8 meshes")
     assert not list(tmp_path.iterdir())
 
 

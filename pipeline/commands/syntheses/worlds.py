@@ -57,9 +57,7 @@ def command(
     scene = common.settings.section("synth", WorldScene, own)
     shapes = MeshSource.of(meshes, units, only).meshes
     if (wanted := (objects or 0) + (absent or 0)) > len(shapes):
-        raise PipelineError(
-            f"--objects and --absent name {wanted} shapes, and there are {len(shapes)} meshes"
-        )
+        raise PipelineError(f"--objects and --absent name {wanted} shapes; there are {len(shapes)} meshes")
     others = MeshSource.of(unasked, units).meshes if unasked else {}
     document = []
     with common.progress("worlds", "films") as progress:
