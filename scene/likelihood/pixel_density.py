@@ -44,7 +44,7 @@ from scene.likelihood.unknown_surfaces import (
 from shapes.depth_noise import standard_deviation
 
 OUTLIERS = 0.02
-"""eps: returns that are neither, uniform over the range."""
+"""eps: returns that are neither, uniform over the range. Chosen by hand."""
 SUPPORT_ERROR = 0.01
 """Error of a support over its depth, which is a depth camera's scale and bend."""
 LEAST_DENSITY = 1e-8

@@ -29,7 +29,7 @@ WIDE, WIDE_SHARE = 2.0, 0.25
 """Own components that are wider, for the tails."""
 
 TRUST = 0.5
-"""Exponent of the modes' masses, which are good to some nats only."""
+"""Exponent of the modes' masses, which are good to some nats only. Of a proposal: chosen by hand."""
 
 SPIN_RAD, WIDE_SPIN_RAD = 0.65, 1.0
 """Standard deviations of the spin of round objects: the components join up to a circle."""

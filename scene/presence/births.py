@@ -54,7 +54,8 @@ DRAWS, TURNS = 48, 2
 
 TRUST, EVEN = 0.5, 0.2
 """Power of the Gaussians' masses among their weights, and the share of these that is the same for all: what
-an object explains alone is not what it explains among others."""
+an object explains alone is not what it explains among others. Of proposals, whose density is divided out:
+chosen by hand."""
 
 SPINS, SPIN_WIDTH = 6, 0.6
 """Gaussians round the circle of what is round, and their standard deviation over the step between them: their
