@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, xlog1py, xlogy
 
 SHAPES = 24.0
-"""Shapes asked for, there or not, that weigh as much as the prior presence does: Beta(24 p, 24 (1 - p)). Chosen
-when presence came from another rule, on real frames; not fitted again to this model."""
+"""Shapes asked for, there or not, that weigh as much as the prior presence does: Beta(24 p, 24 (1 - p)).
+Chosen when presence came from another rule, on real frames; not fitted again to this model."""
 
 
 class NumberPrior(Protocol):
