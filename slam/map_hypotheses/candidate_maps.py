@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.filter.motion import OrbitMotion
 from slam.keyframes.depth_view import central_depth
-from slam.map_hypotheses.best_first_search import place_best_first
 from slam.map_hypotheses.circular_paths import circular_steps, repeat_step
 from slam.map_hypotheses.cross_registration import (
     KeyframeRegistrar,
@@ -28,6 +27,7 @@ from slam.map_hypotheses.cross_registration import (
     register_inconsistent,
 )
 from slam.map_hypotheses.modes import Modes
+from slam.map_hypotheses.spanning_trees import place_by_spanning_trees
 from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimise
 from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
@@ -55,6 +55,7 @@ def candidate_maps(
     present: Sequence[NDArray[np.float64]],
     motion: TrajectoryPrior,
     images: KeyframeImages,
+    rng: np.random.Generator,
 ) -> Modes:
     """Maps of all keyframes and their probabilities.
 
@@ -63,14 +64,12 @@ def candidate_maps(
         present: maps (N, 4, 4) of the filter.
         motion: prior of the keyframes' poses.
         images: of the keyframes.
+        rng: of the search; used.
     """
     settle = partial(optimise_jointly, images=images, motion=motion)
 
-    def weighed(log_evidence: float, poses: NDArray[np.float64]) -> float:
-        return MODES_EXPONENT * log_evidence + motion.log_density(poses)
-
     def log_weight(poses: NDArray[np.float64]) -> float:
-        return weighed(registrar.log_composite(poses), poses)
+        return MODES_EXPONENT * registrar.log_composite(poses) + motion.log_density(poses)
 
     maps = [settle(poses) for poses in (*present, *_regular_maps(registrar, motion))]
     log_weights = [log_weight(poses) for poses in maps]
@@ -82,7 +81,7 @@ def candidate_maps(
         if round_:
             proposed = [register_inconsistent(registrar, best, core)]
         else:
-            proposed = place_best_first(registrar, weighed)
+            proposed = place_by_spanning_trees(registrar, settle, rng)
         maps += [settle(poses) for poses in proposed]
         log_weights += [log_weight(poses) for poses in maps[len(log_weights) :]]
     return Modes.of(maps, log_weights)

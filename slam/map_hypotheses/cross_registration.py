@@ -9,17 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
-from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.poses import matrices_of, poses_of, single_precision_poses
 from slam.keyframes.depth_view import CanvasView, central_depth
 from slam.keyframes.keyframe_map import KeyframeMap
-from slam.registration.global_search import BATCH, log_map_scores, log_scores_of_maps
-from slam.registration.local_map import LocalMap
+from slam.registration.global_search import BATCH, log_scores_of_maps
 from slam.registration.pose_grids import ORBIT_DISTANCES
 from slam.registration.registered import CONVINCING_COVERED, Registration
 from slam.registration.search import Searcher
@@ -94,12 +91,6 @@ class KeyframeRegistrar:
                 scores = log_scores_of_maps(everything, others, relative[first : first + BATCH], *seen)
                 total[first : first + BATCH] += np.asarray(scores, np.float64)[: len(total) - first]
         return total
-
-    def log_score_of_unknown(self, index: int, blur: float) -> float:
-        """The same of one image where no keyframe looked."""
-        here = jnp.asarray(IDENTITY, jnp.float32)[None]
-        nothing = LocalMap(self.keyframe_map.stacked(np.asarray([index])), jnp.zeros(1, bool), here)
-        return float(log_map_scores(nothing, self.view(index), self.noise, here, blur)[0])
 
     def view(self, index: int) -> CanvasView:
         """A keyframe's image."""

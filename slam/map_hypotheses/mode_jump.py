@@ -80,7 +80,8 @@ def choose_map(
     registrar = KeyframeRegistrar(state.keyframe_map, state.calibration.noise, config.keyframes_compared)
     present = matrices_of(found.poses)
     if motion is not None:
-        modes = candidate_maps(registrar, list(present), motion, images)
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+        modes = candidate_maps(registrar, list(present), motion, images, rng)
         heaviest = np.full(len(modes.shares), np.argmax(found.probabilities))
         poses = poses_of(modes.maps).astype(np.float32)
         unknown = (None,) * len(poses)
