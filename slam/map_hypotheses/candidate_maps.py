@@ -81,7 +81,7 @@ def candidate_maps(
         if round_:
             proposed = [register_inconsistent(registrar, best, core)]
         else:
-            proposed = place_by_spanning_trees(registrar, settle, rng)
+            proposed = place_by_spanning_trees(registrar, settle, motion.log_density, MODES_EXPONENT, rng)
         maps += [settle(poses) for poses in proposed]
         log_weights += [log_weight(poses) for poses in maps[len(log_weights) :]]
     return Modes.of(maps, log_weights)

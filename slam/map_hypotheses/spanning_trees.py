@@ -45,8 +45,9 @@ BLUR = 0.015
 """Relative to depth, of the surfaces by which trees are compared. Ways are up to a centimetre off, and a tree
 of four adds them up; with twice that blur a view that is turned by a quarter circle fits as well."""
 
-DRAWN_MAPS, KEPT_MAPS = 32, 4
-"""Draws that are settled, and maps of these that are improved. Search effort."""
+SCORED_MAPS, DRAWN_MAPS, KEPT_MAPS = 128, 32, 4
+"""Maps of the highest scores whose motion is weighed, draws of these that are settled, and maps that are
+improved. Search effort."""
 
 PLACES = 3
 """Of each keyframe in the map of all others."""
@@ -73,6 +74,8 @@ Tree = frozenset[Edge]
 def place_by_spanning_trees(
     registrar: KeyframeRegistrar,
     settle: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    log_prior: Callable[[NDArray[np.float64]], float],
+    exponent: float,
     rng: np.random.Generator,
 ) -> list[NDArray[np.float64]]:
     """Poses (N, 4, 4) of all keyframes from the first: maps that differ, none where ways do not join them.
@@ -80,12 +83,14 @@ def place_by_spanning_trees(
     Args:
         registrar: the keyframes.
         settle: brings a map (N, 4, 4) to its joint optimum.
+        log_prior: of a map's motion.
+        exponent: of the composite likelihood between maps.
         rng: of the draws; used.
     """
     ways = _ways(registrar)
-    maps = [_settled(registrar, poses) for poses in _drawn_maps(registrar, ways, rng)]
-    scores = [registrar.log_composite(poses) for poses in maps]
-    kept = _first_distinct((maps[index] for index in np.argsort(-np.asarray(scores))), KEPT_MAPS)
+    maps = [_settled(registrar, poses) for poses in _drawn_maps(registrar, ways, log_prior, rng)]
+    weights = [exponent * registrar.log_composite(poses) + log_prior(poses) for poses in maps]
+    kept = _first_distinct((maps[index] for index in np.argsort(-np.asarray(weights))), KEPT_MAPS)
     return [_improved(registrar, settle, poses) for poses in kept]
 
 
@@ -101,9 +106,15 @@ def _ways(registrar: KeyframeRegistrar) -> Ways:
 
 
 def _drawn_maps(
-    registrar: KeyframeRegistrar, ways: Ways, rng: np.random.Generator
+    registrar: KeyframeRegistrar,
+    ways: Ways,
+    log_prior: Callable[[NDArray[np.float64]], float],
+    rng: np.random.Generator,
 ) -> list[NDArray[np.float64]]:
-    """The `DRAWN_MAPS` of the highest scores that differ, of all that annealed chains considered."""
+    """The `DRAWN_MAPS` likeliest that differ, of all that annealed chains considered.
+
+    Round what looks alike from many sides the motion alone tells turned maps from the true one.
+    """
     count = len(registrar)
     trees = [_random_tree(ways, count, rng) for _ in range(CHAINS)]
     if len(trees[0]) < count - 1:
@@ -119,7 +130,9 @@ def _drawn_maps(
                 max(some, key=lambda tree: scores[tree] / temperature + rng.gumbel()) for some in options
             ]
     ranked = sorted(scores, key=scores.__getitem__, reverse=True)
-    return _first_distinct((_placed(tree, ways, count) for tree in ranked), DRAWN_MAPS)
+    maps = _first_distinct((_placed(tree, ways, count) for tree in ranked), SCORED_MAPS)
+    weights = np.asarray(_scores(registrar, maps)) / COLDEST + [log_prior(poses) for poses in maps]
+    return [maps[index] for index in np.argsort(-weights)[:DRAWN_MAPS]]
 
 
 def _scores(registrar: KeyframeRegistrar, maps: list[NDArray[np.float64]]) -> list[float]:

@@ -116,6 +116,12 @@ def unsettled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return poses
 
 
+def of_any_motion(poses: NDArray[np.float64]) -> float:
+    """A prior that all maps have."""
+    del poses
+    return 0.0
+
+
 def some_ways(count: int, each: int) -> Ways:
     """So many ways between all pairs, a metre apart."""
     ways: Ways = {}
@@ -144,11 +150,26 @@ def all_trees(ways: Ways, count: int) -> set[Tree]:
 def test_whole_maps_decide(seed: int) -> None:
     """Beside the first keyframe wrong places have most evidence; of all keyframes the ring has."""
     placed = place_by_spanning_trees(
-        cast("KeyframeRegistrar", RingJury()), unsettled, np.random.default_rng(seed)
+        cast("KeyframeRegistrar", RingJury()), unsettled, of_any_motion, 1.0, np.random.default_rng(seed)
     )
 
     assert 1 <= len(placed) <= KEPT_MAPS
     np.testing.assert_allclose(placed[0][:, 0, 3], np.arange(len(RING)), atol=1e-6)
+
+
+@pytest.mark.parametrize(("nats", "is_left"), [(1e3, True), (0.0, False)])
+def test_motion_counts_in_whole_maps(nats: float, is_left: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A prior that wants the second keyframe on the left has it there, against all images."""
+    monkeypatch.setattr(spanning_trees, "_improved", lambda registrar, settle, poses: poses)  # noqa: ARG005
+
+    def log_prior(poses: NDArray[np.float64]) -> float:
+        return nats * float(poses[1, 0, 3] < 0)
+
+    placed = place_by_spanning_trees(
+        cast("KeyframeRegistrar", RingJury()), unsettled, log_prior, 1.0, np.random.default_rng(0)
+    )
+
+    assert (placed[0][1, 0, 3] < 0) == is_left
 
 
 def test_without_ways_there_is_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,7 +180,7 @@ def test_without_ways_there_is_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spanning_trees, "_ways", lambda registrar: ways)  # noqa: ARG005
 
     assert not place_by_spanning_trees(
-        cast("KeyframeRegistrar", RingJury()), unsettled, np.random.default_rng(0)
+        cast("KeyframeRegistrar", RingJury()), unsettled, of_any_motion, 1.0, np.random.default_rng(0)
     )
 
 
