@@ -45,9 +45,9 @@ BLUR = 0.015
 """Relative to depth, of the surfaces by which trees are compared. Ways are up to a centimetre off, and a tree
 of four adds them up; with twice that blur a view that is turned by a quarter circle fits as well."""
 
-SCORED_MAPS, DRAWN_MAPS, KEPT_MAPS = 128, 32, 4
+SCORED_MAPS, DRAWN_MAPS, KEPT_MAPS = 128, 32, 3
 """Maps of the highest scores whose motion is weighed, draws of these that are settled, and maps that are
-improved. Search effort."""
+improved, with the motion and without: one wrong keyframe spoils it. Search effort."""
 
 PLACES = 3
 """Of each keyframe in the map of all others."""
@@ -89,8 +89,13 @@ def place_by_spanning_trees(
     """
     ways = _ways(registrar)
     maps = [_settled(registrar, poses) for poses in _drawn_maps(registrar, ways, log_prior, rng)]
-    weights = [exponent * registrar.log_composite(poses) + log_prior(poses) for poses in maps]
-    kept = _first_distinct((maps[index] for index in np.argsort(-np.asarray(weights))), KEPT_MAPS)
+    composites = np.asarray([registrar.log_composite(poses) for poses in maps])
+    weights = exponent * composites + [log_prior(poses) for poses in maps]
+    likeliest, most_agreed = (
+        _first_distinct((maps[index] for index in np.argsort(-values)), KEPT_MAPS)
+        for values in (weights, composites)
+    )
+    kept = _first_distinct([*likeliest, *most_agreed], 2 * KEPT_MAPS)
     return [_improved(registrar, settle, poses) for poses in kept]
 
 
