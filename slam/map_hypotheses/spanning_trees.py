@@ -87,19 +87,19 @@ def place_by_spanning_trees(
         exponent: of the composite likelihood between maps.
         rng: of the draws; used.
     """
-    ways = _ways(registrar)
-    maps = [_settled(registrar, poses) for poses in _drawn_maps(registrar, ways, log_prior, rng)]
+    ways = _register_pairs(registrar)
+    maps = [_align_in_turn(registrar, poses) for poses in _draw_maps(registrar, ways, log_prior, rng)]
     composites = np.asarray([registrar.log_composite(poses) for poses in maps])
     weights = exponent * composites + [log_prior(poses) for poses in maps]
     likeliest, most_agreed = (
-        _first_distinct((maps[index] for index in np.argsort(-values)), KEPT_MAPS)
+        _take_distinct((maps[index] for index in np.argsort(-values)), KEPT_MAPS)
         for values in (weights, composites)
     )
-    kept = _first_distinct([*likeliest, *most_agreed], 2 * KEPT_MAPS)
-    return [_improved(registrar, settle, poses) for poses in kept]
+    kept = _take_distinct([*likeliest, *most_agreed], 2 * KEPT_MAPS)
+    return [_improve(registrar, settle, poses) for poses in kept]
 
 
-def _ways(registrar: KeyframeRegistrar) -> Ways:
+def _register_pairs(registrar: KeyframeRegistrar) -> Ways:
     """The ways between all pairs of keyframes, in both directions."""
     ways: Ways = {}
     alone = np.tile(np.eye(4), (len(registrar), 1, 1))
@@ -110,7 +110,7 @@ def _ways(registrar: KeyframeRegistrar) -> Ways:
     return ways
 
 
-def _drawn_maps(
+def _draw_maps(
     registrar: KeyframeRegistrar,
     ways: Ways,
     log_prior: Callable[[NDArray[np.float64]], float],
@@ -121,26 +121,26 @@ def _drawn_maps(
     Round what looks alike from many sides the motion alone tells turned maps from the true one.
     """
     count = len(registrar)
-    trees = [_random_tree(ways, count, rng) for _ in range(CHAINS)]
+    trees = [_draw_tree(ways, count, rng) for _ in range(CHAINS)]
     if len(trees[0]) < count - 1:
         return []
     scores: dict[Tree, float] = {}
     sweeps = max(COMPARED // (CHAINS * EXCHANGES * (count - 1)), 2)
     for temperature in np.geomspace(HOTTEST, COLDEST, sweeps):
         for _ in range(count - 1):
-            options = [_exchanges(tree, ways, count, rng) for tree in trees]
-            new = list({tree for some in options for tree in some} - scores.keys())
-            scores |= zip(new, _scores(registrar, [_placed(tree, ways, count) for tree in new]), strict=True)
+            options = [_propose_exchanges(tree, ways, count, rng) for tree in trees]
+            new = list(dict.fromkeys(tree for some in options for tree in some if tree not in scores))
+            scores |= zip(new, _score(registrar, [_place(tree, ways, count) for tree in new]), strict=True)
             trees = [
                 max(some, key=lambda tree: scores[tree] / temperature + rng.gumbel()) for some in options
             ]
     ranked = sorted(scores, key=scores.__getitem__, reverse=True)
-    maps = _first_distinct((_placed(tree, ways, count) for tree in ranked), SCORED_MAPS)
-    weights = np.asarray(_scores(registrar, maps)) / COLDEST + [log_prior(poses) for poses in maps]
+    maps = _take_distinct((_place(tree, ways, count) for tree in ranked), SCORED_MAPS)
+    weights = np.asarray(_score(registrar, maps)) / COLDEST + [log_prior(poses) for poses in maps]
     return [maps[index] for index in np.argsort(-weights)[:DRAWN_MAPS]]
 
 
-def _scores(registrar: KeyframeRegistrar, maps: list[NDArray[np.float64]]) -> list[float]:
+def _score(registrar: KeyframeRegistrar, maps: list[NDArray[np.float64]]) -> list[float]:
     """Approximate log densities of all images, each in the map of the others, for maps (N, 4, 4)."""
     if not maps:
         return []
@@ -148,23 +148,23 @@ def _scores(registrar: KeyframeRegistrar, maps: list[NDArray[np.float64]]) -> li
     return registrar.log_scores(every, np.stack(maps), every, BLUR).tolist()
 
 
-def _random_tree(ways: Ways, count: int, rng: np.random.Generator) -> Tree:
+def _draw_tree(ways: Ways, count: int, rng: np.random.Generator) -> Tree:
     """A spanning tree; fewer edges where the ways do not join all of the `count` keyframes."""
     tree: list[Edge] = []
     pairs = [pair for pair in combinations(range(count), 2) if ways[pair]]
     for index in rng.permutation(len(pairs)):
         first, second = pairs[index]
-        parts = _parts(tree, count)
+        parts = _label_parts(tree, count)
         if parts[first] != parts[second]:
             tree.append((first, second, int(rng.integers(len(ways[first, second])))))
     return frozenset(tree)
 
 
-def _exchanges(tree: Tree, ways: Ways, count: int, rng: np.random.Generator) -> list[Tree]:
-    """The trees, itself first, that differ from one in a random edge; `EXCHANGES` of them at most."""
+def _propose_exchanges(tree: Tree, ways: Ways, count: int, rng: np.random.Generator) -> list[Tree]:
+    """The tree, and those that differ from it in one edge, drawn at random; `EXCHANGES` of them at most."""
     cut = sorted(tree)[int(rng.integers(len(tree)))]
     rest = tree - {cut}
-    parts = _parts(rest, count)
+    parts = _label_parts(rest, count)
     others = [
         (first, second, way)
         for first, second in combinations(range(count), 2)
@@ -176,7 +176,7 @@ def _exchanges(tree: Tree, ways: Ways, count: int, rng: np.random.Generator) -> 
     return [tree, *(rest | {others[index]} for index in chosen)]
 
 
-def _parts(edges: Iterable[Edge], count: int) -> NDArray[np.int_]:
+def _label_parts(edges: Iterable[Edge], count: int) -> NDArray[np.int_]:
     """Numbers (N,) of the parts that edges leave the keyframes in."""
     parts = np.arange(count)
     for first, second, _ in edges:
@@ -184,7 +184,7 @@ def _parts(edges: Iterable[Edge], count: int) -> NDArray[np.int_]:
     return parts
 
 
-def _placed(tree: Tree, ways: Ways, count: int) -> NDArray[np.float64]:
+def _place(tree: Tree, ways: Ways, count: int) -> NDArray[np.float64]:
     """Poses (N, 4, 4) where a tree has the keyframes, from the first."""
     placed, left = {0: np.eye(4)}, sorted(tree)
     while left:
@@ -197,7 +197,7 @@ def _placed(tree: Tree, ways: Ways, count: int) -> NDArray[np.float64]:
     return np.stack([placed[index] for index in range(count)])
 
 
-def _improved(
+def _improve(
     registrar: KeyframeRegistrar,
     settle: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     poses: NDArray[np.float64],
@@ -206,14 +206,14 @@ def _improved(
     poses = settle(poses)
     log_composite = registrar.log_composite(poses)
     for _ in range(IMPROVEMENTS):
-        other = settle(_sought_again(registrar, poses))
+        other = settle(_seek_contradicting(registrar, poses))
         if not (log_other := registrar.log_composite(other)) > log_composite + LEAST_GAIN:
             break
         poses, log_composite = other, log_other
     return poses
 
 
-def _sought_again(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _seek_contradicting(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each keyframe that contradicts the map of all others sought in it, the worst first.
 
     A place is taken with which all images agree more.
@@ -227,20 +227,20 @@ def _sought_again(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> N
         if not index or ratios[index] >= CONSISTENT_INLIER_RATIO:
             continue
         for place in registrar.register_globally(poses, index, registrar.all_but(index))[:PLACES]:
-            other = _settled(registrar, _with(poses, index, place))
+            other = _align_in_turn(registrar, _move(poses, index, place))
             if (log_other := registrar.log_composite(other)) > log_composite:
                 poses, log_composite = other, log_other
     return poses
 
 
-def _settled(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _align_in_turn(registrar: KeyframeRegistrar, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each keyframe in turn at the optimum next to it in the map of all the others, a few times."""
     for index in list(range(1, len(registrar))) * SETTLING_SWEEPS:
-        poses = _with(poses, index, registrar.register_locally(poses, index, registrar.all_but(index)))
+        poses = _move(poses, index, registrar.register_locally(poses, index, registrar.all_but(index)))
     return poses
 
 
-def _with(poses: NDArray[np.float64], index: int, place: Registration) -> NDArray[np.float64]:
+def _move(poses: NDArray[np.float64], index: int, place: Registration) -> NDArray[np.float64]:
     """Poses (N, 4, 4) with one moved, unless that left the numbers."""
     if not place.is_finite:
         return poses
@@ -249,7 +249,7 @@ def _with(poses: NDArray[np.float64], index: int, place: Registration) -> NDArra
     return poses
 
 
-def _first_distinct(maps: Iterable[NDArray[np.float64]], count: int) -> list[NDArray[np.float64]]:
+def _take_distinct(maps: Iterable[NDArray[np.float64]], count: int) -> list[NDArray[np.float64]]:
     """The first `count` maps (N, 4, 4) in which some keyframe stands elsewhere than in those before."""
     kept: list[NDArray[np.float64]] = []
     for poses in maps:

@@ -18,11 +18,11 @@ from slam.map_hypotheses.spanning_trees import (
     KEPT_MAPS,
     Tree,
     Ways,
-    _exchanges,
-    _first_distinct,
-    _parts,
-    _placed,
-    _sought_again,
+    _label_parts,
+    _place,
+    _propose_exchanges,
+    _seek_contradicting,
+    _take_distinct,
     place_by_spanning_trees,
 )
 
@@ -138,7 +138,7 @@ def all_trees(ways: Ways, count: int) -> set[Tree]:
     trees = set()
     for pairs in combinations(combinations(range(count), 2), count - 1):
         numbers = product(*(range(len(ways[pair])) for pair in pairs))
-        if len(set(_parts([(*pair, 0) for pair in pairs], count))) == 1:
+        if len(set(_label_parts([(*pair, 0) for pair in pairs], count))) == 1:
             trees |= {
                 frozenset((*pair, number) for pair, number in zip(pairs, some, strict=True))
                 for some in numbers
@@ -160,7 +160,7 @@ def test_whole_maps_decide(seed: int) -> None:
 @pytest.mark.parametrize(("nats", "is_left"), [(1e3, True), (0.0, False)])
 def test_motion_counts_in_whole_maps(nats: float, is_left: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """A prior that wants the second keyframe on the left has it there, against all images."""
-    monkeypatch.setattr(spanning_trees, "_improved", lambda registrar, settle, poses: poses)  # noqa: ARG005
+    monkeypatch.setattr(spanning_trees, "_improve", lambda registrar, settle, poses: poses)  # noqa: ARG005
 
     def log_prior(poses: NDArray[np.float64]) -> float:
         return nats * float(poses[1, 0, 3] < 0)
@@ -177,7 +177,7 @@ def test_without_ways_there_is_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
     ways = some_ways(len(RING), 1)
     for other in range(1, len(RING)):
         ways[0, other] = ways[other, 0] = []
-    monkeypatch.setattr(spanning_trees, "_ways", lambda registrar: ways)  # noqa: ARG005
+    monkeypatch.setattr(spanning_trees, "_register_pairs", lambda registrar: ways)  # noqa: ARG005
 
     assert not place_by_spanning_trees(
         cast("KeyframeRegistrar", RingJury()), unsettled, of_any_motion, 1.0, np.random.default_rng(0)
@@ -199,7 +199,8 @@ def test_an_exchange_is_a_gibbs_step() -> None:
             drawn = next(
                 found
                 for seed in range(200)
-                if len(found := _exchanges(tree, ways, 4, np.random.default_rng(seed))) == len(options)
+                if len(found := _propose_exchanges(tree, ways, 4, np.random.default_rng(seed)))
+                == len(options)
                 and set(found) == options
             )
             assert drawn[0] == tree
@@ -213,7 +214,7 @@ def test_a_tree_places_each_keyframe_beside_its_neighbour() -> None:
     """Whatever the order of its edges and their direction, from the first keyframe."""
     ways = some_ways(4, 2)
 
-    placed = _placed(frozenset({(2, 3, 1), (0, 3, 0), (1, 2, 1)}), ways, 4)
+    placed = _place(frozenset({(2, 3, 1), (0, 3, 0), (1, 2, 1)}), ways, 4)
 
     # 3 is at 3; 2 a way of 2 m before it; 1 a way of 2 m before that.
     np.testing.assert_allclose(placed[:, 0, 3], [0.0, -1.0, 1.0, 3.0])
@@ -225,7 +226,7 @@ def test_what_stands_wrong_alone_is_moved() -> None:
     poses[:, 0, 3] = np.arange(len(RING))
     poses[2, 0, 3] = -WRONG_M
 
-    found = _sought_again(cast("KeyframeRegistrar", RingJury()), poses)
+    found = _seek_contradicting(cast("KeyframeRegistrar", RingJury()), poses)
 
     np.testing.assert_allclose(found[:, 0, 3], np.arange(len(RING)), atol=1e-6)
 
@@ -236,5 +237,5 @@ def test_maps_that_are_alike_are_one() -> None:
     same, elsewhere = best + 1e-4, best.copy()
     elsewhere[2, 1, 3] = 1.0
 
-    assert _first_distinct([best, same, elsewhere, best], 3) == [best, elsewhere]
-    assert len(_first_distinct([best, elsewhere], 1)) == 1
+    assert _take_distinct([best, same, elsewhere, best], 3) == [best, elsewhere]
+    assert len(_take_distinct([best, elsewhere], 1)) == 1
