@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics, DepthNoise
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.objects.scene_object import SceneObject
+from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import ObjectLibrary, join
@@ -20,6 +21,15 @@ from shapes.rendering.ray_casting import PosedObjects
 
 PAIRS_TOGETHER = 128
 """Pairs of objects that are rendered at once: each has an image of its own."""
+
+ROUGH_POINTS = 24
+"""Surface points of a rough look. An object in plain sight is told by any few of them."""
+
+ROUGH_NATS = 3.0
+"""Most that one of them tells: a point near an outline may project into a pixel that the object leaves."""
+
+UNEXPLAINED_NATS = 3.0
+"""By which a surface at the measured depth explains a pixel better than what is known, or more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,6 +109,32 @@ class DepthImages:
             total += image.weight * log_likelihood_ratio(_library(one), self.noise, evidence, posed)
         return total
 
+    def rough_log_ratios(self, one: SceneObject, world_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A guess (n,) at `log_ratios` from few surface points: it tells what would be in plain sight."""
+        points_m = one.points_m[:ROUGH_POINTS]
+        total = np.zeros(len(world_from_box))
+        for image in self.images:
+            camera_from_box = (image.camera_from_world @ world_from_box).astype(np.float32)
+            gains = _gains_of_points(
+                self.noise, image.camera, image.observed_m, image.rest_m, points_m, camera_from_box
+            )
+            total += image.weight * np.asarray(gains, np.float64)
+        return total
+
+    def unexplained_points_m(self) -> NDArray[np.float64]:
+        """Measured points (P, 3) in the world, before what is known, that it does not explain."""
+        points = []
+        for image in self.images:
+            depth_m = image.observed_m
+            rows, columns = np.nonzero(np.asarray(_is_unexplained(self.noise, depth_m, image.rest_m)))
+            z_m = depth_m[rows, columns]
+            x_m = (columns - float(image.camera.cx)) / float(image.camera.fx) * z_m
+            y_m = (rows - float(image.camera.cy)) / float(image.camera.fy) * z_m
+            world_from_camera = np.linalg.inv(image.camera_from_world)
+            in_camera_m = np.stack([x_m, y_m, z_m], axis=1)
+            points.append(in_camera_m @ world_from_camera[:3, :3].T + world_from_camera[:3, 3])
+        return np.concatenate(points)
+
     def log_ratios_behind(
         self,
         one: SceneObject,
@@ -153,6 +189,47 @@ def rendered_m(
     """Depth (n, H, W) of an object alone at poses (n, 4, 4); +inf where it is not. `shape` is (H, W)."""
     posed = _posed(camera_from_world, world_from_box, np.zeros(len(world_from_box), int))
     return np.asarray(render_layers(_library(one), posed, _cameras(camera, 1), *shape))
+
+
+@jax.jit
+def _is_unexplained(noise: DepthNoise, observed_m: jax.Array, rest_m: jax.Array) -> jax.Array:
+    """(H, W) where a depth was measured before the rest (R, H, W) that is not the sensor's noise of it."""
+    of_rest = depth_noise.log_density(noise, observed_m[None], rest_m).max(axis=0)
+    of_surface = depth_noise.log_density_of_hit(noise, observed_m, observed_m)
+    before = (observed_m > 0) & (observed_m < rest_m.max(axis=0))
+    return before & (of_surface - of_rest > UNEXPLAINED_NATS)
+
+
+@jax.jit
+def _gains_of_points(
+    noise: DepthNoise,
+    camera: Camera,
+    observed_m: jax.Array,
+    rest_m: jax.Array,
+    points_m: jax.Array,
+    camera_from_box: jax.Array,
+) -> jax.Array:
+    """Nats (n,) that surface points (P, 3) gain in the pixels that they project into before the rest.
+
+    Args:
+        noise: of the sensor.
+        camera: of the image.
+        observed_m: (H, W).
+        rest_m: (R, H, W), the farthest and the mean density of which are compared.
+        points_m: in the object's box frame.
+        camera_from_box: (n, 4, 4).
+    """
+    height, width = observed_m.shape
+    density_of_rest = depth_noise.log_density(noise, observed_m[None], rest_m).mean(axis=0)
+    points = jnp.einsum("nij,pj->npi", camera_from_box[:, :3, :3], points_m) + camera_from_box[:, None, :3, 3]
+    x, y, z = jnp.moveaxis(points, -1, 0)
+    column = jnp.round(x / z * camera.fx + camera.cx).astype(jnp.int32)
+    row = jnp.round(y / z * camera.fy + camera.cy).astype(jnp.int32)
+    inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    pixel = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
+    gain = depth_noise.log_density_of_hit(noise, observed_m[pixel], z) - density_of_rest[pixel]
+    covers = inside & (z < rest_m.max(axis=0)[pixel])
+    return jnp.where(covers, jnp.clip(gain, -ROUGH_NATS, ROUGH_NATS), 0.0).sum(axis=1)
 
 
 def _library(one: SceneObject) -> ObjectLibrary:

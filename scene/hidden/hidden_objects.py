@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from scene.config import MOST_EXACT
 from scene.hidden.depth_evidence import DepthImages
+from scene.hidden.pose_draws import pose_draws
 from scene.hidden.pose_priors import PosePrior
 from scene.model.number_prior import NumberPrior
 from scene.objects.scene_object import SceneObject
-
-TOGETHER = 2048
-"""Poses that are rendered together, so that memory does not grow with their number."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,33 +104,35 @@ def mean_ratio(
     draws: int,
     keep: int,
 ) -> MeanRatio:
-    """The mean over draws of these objects' prior poses; memory does not grow with their number.
+    """The mean over these objects' prior poses; memory does not grow with the number of draws.
 
-    Each of `keep` places holds a draw of the posterior: where a batch has share s of all weight so far, each
-    is replaced with probability s by a draw from the batch.
+    One object's poses under a prior whose density is known are drawn through unexplained points, too. Each of
+    `keep` places holds a draw of the posterior: where a batch has share s of all weight so far, each is
+    replaced with probability s by a draw from the batch.
     """
+    sampler = pose_draws(rng, objects, prior, images, draws)
     log_total, log_squares = -np.inf, -np.inf
     poses = np.tile(np.eye(4), (len(objects), keep, 1, 1))
     done = 0
     while done < draws:
-        drawn = prior.draw(rng, objects, min(TOGETHER, draws - done))
-        log_weights = images.log_ratios(objects[0], drawn[0])
-        if len(objects) == 2:
-            log_weights += images.log_ratios_behind(objects[1], drawn[1], objects[0], drawn[0])
+        count = min(sampler.together, draws - done)
+        drawn, log_weights = sampler.draw(rng, count)
+        done += count
         log_batch = np.logaddexp.reduce(log_weights)
+        if np.isneginf(log_batch):
+            continue
         log_total = np.logaddexp(log_total, log_batch)
         log_squares = np.logaddexp(log_squares, np.logaddexp.reduce(2 * log_weights))
         replaced = rng.uniform(size=keep) < np.exp(log_batch - log_total)
         chances = np.exp(log_weights - log_batch)
         picked = rng.choice(len(chances), int(replaced.sum()), p=chances / chances.sum())
         poses[:, replaced] = drawn[:, picked]
-        done += len(log_weights)
     mean = float(np.exp(log_total - np.log(draws)))
     variance = np.exp(log_squares - np.log(draws)) - mean**2
     return MeanRatio(
         mean=mean,
         standard_error=float(np.sqrt(max(variance, 0.0) / max(draws - 1, 1))),
-        effective_draws=float(np.exp(2 * log_total - log_squares)),
+        effective_draws=float(np.exp(2 * log_total - log_squares)) if log_total > -np.inf else 0.0,
         poses=poses,
     )
 

@@ -16,7 +16,7 @@ from pipeline.options import Common, common_options
 @click.option(
     "--draws",
     type=click.IntRange(1024, 10**8),
-    default=2**18,
+    default=2**19,
     show_default=True,
     help="Prior poses of the mug in each scene.",
 )

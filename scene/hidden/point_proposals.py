@@ -1,0 +1,130 @@
+"""Poses in which an object explains what nothing known explains: there its likelihood is high, if anywhere.
+
+Prior poses in which an object is out of sight have a likelihood ratio of one. Those in which it just shows
+itself, in a pixel that nothing known explains, are rare, and their ratio is in the hundreds: few of them
+carry a part of the mean. A mixture of the prior and of poses through such points finds them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from scene.hidden.pose_priors import EulerUniformPoses
+from scene.objects.scene_object import SceneObject
+
+THROUGH_POINTS = 0.75
+"""Share of the mixture's draws that go through a point; the rest is the prior's, which bounds the weights."""
+
+LEAST_SHARE = 0.3
+"""Of those draws, that is spread evenly over the points after their shares are fitted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shell:
+    """Cells of a grid in an object's box frame that hold its surface.
+
+    Attributes:
+        low_m: (3,) corner of the grid.
+        edge_m: of a cell.
+        held: (X, Y, Z) cells that hold surface.
+    """
+
+    low_m: NDArray[np.float64]
+    edge_m: float
+    held: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, one: SceneObject) -> Shell:
+        """As wide as points lie apart: no part of the surface is further from one of them."""
+        tree = KDTree(one.points_m)
+        reach_m = float(tree.query(one.points_m, k=2)[0][:, 1].max())
+        counts = np.ceil(2 * (one.half_extents_m + reach_m) / (reach_m / 2)).astype(int)
+        low_m, edge_m = -counts * reach_m / 4, reach_m / 2
+        cells = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
+        held = tree.query(low_m + (cells + 0.5) * edge_m)[0] < reach_m
+        return cls(low_m=low_m, edge_m=edge_m, held=held)
+
+    @property
+    def volume_m3(self) -> float:
+        """Of all cells that hold surface."""
+        return float(self.held.sum()) * self.edge_m**3
+
+    def draw(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Points (count, 3), uniform."""
+        cells = np.argwhere(self.held)
+        return self.low_m + (cells[rng.integers(len(cells), size=count)] + rng.uniform(size=(count, 3))) * (
+            self.edge_m
+        )
+
+    def holds(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points (..., 3) lie in it."""
+        cells = np.floor((points_m - self.low_m) / self.edge_m).astype(int)
+        inside = ((cells >= 0) & (cells < self.held.shape)).all(axis=-1)
+        x, y, z = np.moveaxis(np.clip(cells, 0, np.array(self.held.shape) - 1), -1, 0)
+        return inside & self.held[x, y, z]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosesThroughPoints:
+    """The prior, and poses with the prior's rotation that put the object's surface on a point.
+
+    Attributes:
+        prior: of poses.
+        shell: of the object.
+        points_m: (P, 3) in the world.
+        shares: (P,) of the draws through points, that go through each.
+    """
+
+    prior: EulerUniformPoses
+    shell: Shell
+    points_m: NDArray[np.float64]
+    shares: NDArray[np.float64]
+
+    @classmethod
+    def even(
+        cls, one: SceneObject, prior: EulerUniformPoses, points_m: NDArray[np.float64]
+    ) -> PosesThroughPoints | None:
+        """Through all points (P, 3) alike that the object can reach; None where there is none."""
+        reached = points_m[prior.distances_m(points_m) < np.linalg.norm(one.half_extents_m)]
+        if not len(reached):
+            return None
+        shares = np.full(len(reached), 1 / len(reached))
+        return cls(prior=prior, shell=Shell.of(one), points_m=reached, shares=shares)
+
+    def draw(self, rng: np.random.Generator, one: SceneObject, count: int) -> NDArray[np.float64]:
+        """Poses (count, 4, 4) world_from_box."""
+        poses = self.prior.draw(rng, [one], count)[0]
+        through = rng.uniform(size=count) < THROUGH_POINTS
+        points_m = self.points_m[rng.choice(len(self.points_m), int(through.sum()), p=self.shares)]
+        in_box_m = self.shell.draw(rng, len(points_m))
+        poses[through, :3, 3] = points_m - np.einsum("nij,nj->ni", poses[through, :3, :3], in_box_m)
+        return poses
+
+    def log_weights(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log density (n,) of the prior over that of the mixture at poses (n, 4, 4)."""
+        passes = self._passes(poses) @ self.shares
+        ratio = passes * self.prior.volume_m3 / self.shell.volume_m3
+        inside = np.isfinite(self.prior.log_density(poses))
+        return np.where(inside, -np.log1p(THROUGH_POINTS * (ratio - 1)), -np.inf)
+
+    def masses(self, poses: NDArray[np.float64], log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The weight (P,) of poses (n, 4, 4) through each point, shared where they pass through several."""
+        passes = self._passes(poses) * self.shares
+        total = passes.sum(axis=1, keepdims=True)
+        return np.exp(log_weights) @ np.divide(passes, total, out=np.zeros_like(passes), where=total > 0)
+
+    def with_masses(self, masses: NDArray[np.float64]) -> PosesThroughPoints:
+        """With shares in proportion to masses (P,) of points (population Monte Carlo, Cappe et al. 2004)."""
+        if not masses.any():
+            return self
+        even = np.full(len(masses), 1 / len(masses))
+        return replace(self, shares=LEAST_SHARE * even + (1 - LEAST_SHARE) * masses / masses.sum())
+
+    def _passes(self, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(n, P) whether the object's surface at poses (n, 4, 4) passes through each point."""
+        in_box_m = (self.points_m - poses[:, None, :3, 3]) @ poses[:, :3, :3]
+        return self.shell.holds(in_box_m)
