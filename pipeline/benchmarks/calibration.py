@@ -16,6 +16,7 @@ import numpy as np
 from scipy import stats
 
 from pipeline.benchmarks.pose_methods import sought_shape
+from pipeline.evaluation.calibration import expected_calibration_error
 from pipeline.evaluation.scenes import region_level
 from pipeline.evaluation.trajectory_errors import LEVELS
 from pipeline.mesh_source import MeshSource
@@ -35,10 +36,10 @@ from scene.parsing import parse_scene
 ASKED = 3
 """Shapes asked of each table."""
 CONFIG = ParseConfig(presence=0.5, unknown_solids=False)
+PRESENCE_BINS = 10
+"""Of presence, equally wide (Guo et al. 2017, expected calibration error)."""
 LEAST_PROBABILITY = 1e-3
 """Of what is so, in the log loss: hundreds of rows tell no smaller ones."""
-BINS = 10
-"""Of presence, equally wide (Guo et al. 2017, expected calibration error)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,20 +154,13 @@ def _figures(rows: Sequence[CalibrationRow]) -> dict[str, Any]:
         "asked": len(rows),
         "there": int(there.sum()),
         "presence_sum": float(told.sum()),
-        "ece": expected_calibration_error(told, there),
+        "ece": expected_calibration_error(told, there, PRESENCE_BINS),
         "log_loss": float(-np.log(likely).mean()),
         "poses": len(levels),
         "inside": {f"{level:.0%}": float((levels < level).mean()) for level in LEVELS} if len(levels) else {},
         "rank_p_value": float(stats.kstest(ranks, "uniform").pvalue) if len(ranks) else None,
         "outer_ranks": float(((ranks < 0.05) | (ranks > 0.95)).mean()) if len(ranks) else None,
     }
-
-
-def expected_calibration_error(told: np.ndarray, there: np.ndarray) -> float:
-    """Mean over bins, by their counts, of the mean told (n,) less the share that is there (n,)."""
-    places = np.minimum((told * BINS).astype(int), BINS - 1)
-    off = [abs((told[places == one] - there[places == one]).sum()) for one in np.unique(places)]
-    return float(sum(off) / len(told))
 
 
 def calibration_lines(figures: dict[str, Any]) -> list[str]:

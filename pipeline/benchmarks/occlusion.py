@@ -13,7 +13,9 @@ import trimesh
 from scipy.special import expit, logit
 
 from pipeline.atomic import write_table
+from pipeline.benchmarks.calibration import PRESENCE_BINS
 from pipeline.benchmarks.seen_object import seen_posterior
+from pipeline.evaluation.calibration import expected_calibration_error
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.occlusion import (
     FAR_M,
@@ -47,6 +49,7 @@ class OcclusionRow:
 
     Attributes:
         scene: turned, wide, closer, or the number of a random one.
+        there: whether the mug is.
         hidden_fraction: of the volume.
         mean_ratio: m, the mean likelihood ratio of the mug over its prior poses.
         mug: probability that it is there, exact but for the number of draws: 9 m / (1 + 9 m).
@@ -57,6 +60,7 @@ class OcclusionRow:
     """
 
     scene: str
+    there: bool
     hidden_fraction: float
     mean_ratio: float
     mug: float
@@ -91,6 +95,26 @@ def measure_occlusion(
     return rows
 
 
+def measure_drawn_scenes(
+    seed: int, scenes: int, width: int, draws: int, progress: Callable[[int, int], None]
+) -> list[OcclusionRow]:
+    """Scenes drawn from the prior, box and mug with it; arguments as `measure_occlusion`.
+
+    The box is told where it is there: what is asked is the mug.
+    """
+    meshes = {name: built_in_object(name) for name in (BOX, MUG)}
+    objects = {name: scene_object(name, mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    rows = []
+    for number in range(scenes):
+        rng = np.random.default_rng([seed, 2, number])
+        there = [name for name in (BOX, MUG) if rng.uniform() < PRESENCE]
+        poses = {name: PRIOR.draw(rng, [objects[name]], 1)[0, 0] for name in there}
+        scene = photographed(str(number), meshes, poses, width, [seed, 2, number])
+        rows.append(occlusion_row(scene, objects, draws, rng))
+        progress(number + 1, scenes)
+    return rows
+
+
 def photographed(
     name: str,
     meshes: Mapping[str, trimesh.Trimesh],
@@ -107,23 +131,33 @@ def occlusion_row(
 ) -> OcclusionRow:
     """The box's posterior round the truth, then the mug's against draws of it."""
     started = time.perf_counter()
-    nothing_m = np.full((1, *scene.depth_m.shape), FAR_M, np.float32)
-    empty = evidence_against(scene, nothing_m)
-    box = seen_posterior(rng, objects[BOX], scene.camera_from_object[BOX], PRIOR, empty)
-    behind = evidence_against(scene, np.minimum(empty.layers(objects[BOX], box.poses), FAR_M))
+    behind, log_ratio_of_box = evidence_behind(scene, objects[BOX], rng)
     number = BinomialNumber(PRESENCE)
     found = hidden_posterior(rng, [objects[MUG]], PRIOR, behind, number, draws=draws)
     ratio = found.ratios[(0,)]
     return OcclusionRow(
         scene=scene.name,
+        there=MUG in scene.camera_from_object,
         hidden_fraction=hidden_fraction(scene),
         mean_ratio=ratio.mean,
         mug=float(found.presence[0]),
         mug_error=float(found.standard_error[0]),
         effective_draws=ratio.effective_draws,
-        box=float(expit(logit(PRESENCE) + box.log_ratio)),
+        box=float(expit(logit(PRESENCE) + log_ratio_of_box)),
         seconds=time.perf_counter() - started,
     )
+
+
+def evidence_behind(
+    scene: OcclusionScene, box: SceneObject, rng: np.random.Generator
+) -> tuple[DepthImages, float]:
+    """The image against draws of the box, where it is there, and the log ratio of its being there."""
+    nothing_m = np.full((1, *scene.depth_m.shape), FAR_M, np.float32)
+    empty = evidence_against(scene, nothing_m)
+    if BOX not in scene.camera_from_object:
+        return empty, -np.inf
+    seen = seen_posterior(rng, box, scene.camera_from_object[BOX], PRIOR, empty)
+    return evidence_against(scene, np.minimum(empty.layers(box, seen.poses), FAR_M)), seen.log_ratio
 
 
 def evidence_against(scene: OcclusionScene, rest_m: np.ndarray) -> DepthImages:
@@ -145,6 +179,18 @@ def figures(rows: Sequence[OcclusionRow]) -> dict[str, Any]:
         "scenes": [asdict(row) for row in rows],
         "in_order": bool(turned < wide < closer),
         "least_box": min(row.box for row in rows),
+        "largest_error": max(row.mug_error for row in rows),
+    }
+
+
+def drawn_figures(rows: Sequence[OcclusionRow]) -> dict[str, Any]:
+    """The rows, and how often the mug is there of those that it is told of with about some probability."""
+    told, there = np.array([row.mug for row in rows]), np.array([row.there for row in rows])
+    return {
+        "scenes": [asdict(row) for row in rows],
+        "there": int(there.sum()),
+        "presence_sum": float(told.sum()),
+        "ece": expected_calibration_error(told, there, PRESENCE_BINS),
         "largest_error": max(row.mug_error for row in rows),
     }
 

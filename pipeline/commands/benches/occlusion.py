@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,6 +13,11 @@ from pipeline.options import Common, common_options
 @click.command(name="occlusion")
 @click.option(
     "--scenes", type=click.IntRange(min=0), default=0, show_default=True, help="More, with the box anywhere."
+)
+@click.option(
+    "--drawn",
+    type=click.IntRange(min=1),
+    help="Instead, so many scenes drawn from the prior, mug and all: is what is told so often so?",
 )
 @click.option(
     "--draws",
@@ -27,19 +33,34 @@ from pipeline.options import Common, common_options
     "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write a row for each scene."
 )
 @common_options()
-def command(common: Common, scenes: int, draws: int, width: int, csv_path: Path | None) -> None:
+def command(
+    common: Common, scenes: int, drawn: int | None, draws: int, width: int, csv_path: Path | None
+) -> None:
     """Is a mug there that no pixel shows? The supplement's figure 7.
 
     A box turned, wide and closer, both objects there with probability 0.9: the exact probability of the mug
     beside the share of the volume that is hidden, by importance sampling over its prior poses.
     """
-    from pipeline.benchmarks.occlusion import figures, measure_occlusion, write_rows
+    from pipeline.benchmarks.occlusion import (
+        drawn_figures,
+        figures,
+        measure_drawn_scenes,
+        measure_occlusion,
+        write_rows,
+    )
     from pipeline.quiet_stdout import stdout_to_stderr
 
     with common.progress("occlusion", "scenes") as progress, stdout_to_stderr():
-        rows = measure_occlusion(common.seed, scenes, width, draws, progress)
+        if drawn:
+            rows = measure_drawn_scenes(common.seed, drawn, width, draws, progress)
+        else:
+            rows = measure_occlusion(common.seed, scenes, width, draws, progress)
     if csv_path:
         write_rows(csv_path, rows)
+    if drawn:
+        document = drawn_figures(rows)
+        common.report(document, [_drawn_line(document, drawn)])
+        return
     document = figures(rows)
     lines = ["scene    hidden   P(mug)           m        draws  P(box)  seconds"]
     lines += [
@@ -49,3 +70,10 @@ def command(common: Common, scenes: int, draws: int, width: int, csv_path: Path 
     ]
     lines.append(f"turned < wide < closer: {'yes' if document['in_order'] else 'no'}")
     common.report(document, lines)
+
+
+def _drawn_line(document: dict[str, Any], scenes: int) -> str:
+    return (
+        f"{scenes} scenes: the mug is in {document['there']}, {document['presence_sum']:.1f} told;"
+        f" ECE {document['ece']:.3f}, largest standard error {document['largest_error']:.3f}"
+    )

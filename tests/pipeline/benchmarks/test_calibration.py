@@ -10,7 +10,6 @@ from pipeline.benchmarks.calibration import (
     CalibrationRow,
     calibration_figures,
     calibration_lines,
-    expected_calibration_error,
     judge_drawn,
 )
 from pipeline.mesh_source import MeshSource
@@ -26,15 +25,6 @@ ROW = CalibrationRow(
     level=0.4,
     ranks=(0.2, 0.5, 0.7),
 )
-
-
-def test_the_calibration_error_of_calibrated_presences_is_that_of_counting(seed: int) -> None:
-    """10,000 draws of what is told have an error near sqrt(bins / n), 0.03; false certainty is counted."""
-    rng = np.random.default_rng(seed)
-    told = rng.random(10_000)
-    there = rng.random(10_000) < told
-    assert expected_calibration_error(told, there) < 0.03
-    assert expected_calibration_error(np.array([1.0, 1.0, 0.0, 0.0]), np.array([1, 0, 0, 0], bool)) == 0.25
 
 
 def test_figures_by_law() -> None:

@@ -4,7 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.benchmarks.occlusion import figures, measure_occlusion, write_rows
+from pipeline.benchmarks.occlusion import (
+    drawn_figures,
+    figures,
+    measure_drawn_scenes,
+    measure_occlusion,
+    write_rows,
+)
 from pipeline.synthesis.occluded_table import PLACES, occluded_table
 from pipeline.synthesis.occlusion import hidden_fraction, occlusion_camera, occlusion_scene
 
@@ -18,6 +24,16 @@ def test_the_order_of_the_supplements_figure(tmp_path: Path) -> None:
     assert told["in_order"]
     assert told["least_box"] > 0.99
     assert len((tmp_path / "rows.csv").read_text().splitlines()) == 4
+
+
+def test_scenes_drawn_from_the_prior() -> None:
+    """A mug in sight is told for certain; what is told where none is in sight is no certainty."""
+    rows = measure_drawn_scenes(1, 4, 32, 4096, lambda *_: None)
+
+    told = drawn_figures(rows)
+    assert told["there"] == sum(row.there for row in rows)
+    assert all(row.mug < 0.9 for row in rows if not row.there)
+    assert any(row.mug > 0.999 for row in rows if row.there)
 
 
 def test_an_empty_volume_hides_nothing_and_a_wall_hides_what_is_behind() -> None:
