@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from pipeline.errors import ConfigError, PipelineError
+from pipeline.progress import Progress, tell
 
 if TYPE_CHECKING:
     from pipeline.config import Settings
-    from pipeline.progress import Progress
     from recordings.options import ReadOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -45,16 +45,14 @@ class Common:
 
     def progress(self, label: str, unit: str) -> Progress:
         """A progress display that keeps to --quiet."""
-        from pipeline.progress import Progress
-
         return Progress(label, unit, quiet=self.quiet)
 
     def report(self, document: Any, lines: Sequence[str]) -> None:
         """Print the result: the document with --json, else the lines for people."""
         if self.as_json:
-            click.echo(json.dumps(document, allow_nan=False))
+            tell(json.dumps(document, allow_nan=False))
         elif not self.quiet:
-            click.echo("\n".join(lines))
+            tell("\n".join(lines))
 
 
 def common_options(*sections: str) -> Callable[[Command], Command]:

@@ -159,7 +159,9 @@ class DepthStatistics:
         count, step_s = self.stamp_steps_back, self.largest_step_back_s
         times = "once" if count == 1 else f"{count} times"
         far = "" if step_s is None else f" by up to {step_s:.3g} s"
-        told = f"the stamps of the depth frames step back {times}{far}, first at {self.first_step_back_s:.3f} s"
+        told = (
+            f"the stamps of the depth frames step back {times}{far}, first at {self.first_step_back_s:.3f} s"
+        )
         if step_s is not None and step_s <= _LATE_S:
             return (
                 f"{told}: read in the order of their stamps, as is right for frames that were written late; "

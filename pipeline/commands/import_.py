@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pipeline.options import Common, Intrinsics, common_options
+from pipeline.progress import tell
 
 
 class Frames(click.ParamType):
@@ -63,6 +64,6 @@ def command(
             format, source, out, frames=frames, intrinsics=intrinsics, progress=progress
         )
     for remark in remarks:
-        click.echo(f"voxscene: {remark}", err=True)
+        tell(f"voxscene: {remark}", err=True)
     size_mb = out.stat().st_size / 1e6
     common.report({"recording": str(out), "megabytes": size_mb}, [f"wrote {out} ({size_mb:.1f} MB)"])

@@ -9,6 +9,7 @@ import click
 
 from pipeline.executors import Workers, executors_for
 from pipeline.options import Common, common_options, words
+from pipeline.progress import tell
 
 SECTIONS = ("C", "D", "E", "F", "G", "H", "L", "O")
 PEERS = ("fpfh", "icp24", "ppf")
@@ -88,7 +89,7 @@ def command(
 
     def say(sentence: str) -> None:
         if not common.quiet:
-            click.echo(sentence, err=True)
+            tell(sentence, err=True)
 
     for part in ("tables", "figures"):
         (output / part).mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from pipeline.options import Common, common_options, words
+from pipeline.progress import tell
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
 POSES = ("true", "slam", "orbit")
@@ -123,10 +124,8 @@ def command(
     config = common.settings.section("learn", LearnConfig)
     talking = not (common.as_json or common.quiet)
     if talking:
-        click.echo(
-            f"pitch {1000 * config.pitch_m:g} mm; the paper does not state its pitch and interior rule"
-        )
-        click.echo(_line(["object", "poses", "T", *TITLES, "paper"]))
+        tell(f"pitch {1000 * config.pitch_m:g} mm; the paper does not state its pitch and interior rule")
+        tell(_line(["object", "poses", "T", *TITLES, "paper"]))
     rows, grown, total = [], [], len(counts) * len(chosen) * len(kinds)
     remaining = shape_rows(
         all_meshes, chosen, counts, kinds, peers, config, common.seed, keep, conditions, noise_free=noise_free
@@ -137,7 +136,7 @@ def command(
                 with stdout_to_stderr():
                     rows.append(next(remaining))
                 if talking:
-                    click.echo(_row_line(rows[-1].figures))
+                    tell(_row_line(rows[-1].figures))
                 progress(len(rows), total)
             if growth:
                 with stdout_to_stderr():
@@ -178,7 +177,7 @@ def _installed(peers: list[str]) -> list[str]:
     """The peers without OctoMap where it is not installed, which is told on stderr."""
     if "octomap" not in peers or importlib.util.find_spec("octomap") is not None:
         return peers
-    click.echo("octomap is left out: pip install 'voxscene[bench]' adds it", err=True)
+    tell("octomap is left out: pip install 'voxscene[bench]' adds it", err=True)
     return [peer for peer in peers if peer != "octomap"]
 
 

@@ -10,6 +10,7 @@ import click
 from pipeline.errors import ConfigError
 from pipeline.executors import Workers, executors_for
 from pipeline.options import Common, common_options, image_size, words
+from pipeline.progress import tell
 
 KINDS = ("single", "stacked", "partial", "occluded")
 
@@ -84,7 +85,7 @@ def command(
     with common.progress(out.name, "images") as progress:
         remarks = write_set(wanted, out.resolve(), executors, at_once, progress, force=force)
     for remark in remarks:
-        click.echo(f"voxscene: {remark}", err=True)
+        tell(f"voxscene: {remark}", err=True)
     count = images * len(wanted.kinds)
     document = {"path": str(out), "images": count, "kinds": list(wanted.kinds), "left_out": remarks}
     common.report(document, [f"{out}: {count} images of {len(wanted.shapes.meshes)} objects"])
