@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from pipeline.damage import report_damage
-from pipeline.options import Common, RecordingSource, common_options, several_recordings_options
+from pipeline.options import AnyPath, Common, RecordingSource, common_options, several_recordings_options
 from pipeline.progress import tell
 
 FRAMES = 48
@@ -20,7 +20,7 @@ FRAMES = 48
     "-o",
     "--output",
     "sensor_path",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     required=True,
     metavar="SENSOR.toml",
     help="The profile, for --sensor.",

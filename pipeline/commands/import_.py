@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pipeline.options import Common, Intrinsics, common_options
+from pipeline.options import AnyPath, Common, Intrinsics, common_options
 from pipeline.progress import tell
 
 
@@ -31,8 +31,8 @@ class Frames(click.ParamType):
 
 @click.command(name="import")
 @click.argument("format", type=click.Choice(["tum", "7scenes", "redwood", "bop", "bag"]))
-@click.argument("source", type=click.Path(path_type=Path), metavar="SRC")
-@click.argument("out", type=click.Path(path_type=Path, dir_okay=False), metavar="OUT.mcap")
+@click.argument("source", type=AnyPath(), metavar="SRC")
+@click.argument("out", type=AnyPath(dir_okay=False), metavar="OUT.mcap")
 @click.option("--frames", type=Frames(), default=":", help="Only these of the frames, counted from 0.")
 @click.option("--intrinsics", type=Intrinsics(), help="Camera in pixels, over the one in SRC.")
 @common_options()

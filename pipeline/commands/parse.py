@@ -10,7 +10,15 @@ import click
 
 from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
-from pipeline.options import Common, RecordingSource, common_options, numbers, recording_options, run_options
+from pipeline.options import (
+    AnyPath,
+    Common,
+    RecordingSource,
+    common_options,
+    numbers,
+    recording_options,
+    run_options,
+)
 
 MOST_FRAMES = 1000
 """All are held in memory and compared at once."""
@@ -49,7 +57,7 @@ class FrameNumbers(click.ParamType):
 @run_options
 @click.option(
     "--shapes",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     required=True,
     metavar="DIR",
     help="Learned shapes (.npz), a RUN that holds some, or meshes (.ply, .obj, .stl, .glb, .off).",
@@ -61,7 +69,7 @@ class FrameNumbers(click.ParamType):
 )
 @click.option(
     "--ids",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="FILE.json",
     help='Ids of objects in poses.csv, {"mug": 14}; those of models_info.json or of the recording otherwise.',
 )

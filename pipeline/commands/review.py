@@ -7,15 +7,13 @@ from pathlib import Path
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options, image_size
+from pipeline.options import AnyPath, Common, common_options, image_size
 from pipeline.progress import Progress
 
 
 @click.command(name="review")
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "--screenshot", type=click.Path(path_type=Path), metavar="OUT.png", help="Write a picture and end."
-)
+@click.argument("run", type=AnyPath())
+@click.option("--screenshot", type=AnyPath(), metavar="OUT.png", help="Write a picture and end.")
 @click.option(
     "--size", default="1600x1000", show_default=True, metavar="WIDTHxHEIGHT", help="Of the picture."
 )
@@ -37,7 +35,7 @@ from pipeline.progress import Progress
 )
 @click.option(
     "--truth",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="TUM|REC",
     help="Also show the truth of a recording or a TUM file, and how much of it the reported regions hold.",
 )

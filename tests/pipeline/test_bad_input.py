@@ -149,6 +149,21 @@ def test_a_pipe_is_not_waited_for(command: str, tmp_path: Path) -> None:
     assert_one_line(run(command, path, *output), "it is a pipe or a device; copy it")
 
 
+@pytest.mark.parametrize("command", ["info", "review", "report"])
+def test_what_may_not_be_read_is_no_misuse(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends as what cannot be read: with where, in one line, and exit code 1."""
+    path = tmp_path / "secret"
+    path.write_bytes(b"")
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    done = CliRunner().invoke(voxscene, [command, str(path)])
+
+    assert done.exit_code == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert str(path) in done.stderr
+
+
 def test_worlds_hold_no_more_than_there_are_meshes(tmp_path: Path) -> None:
     """The number that was named and those that there are; no file is left."""
     told = run("synth", "worlds", tmp_path / "w.mcap", "--objects", 50, "--quiet")

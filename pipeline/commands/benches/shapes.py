@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options, words
+from pipeline.options import AnyPath, Common, common_options, words
 from pipeline.progress import tell
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
@@ -26,7 +26,7 @@ COLUMNS: tuple[str, ...] = (
 
 
 @click.command(name="shapes")
-@click.option("--meshes", type=click.Path(path_type=Path), required=True, metavar="DIR", help="True shapes.")
+@click.option("--meshes", type=AnyPath(), required=True, metavar="DIR", help="True shapes.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--views", metavar="T,...", help="Numbers of views; 5,10,20, or the paper's 5.")
 @click.option(
@@ -37,7 +37,7 @@ COLUMNS: tuple[str, ...] = (
 )
 @click.option(
     "--keep",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=AnyPath(file_okay=False),
     metavar="DIR",
     help="Rows are kept there one by one, and taken from there where they were made with the same settings.",
 )
@@ -65,9 +65,7 @@ COLUMNS: tuple[str, ...] = (
     show_default=True,
     help="Peers on the same frames and poses; an empty word for none.",
 )
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write it as CSV too."
-)
+@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
 @common_options("learn")
 def command(
     common: Common,

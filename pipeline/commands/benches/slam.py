@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options, words
+from pipeline.options import AnyPath, Common, common_options, words
 from pipeline.peers import PEERS
 from pipeline.progress import tell
 
@@ -49,15 +49,13 @@ from pipeline.progress import tell
 )
 @click.option(
     "--data",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=AnyPath(file_okay=False),
     envvar="VOXSCENE_DATA",
     default=Path("data"),
     show_default=True,
     help="Folder with sevenscenes_redkitchen and apc_shelf_handheld [env: VOXSCENE_DATA].",
 )
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write it as CSV too."
-)
+@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
 @common_options()
 def command(
     common: Common,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 if TYPE_CHECKING:
     import trimesh
@@ -21,10 +21,8 @@ SAME_SIZE = 0.01
 
 
 @click.command(name="poses")
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "--truth", type=click.Path(path_type=Path), required=True, metavar="REC", help="Holds the truth."
-)
+@click.argument("run", type=AnyPath())
+@click.option("--truth", type=AnyPath(), required=True, metavar="REC", help="Holds the truth.")
 @common_options()
 def command(common: Common, run: Path, truth: Path) -> None:
     """ADD-S of each object in RUN.
