@@ -101,7 +101,7 @@ def command(
         f"{document['enclosed']} enclosed, "
         f"{' x '.join(f'{100 * side:.1f}' for side in size)} cm; {document['seconds']:.1f} s",
         *_surface(document),
-        f"shape: {run_path / 'shapes' / f'{name}.npz'}",
+        f"shape: {run_path / 'shapes' / f'{name}.npz'}; look at it: voxscene review {run_path}",
     ]
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))

@@ -37,7 +37,7 @@ def run_blueprint(values: RunValues, *, truth: bool = False) -> rrb.Blueprint:
     if values.slam is not None:
         rows.append((3.4 if truth else 2.3, _plots(truth=truth)))
     if truth:
-        rows.append((2.6, _picture("calibration", "How much of the truth lies in the regions told")))
+        rows.append((2.6, _picture("calibration", "How much of the truth lies in the reported regions")))
     rows.append((3.2, rrb.TextDocumentView(origin="report", name="Report")))
     side = rrb.Vertical(*(row for _, row in rows), row_shares=[share for share, _ in rows])
     return rrb.Blueprint(

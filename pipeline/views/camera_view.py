@@ -12,7 +12,7 @@ from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
 from pipeline.views.rendered_depth import difference_rgb, rendered_views_mm
 from pipeline.views.timelines import set_times
-from pipeline.views.trajectory_view import PARTICLE_WIDTH
+from pipeline.views.trajectory_view import THIN_WIDTH
 
 SPACING_NEIGHBOURS = 4
 LARGEST_RADIUS_M, RADIUS_AT_OBJECTS_M = 0.02, 0.0008
@@ -78,7 +78,7 @@ def log_frusta(recording: rr.RecordingStream, values: RunValues, room: RoomView)
     for view in _far_apart(poses[:, :3, 3], FRUSTUM_DISTANCE * extent_m):
         tip, base = poses[view, :3, 3], length_m * rays @ poses[view, :3, :3].T + poses[view, :3, 3]
         strips += [[*base, base[0]], [base[0], tip, base[1]], [base[2], tip, base[3]]]
-    frusta = rr.LineStrips3D(strips, colors=SKY_BLUE, radii=PARTICLE_WIDTH)
+    frusta = rr.LineStrips3D(strips, colors=SKY_BLUE, radii=THIN_WIDTH)
     recording.log("world/path/views", frusta, static=True)
 
 

@@ -40,7 +40,7 @@ def legend(
         ends = f"-{DIFFERENCE_MM:.0f} mm (nearer)", f"+{DIFFERENCE_MM:.0f} mm (farther)"
         rows.append(("residual", signed, ends))
     if path:
-        rows.append(("camera", [("mean path, particles", PATH), ("frames that were lost", LOST)], ("", "")))
+        rows.append(("camera", [("mean path, drawn trajectories", PATH), ("lost frames", LOST)], ("", "")))
     if truth:
         rows.append(("truth", [("true path, boxes of true objects", TRUTH)], ("", "")))
     if shape:

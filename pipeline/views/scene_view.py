@@ -16,7 +16,7 @@ from pipeline.colours import UNSEEN, WHITE, object_colours
 from pipeline.publishing.told_spread import label_text
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import SceneSurface, Surfaces
-from pipeline.views.trajectory_view import ENLARGED, PARTICLE_WIDTH, quaternions_xyzw
+from pipeline.views.trajectory_view import ENLARGED, THIN_WIDTH, quaternions_xyzw
 from scene.result import SceneResult
 from shapes.geometry.poses import matrices_of
 
@@ -115,7 +115,7 @@ def _outlines(
         half_sizes=np.tile(np.ptp(surface.vertices_m, axis=0) / 2, (len(poses), 1)),
         quaternions=quaternions_xyzw(poses[:, :3, :3]),
         colors=(*colour, 90),
-        radii=PARTICLE_WIDTH,
+        radii=THIN_WIDTH,
         fill_mode="majorwireframe",
     )
 
@@ -144,7 +144,7 @@ def _log_flag(
             fill_mode="solid" if scale == 1 else "majorwireframe",
         )
         recording.log(f"{path}/{name}", ellipsoid, static=True)
-    pole = rr.LineStrips3D([[surface.middle_m, above]], colors=(*colour, 160), radii=PARTICLE_WIDTH)
+    pole = rr.LineStrips3D([[surface.middle_m, above]], colors=(*colour, 160), radii=THIN_WIDTH)
     recording.log(f"{path}/pole", pole, static=True)
     label = rr.Points3D([above], radii=LABEL_RADIUS_M, colors=WHITE, labels=text)
     recording.log(f"{path}/label", label, static=True)

@@ -111,7 +111,7 @@ def _object_levels(
 
 def calibration_picture(truth: RunTruth) -> bytes:
     """A PNG: the share of truths that lie inside the regions of each level, beside what it should be."""
-    series = {"as told": LEVELS}
+    series = {"as reported": LEVELS}
     for what, levels in truth.levels.items():
         series[f"{what}, {len(levels)}"] = (levels[None] <= LEVELS[:, None]).mean(axis=1)
     return charts.lines(LEVELS, series, "level of the region", "share of the truth inside")

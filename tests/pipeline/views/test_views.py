@@ -54,7 +54,7 @@ def test_the_rrd_holds_every_part_of_the_run(values: RunValues, tmp_path: Path) 
 
     expected = {f"/plots/{plot}": 6 for plot in ("position", "rotation", "hypotheses", "evidence")}
     expected |= {f"/images/{image}": 6 for image in ("depth", "rendered", "difference", "colour")}
-    expected |= {f"/world/path/{part}": 1 for part in ("mean", "particles", "views", "uncertainty")}
+    expected |= {f"/world/path/{part}": 1 for part in ("mean", "drawn", "views", "uncertainty")}
     expected |= {"/world/camera": 6, "/world/room": 1, "/legend": 1, "/report": 1}
     expected |= {f"/shapes/mug/{part}": 1 for part in ("surface_by_state", "voxels", "never_seen")}
     assert {path: rows.get(path, 0) >= count for path, count in expected.items()} == dict.fromkeys(
