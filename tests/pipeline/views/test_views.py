@@ -19,6 +19,7 @@ from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.publishing.values import RunValues
 from pipeline.room import view_room
 from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.views.blueprint import _eye
 from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
 from pipeline.views.scene_view import _node_places
@@ -93,6 +94,24 @@ def test_a_single_frame_shows_its_images(values: RunValues, parsed_run: RunValue
     assert frames_in(tmp_path / "run.rrd") == [2, 2]
     with pytest.raises(PipelineError, match="has no frame 0: it shows 2 to 2"):
         take_screenshot([tmp_path / "run.rrd"], tmp_path / "a.png", (800, 500), 0)
+
+
+def test_a_photograph_shows_no_depth_that_was_not_measured(
+    values: RunValues, parsed_run: RunValues, tmp_path: Path
+) -> None:
+    """Colour and what was found in it alone, looked at from near by, not through the camera."""
+    assert values.room is not None
+    assert values.room.view_rgb is not None
+    one = {name: getattr(values.room, name)[:1] for name in ("frames", "times_ns", "view_rgb")}
+    none = {name: getattr(values.room, name)[:0] for name in ("points_m", "normals")}
+    room = replace(values.room, **one, **none, depth_mm=0 * values.room.depth_mm[:1], rgb=None)
+    photograph = replace(parsed_run, slam=None, room=room)
+    write_rrd(tmp_path / "run.rrd", "photograph", photograph)
+
+    entities = {str(chunk.entity_path) for chunk in RrdReader(tmp_path / "run.rrd").stream()}
+    shown = {entity for entity in entities if entity.startswith("/images/")}
+    assert shown == {"/images/rendered", "/images/colour"}
+    assert _eye(photograph).position[2] > 0.1
 
 
 def test_runs_keep_their_views_to_themselves(tmp_path: Path) -> None:
