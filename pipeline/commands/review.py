@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pipeline.errors import PipelineError
+from pipeline.errors import ConfigError, PipelineError
 from pipeline.options import AnyPath, Common, common_options, image_size
 from pipeline.progress import Progress
 
@@ -61,6 +61,8 @@ def command(
     from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrd_with_truth, rrds_of, serve_viewer
 
     width, height = image_size(size)
+    if screenshot is not None and screenshot.suffix.lower() != ".png":
+        raise ConfigError(f"--screenshot {screenshot}: name a file that ends in .png")
     if from_mcap:
         rrds = [rrd_of_mcap(run)]
     else:

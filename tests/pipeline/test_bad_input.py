@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner, Result
 from PIL import Image
 
@@ -189,6 +190,25 @@ def test_one_frame_is_a_recording(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     (line,) = (tmp_path / "run" / "trajectory.tum").read_text().splitlines()
     np.testing.assert_allclose(np.array(line.split(), float), [1, 0, 0, 0, 0, 0, 0, 1], atol=1e-9)
+
+
+@pytest.mark.parametrize("command", ["slam", "parse"])
+def test_times_between_which_no_frame_lies_are_named(command: str, tmp_path: Path) -> None:
+    """Not a recording without depth."""
+    path = write(tmp_path / "r.mcap", depth())
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "meshes" / "box.ply")
+    shapes = ["--shapes", tmp_path / "meshes"] if command == "parse" else []
+
+    told = run(command, path, *shapes, "-o", tmp_path / "run", "--start", 99, "--quiet")
+    assert_one_line(told, "no frame lies between --start and --end")
+    assert not (tmp_path / "run" / "sensor.toml").exists()
+
+
+def test_a_picture_is_a_png(tmp_path: Path) -> None:
+    """Another ending would lie about what is in the file."""
+    told = run("review", tmp_path, "--screenshot", tmp_path / "a.jpg")
+    assert (told.exit_code, "ends in .png" in told.stderr) == (2, True)
 
 
 def test_output_that_cannot_be_written(tmp_path: Path) -> None:
