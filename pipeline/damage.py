@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from pipeline.cli import DAMAGED
+from pipeline.progress import tell
 
 if TYPE_CHECKING:
     from recordings.types import Damage
@@ -28,8 +27,8 @@ def describe(damage: Damage) -> str:
 def report_damage(path: Path, damage: Damage) -> int:
     """Say on stderr what was lost, or that nothing could be checked; give the exit code."""
     if damage:
-        click.echo(f"voxscene: {path} is damaged: {describe(damage)}", err=True)
+        tell(f"voxscene: {path} is damaged: {describe(damage)}", err=True)
         return DAMAGED
     if not damage.verified:
-        click.echo(f"voxscene: {path} was written without checksums: its content is unverified", err=True)
+        tell(f"voxscene: {path} was written without checksums: its content is unverified", err=True)
     return 0

@@ -159,13 +159,13 @@ def evaluate(project: Project, run: Path) -> DemoResult:
 def _parsed(
     recording: ProjectRecording, run: Path, shape_from_object: dict[str, NDArray[np.float64]]
 ) -> list[ObjectError]:
-    scene, truth = _values(recording, run).scene, RecordedTruth(recording.path)
-    assert scene is not None
+    values, truth = _values(recording, run), RecordedTruth(recording.path)
+    assert values.scene is not None
     return object_errors(
         truth.scene.objects,
         {one.shape: true_mesh(one) for one in truth.scene.objects},
-        truth.camera_from_world(int(truth.trajectory.times_ns[scene.frames[0]])),
-        scene.found_poses,
+        truth.camera_from_world(values.parsed_time_ns),
+        values.scene.found_poses,
         shape_from_object,
     )
 

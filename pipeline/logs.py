@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pipeline.errors import PipelineError
+from pipeline.progress import tell
 from recordings.errors import RecordingError
 
 log = logging.getLogger("voxscene")
@@ -93,4 +93,4 @@ class _Stderr(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print one."""
-        print(f"voxscene: {record.getMessage()}", file=sys.stderr)
+        tell(f"voxscene: {record.getMessage()}", err=True)

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from pipeline.errors import ConfigError, PipelineError
+from pipeline.progress import Progress, tell
 
 if TYPE_CHECKING:
     from pipeline.config import Settings
-    from pipeline.progress import Progress
     from recordings.options import ReadOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -45,16 +45,26 @@ class Common:
 
     def progress(self, label: str, unit: str) -> Progress:
         """A progress display that keeps to --quiet."""
-        from pipeline.progress import Progress
-
         return Progress(label, unit, quiet=self.quiet)
 
     def report(self, document: Any, lines: Sequence[str]) -> None:
         """Print the result: the document with --json, else the lines for people."""
         if self.as_json:
-            click.echo(json.dumps(document, allow_nan=False))
+            tell(json.dumps(document, allow_nan=False))
         elif not self.quiet:
-            click.echo("\n".join(lines))
+            tell("\n".join(lines))
+
+
+class AnyPath(click.Path):
+    """A path that is opened later: what cannot be read is a failure, told with where, and no misuse.
+
+    Args:
+        file_okay: it may name a file.
+        dir_okay: it may name a folder.
+    """
+
+    def __init__(self, *, file_okay: bool = True, dir_okay: bool = True) -> None:
+        super().__init__(file_okay=file_okay, dir_okay=dir_okay, readable=False, path_type=Path)
 
 
 def common_options(*sections: str) -> Callable[[Command], Command]:
@@ -99,7 +109,7 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             click.option(
                 "--config",
                 "config_file",
-                type=click.Path(path_type=Path),
+                type=AnyPath(),
                 metavar="FILE.toml",
                 help="Settings.",
             ),
@@ -170,7 +180,7 @@ def recording_options(command: Command) -> Command:
         said = {name: kwargs.pop(name) for name in READING}
         return command(*args, source=RecordingSource(path=rec, said=said), **kwargs)
 
-    return _decorated(with_source, [click.argument("rec", type=click.Path(path_type=Path)), *_reading()])
+    return _decorated(with_source, [click.argument("rec", type=AnyPath()), *_reading()])
 
 
 def several_recordings_options(command: Command) -> Command:
@@ -181,9 +191,7 @@ def several_recordings_options(command: Command) -> Command:
         said = {name: kwargs.pop(name) for name in READING}
         return command(*args, sources=[RecordingSource(path=one, said=said) for one in recs], **kwargs)
 
-    argument = click.argument(
-        "recs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="REC..."
-    )
+    argument = click.argument("recs", type=AnyPath(), nargs=-1, required=True, metavar="REC...")
     return _decorated(with_sources, [argument, *_reading()])
 
 
@@ -208,13 +216,13 @@ def _reading() -> list[Any]:
         metres("--max-depth", "max_depth_m", "Farther depths are ignored."),
         click.option(
             "--mask",
-            type=click.Path(path_type=Path),
+            type=AnyPath(),
             metavar="FILE.png",
             help="Image that is black where the depth shows what moves with the camera.",
         ),
         click.option(
             "--sensor",
-            type=click.Path(path_type=Path),
+            type=AnyPath(),
             metavar="FILE.toml",
             help="Profile of the sensor, from `calibrate` or a run: noise, distortion, unknown layer.",
         ),
@@ -231,7 +239,7 @@ def run_options(command: Command) -> Command:
             "-o",
             "--output",
             "run_path",
-            type=click.Path(path_type=Path),
+            type=AnyPath(),
             required=True,
             metavar="RUN",
             help="Run folder; made if it is not there, resumed if it is.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import threading
 import time
@@ -11,6 +12,8 @@ from itertools import pairwise
 from statistics import median
 from types import TracebackType
 from typing import TextIO
+
+import click
 
 SILENT_S = 2.0
 """Work that ends sooner shows nothing."""
@@ -26,6 +29,13 @@ FEW_STEPS = 3
 
 _shown: list[Progress] = []
 """Displays that are open, the innermost last: it alone shows anything."""
+
+
+def tell(text: str, *, err: bool = False) -> None:
+    """Print lines on stdout, or on stderr, where a display may stand on the terminal's line: it is wiped."""
+    for display in _shown[-1:]:
+        display.give_way()
+    click.echo(text, err=err)
 
 
 class Progress:
@@ -84,7 +94,7 @@ class Progress:
             self._wipe()
 
     def give_way(self) -> None:
-        """Leave the terminal's line to a display that opens now."""
+        """Leave the terminal's line to a display that opens now, or to lines that are printed now."""
         with self._lock:
             self._wipe()
 
@@ -122,6 +132,7 @@ class Progress:
             else f"{self._label}: {self._phase}, {_minutes(now - self._begun_s)}"
         )
         if self._terminal:
+            text = _last(text, shutil.get_terminal_size().columns - 1)
             self._stream.write("\r" + text.ljust(self._width))
             self._width = len(text)
         else:
@@ -133,6 +144,7 @@ class Progress:
             self._stream.write("\r" + " " * self._width + "\r")
             self._stream.flush()
             self._width = 0
+            self._shown_s = self._clock()  # what is printed now comes before the line is drawn again
 
     def _counted(self) -> str:
         """What is done, at what rate, and the time that is left at that rate."""
@@ -158,6 +170,11 @@ class Progress:
         work = [step for step in steps if step[0] <= PAUSE * usual_s * step[1]]
         seconds = sum(seconds for seconds, _ in work)
         return sum(units for _, units in work) / seconds if seconds > 0 else None
+
+
+def _last(text: str, width: int) -> str:
+    """The text, or its end where it has more than `width` characters: a line that wraps is not wiped."""
+    return text if len(text) <= width else f"...{text[3 - width :]}"
 
 
 def _minutes(seconds: float) -> str:

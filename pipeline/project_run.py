@@ -13,14 +13,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import click
-
 from pipeline.atomic import atomic_path, write_json
 from pipeline.errors import PipelineError
 from pipeline.executors import executors_for
 from pipeline.fingerprints import file_hash
 from pipeline.logs import log, unforeseen
 from pipeline.options import Common, RecordingSource
+from pipeline.progress import tell
 from pipeline.project import Project, ProjectRecording
 from pipeline.run_access import open_run_folder
 from pipeline.session import open_session
@@ -233,7 +232,7 @@ def _tell(row: Row, done: int, total: int, common: Common) -> None:
     how = f"failed: {row.failure}" if row.failure else f"done in {row.seconds:.1f} s"
     log.info("[%d/%d] %s %s: %s", done, total, row.stage, row.path, how)
     if not common.quiet:
-        click.echo(f"[{done}/{total}] {row.stage} {row.path}: {how}", err=True)
+        tell(f"[{done}/{total}] {row.stage} {row.path}: {how}", err=True)
 
 
 def _write_summary(run: Path, rows: Sequence[Row]) -> None:

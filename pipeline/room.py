@@ -57,6 +57,11 @@ class RoomView:
     frame_id: NDArray[np.str_]
     frame_has_parent: NDArray[np.bool_]
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether anything was measured; not in photographs."""
+        return bool(self.depth_mm.any())
+
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal views give equal bytes."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}

@@ -164,9 +164,7 @@ class RunFolder:
 
     def records(self) -> dict[str, StageRecord]:
         """Records by stage, in the order of the work; without those made from a stage that is another now."""
-        shapes = sorted((self.path / "stages" / "learn").glob("*.json"))
-        names = ["sensor", "slam", "room", *(f"learn/{path.stem}" for path in shapes), "objects", "parse"]
-        found = {name: record for name in names if (record := self.record(name))}
+        found = {name: record for name in self._stages() if (record := self.record(name))}
         return {
             name: record
             for name, record in found.items()
@@ -176,13 +174,11 @@ class RunFolder:
     @property
     def changed(self) -> list[str]:
         """A sentence on each stage whose value is not what was committed: damaged, changed, or older."""
-        folder = self.path / "stages"
-        names = [str(path.relative_to(folder).with_suffix("")) for path in sorted(folder.rglob("*.json"))]
         return [
             f"{self.value_path(name).relative_to(self.path)} was changed or is of another version; "
             "it is left out, and the command that made it makes it anew"
-            for name in names
-            if name != "inputs" and self.record(name) is None
+            for name in self._stages()
+            if self._record_path(name).is_file() and self.record(name) is None
         ]
 
     @property
@@ -197,6 +193,11 @@ class RunFolder:
             return self.path / "stages" / "sensor.toml"
         kind, _, shape = name.partition("/")
         return self.path / "shapes" / f"{shape}.npz" if kind == "learn" else self.path / f"{kind}.npz"
+
+    def _stages(self) -> list[str]:
+        """Names of the stages that a run may have, in the order of the work."""
+        shapes = sorted((self.path / "stages" / "learn").glob("*.json"))
+        return ["sensor", "slam", "room", *(f"learn/{path.stem}" for path in shapes), "objects", "parse"]
 
     def _expect_checkpoint(self, name: str, fingerprint: str | None) -> None:
         """Let a stage have the checkpoint of a fingerprint, or none; those made from other things go."""

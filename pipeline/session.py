@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.errors import PipelineError
 from pipeline.fingerprints import file_hash, source_hash
 from pipeline.logs import log
 from pipeline.options import Common, RecordingSource
@@ -100,9 +102,15 @@ class Session:
         """What the recording's depths and stamps look like; says what about them can hardly be right.
 
         It is read once, and told with the stage that asked first.
+
+        Raises:
+            PipelineError: the options of reading leave no frame.
         """
         if self._statistics is None:
             self._statistics = self.recording.statistics()
+        options = self.recording.options
+        if not self._statistics.frames and (options.start_s > 0 or options.end_s < math.inf):
+            raise PipelineError(f"{self.source.path}: no frame lies between --start and --end")
         for sentence in self._statistics.warnings(self.recording.size):
             self.warn(sentence)
         return self._statistics

@@ -22,6 +22,8 @@ _MANY_REPEATS = 0.1
 _LEAST_SIDE_PX = 32
 _SMOOTHER = 4.0
 """By how much smoother an image has to be with its bytes swapped, to be taken for one in the other order."""
+_LATE_S = 1.0
+"""Frames are written this late at most: a stamp that steps back further is that of a clock that was set."""
 _SECOND_NS = 1_000_000_000
 
 
@@ -35,6 +37,7 @@ class DepthStatistics:
         identical_frames: messages with the same pixels as the one before them.
         stamp_steps_back: messages with an earlier stamp than the one before them in the file.
         first_step_back_s: when the first of them came, after the first frame.
+        largest_step_back_s: by how much they step back at most; None where only the recorder's clock tells.
         undecodable: messages of the depth topic that hold no depth image.
         camera_changes: times at which the camera's calibration changes, in seconds after the first frame.
         too_far: pixels whose stored depth is a kilometre or more.
@@ -45,6 +48,7 @@ class DepthStatistics:
     identical_frames: int = 0
     stamp_steps_back: int = 0
     first_step_back_s: float | None = None
+    largest_step_back_s: float | None = None
     undecodable: int = 0
     camera_changes: Sequence[float] = ()
     too_far: int = 0
@@ -62,6 +66,8 @@ class DepthStatistics:
             self.stamp_steps_back += 1
             if self.first_step_back_s is None:
                 self.first_step_back_s = (last_ns - first_ns) / _SECOND_NS
+            step_s = (last_ns - time_ns) / _SECOND_NS
+            self.largest_step_back_s = max(step_s, self.largest_step_back_s or 0.0)
         self._stamps_ns = first_ns, time_ns
 
     def add_log_steps_back(self, seconds: Sequence[float]) -> None:
@@ -139,11 +145,7 @@ class DepthStatistics:
                 "stalled driver does; the camera seems to stand still there"
             )
         if self.stamp_steps_back:
-            found.append(
-                f"the stamps of the depth frames step back {self.stamp_steps_back} times, first at "
-                f"{self.first_step_back_s:.3f} s: the camera's clock was set; frames from before and after "
-                "may be mixed or left out, read them apart with --start and --end"
-            )
+            found.append(self._step_back())
         if self.camera_changes:
             times = ", ".join(f"{seconds:.3f}" for seconds in self.camera_changes[:5])
             found.append(
@@ -151,6 +153,24 @@ class DepthStatistics:
                 "are brought to the first one"
             )
         return found
+
+    def _step_back(self) -> str:
+        """Stamps that step back: of frames that were written late, or by a clock that was set."""
+        count, step_s = self.stamp_steps_back, self.largest_step_back_s
+        times = "once" if count == 1 else f"{count} times"
+        far = "" if step_s is None else f" by up to {step_s:.3g} s"
+        told = (
+            f"the stamps of the depth frames step back {times}{far}, first at {self.first_step_back_s:.3f} s"
+        )
+        if step_s is not None and step_s <= _LATE_S:
+            return (
+                f"{told}: read in the order of their stamps, as is right for frames that were written late; "
+                "if a clock was set there, read before and after apart with --start and --end"
+            )
+        return (
+            f"{told}: a clock was set; frames from before and after may be mixed or left out, read them "
+            "apart with --start and --end"
+        )
 
 
 def _roughness(stored: NDArray[np.uint16]) -> float:

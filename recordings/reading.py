@@ -137,7 +137,10 @@ class McapRecording:
     @property
     def problems(self) -> list[str]:
         """A sentence for a person on each loss so far."""
-        unused = [f"{n} messages of {self.depth_topic}: {reason}" for reason, n in self._losses.items()]
+        unused = [
+            f"{n} message{'s' * (n != 1)} of {self.depth_topic}: {reason}"
+            for reason, n in self._losses.items()
+        ]
         return self.decoded.bag.problems + unused
 
     @property

@@ -144,7 +144,7 @@ class SceneResult:
             hidden_poses=poses_of(camera_from_this @ matrices_of(self.hidden_poses)),
         )
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write an npz file, whole or not at all; equal results give equal bytes.
 
         Raises:
@@ -153,7 +153,7 @@ class SceneResult:
         save_fields(path, self, format_version=FORMAT_VERSION)
 
     @classmethod
-    def load(cls, path: Path) -> SceneResult:
+    def load(cls, path: str | Path) -> SceneResult:
         """Read what `save` wrote.
 
         Raises:

@@ -24,14 +24,16 @@ LARGEST_BYTES = 4 << 30
 _DAMAGE = (ValueError, EOFError, OSError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
-def save_arrays(path: Path, arrays: Mapping[str, ArrayLike], *, compressed: bool = True) -> None:
-    """Write arrays under their names; the file appears whole or not at all.
+def save_arrays(path: str | Path, arrays: Mapping[str, ArrayLike], *, compressed: bool = True) -> None:
+    """Write arrays under their names; the file appears whole or not at all, its folder where there is none.
 
     Zip entries carry no clock, so equal arrays give equal bytes.
 
     Raises:
         OSError: the folder cannot be written.
     """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, partial = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
     try:
         with os.fdopen(descriptor, "wb") as file:
@@ -46,7 +48,7 @@ def save_arrays(path: Path, arrays: Mapping[str, ArrayLike], *, compressed: bool
         raise
 
 
-def load_arrays(path: Path, *, largest_bytes: int = LARGEST_BYTES) -> dict[str, NDArray]:
+def load_arrays(path: str | Path, *, largest_bytes: int = LARGEST_BYTES) -> dict[str, NDArray]:
     """All arrays of an npz file; pickled objects are never read.
 
     Every array's claimed size is compared with the bytes stored for it before memory is taken.
@@ -55,6 +57,7 @@ def load_arrays(path: Path, *, largest_bytes: int = LARGEST_BYTES) -> dict[str, 
         FileNotFoundError: there is no such file.
         ValueError: not an npz file, damaged, or larger than `largest_bytes`; the message names the file.
     """
+    path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}")
     try:
@@ -68,7 +71,7 @@ def load_arrays(path: Path, *, largest_bytes: int = LARGEST_BYTES) -> dict[str, 
         raise ValueError(f"{path} is not a readable npz file: {error}") from error
 
 
-def save_fields(path: Path, value: DataclassInstance, *, format_version: int) -> None:
+def save_fields(path: str | Path, value: DataclassInstance, *, format_version: int) -> None:
     """Write a value whose fields are all arrays, as `load_fields` reads it.
 
     Raises:
@@ -79,7 +82,7 @@ def save_fields(path: Path, value: DataclassInstance, *, format_version: int) ->
 
 
 def load_fields(
-    path: Path,
+    path: str | Path,
     kind: type[DataclassInstance],
     *,
     format_version: int,

@@ -204,7 +204,7 @@ class ShapePrior:
         filled = np.where(self.enclosed, np.float32(1.0), self.phi)
         return level_surface(filled, level, self.pitch_m, self.rgb, self.surfels)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the npz file that `load` reads; its names are a contract (format_version 2).
 
         Raises:
@@ -223,7 +223,7 @@ class ShapePrior:
         save_arrays(path, arrays if self.rgb is None else arrays | {"rgb": self.rgb})
 
     @classmethod
-    def load(cls, path: Path) -> ShapePrior:
+    def load(cls, path: str | Path) -> ShapePrior:
         """Read a shape.
 
         Raises:

@@ -116,7 +116,7 @@ class SlamResult:
         shares = np.bincount(cluster(compared, weights), weights).astype(np.float64)
         return np.sort(shares)[::-1]
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write an npz file, whole or not at all; equal results give equal bytes.
 
         Raises:
@@ -125,7 +125,7 @@ class SlamResult:
         save_fields(path, self, format_version=FORMAT_VERSION)
 
     @classmethod
-    def load(cls, path: Path) -> SlamResult:
+    def load(cls, path: str | Path) -> SlamResult:
         """Read what `save` wrote.
 
         Raises:

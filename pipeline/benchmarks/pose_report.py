@@ -97,9 +97,7 @@ def _coverage(methods: Mapping[str, Any]) -> list[str]:
     for method, figures in methods.items():
         if told := figures["coverage"]:
             inside = ", ".join(f"{share:.0%} in the {level}" for level, share in told["inside"].items())
-            lines.append(
-                f"{_title(method, figures)}: of {told['objects']} true middles {inside} regions told"
-            )
+            lines.append(f"{_title(method, figures)}: of {told['objects']} true centres {inside} regions")
     return lines
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from pipeline.damage import report_damage
-from pipeline.options import Common, RecordingSource, common_options, several_recordings_options
+from pipeline.options import AnyPath, Common, RecordingSource, common_options, several_recordings_options
+from pipeline.progress import tell
 
 FRAMES = 48
 """Of each recording: four times as many as a run looks at."""
@@ -19,7 +20,7 @@ FRAMES = 48
     "-o",
     "--output",
     "sensor_path",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     required=True,
     metavar="SENSOR.toml",
     help="The profile, for --sensor.",
@@ -69,5 +70,5 @@ def command(
     StoredProfile(found.profile).save(sensor_path)
     common.report(document_of(found), lines_of(found, str(sensor_path)))
     for sentence in warnings_of(found):
-        click.echo(f"voxscene: {sentence}", err=True)
+        tell(f"voxscene: {sentence}", err=True)
     ctx.exit(max(report_damage(path, one) for (path, _), one in zip(opened, found.damage, strict=True)))

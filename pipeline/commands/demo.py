@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 if TYPE_CHECKING:
     from pipeline.demo import DemoResult
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @click.command(name="demo")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     default="demo",
     show_default=True,
     metavar="DIR",

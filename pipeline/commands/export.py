@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pipeline.errors import ConfigError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 DEFAULT_FORMATS = "ply,glb"
 OVERLAY = "overlay"
@@ -19,7 +19,7 @@ SOLIDS = frozenset({"bop", "urdf", "mjcf"})
 
 
 @click.command(name="export")
-@click.argument("source", metavar="SHAPE.npz|DIR|RUN", type=click.Path(path_type=Path))
+@click.argument("source", metavar="SHAPE.npz|DIR|RUN", type=AnyPath())
 @click.option(
     "--format",
     "formats",
@@ -28,7 +28,7 @@ SOLIDS = frozenset({"bop", "urdf", "mjcf"})
     metavar="FORMAT,...",
     help="npz, ply, obj, glb, stl, bop (BOP data set), urdf, mjcf (simulators), overlay (picture of a RUN).",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR")
+@click.option("-o", "--output", type=AnyPath(), required=True, metavar="DIR")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of shapes in ply, obj and stl; m by default.")
 @click.option(
     "--origin",
@@ -47,7 +47,7 @@ SOLIDS = frozenset({"bop", "urdf", "mjcf"})
 @click.option("--shells", is_flag=True, help="Also the surfaces where the probability is 0.1 and 0.9.")
 @click.option(
     "--ids",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="FILE.json",
     help="Ids of shapes in BOP's files, {\"mug\": 14}; the run's own, or the next that are free, otherwise.",
 )
@@ -71,13 +71,13 @@ SOLIDS = frozenset({"bop", "urdf", "mjcf"})
 )
 @click.option(
     "--recording",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="REC",
     help="What RUN was made from, where --mesh and overlay do not find it by themselves.",
 )
 @click.option(
     "--truth",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="REC",
     help="Of overlay: outlines of the true poses in REC as well.",
 )

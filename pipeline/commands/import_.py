@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from pipeline.options import Common, Intrinsics, common_options
+from pipeline.options import AnyPath, Common, Intrinsics, common_options
+from pipeline.progress import tell
 
 
 class Frames(click.ParamType):
@@ -30,8 +31,8 @@ class Frames(click.ParamType):
 
 @click.command(name="import")
 @click.argument("format", type=click.Choice(["tum", "7scenes", "redwood", "bop", "bag"]))
-@click.argument("source", type=click.Path(path_type=Path), metavar="SRC")
-@click.argument("out", type=click.Path(path_type=Path, dir_okay=False), metavar="OUT.mcap")
+@click.argument("source", type=AnyPath(), metavar="SRC")
+@click.argument("out", type=AnyPath(dir_okay=False), metavar="OUT.mcap")
 @click.option("--frames", type=Frames(), default=":", help="Only these of the frames, counted from 0.")
 @click.option("--intrinsics", type=Intrinsics(), help="Camera in pixels, over the one in SRC.")
 @common_options()
@@ -63,6 +64,6 @@ def command(
             format, source, out, frames=frames, intrinsics=intrinsics, progress=progress
         )
     for remark in remarks:
-        click.echo(f"voxscene: {remark}", err=True)
+        tell(f"voxscene: {remark}", err=True)
     size_mb = out.stat().st_size / 1e6
     common.report({"recording": str(out), "megabytes": size_mb}, [f"wrote {out} ({size_mb:.1f} MB)"])

@@ -8,6 +8,7 @@ import click
 
 from pipeline.damage import describe, report_damage
 from pipeline.options import Common, RecordingSource, common_options, recording_options
+from pipeline.progress import tell
 
 if TYPE_CHECKING:
     from recordings.overview import DepthCandidate, DepthOverview, Overview, Pace
@@ -32,11 +33,11 @@ def command(ctx: click.Context, source: RecordingSource, hashes: bool, common: C
     overview = survey(source.path, source.read_options(common.settings), hashes=hashes)
     common.report(_document(overview), _lines(overview))
     if overview.depth and not overview.depth.frames and any(source.said[one] for one in ("start_s", "end_s")):
-        click.echo("voxscene: no frame lies between --start and --end", err=True)
+        tell("voxscene: no frame lies between --start and --end", err=True)
     for warning in _document(overview)["warnings"]:
-        click.echo(f"voxscene: {warning}", err=True)
+        tell(f"voxscene: {warning}", err=True)
     for problem in overview.problems[:_PROBLEMS_SHOWN]:
-        click.echo(f"voxscene: {problem}", err=True)
+        tell(f"voxscene: {problem}", err=True)
     ctx.exit(report_damage(source.path, overview.damage))
 
 

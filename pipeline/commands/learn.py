@@ -10,7 +10,15 @@ import click
 
 from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
-from pipeline.options import Common, RecordingSource, common_options, numbers, recording_options, run_options
+from pipeline.options import (
+    AnyPath,
+    Common,
+    RecordingSource,
+    common_options,
+    numbers,
+    recording_options,
+    run_options,
+)
 
 if TYPE_CHECKING:
     from pipeline.stages.region import LearnedRegion
@@ -35,7 +43,7 @@ LARGE_M = 0.4
 )
 @click.option(
     "--preview",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=AnyPath(dir_okay=False),
     metavar="OUT.png",
     help="Only draw the region that would be learned, on the first depth frame.",
 )
@@ -93,7 +101,7 @@ def command(
         f"{document['enclosed']} enclosed, "
         f"{' x '.join(f'{100 * side:.1f}' for side in size)} cm; {document['seconds']:.1f} s",
         *_surface(document),
-        f"shape: {run_path / 'shapes' / f'{name}.npz'}",
+        f"shape: {run_path / 'shapes' / f'{name}.npz'}; look at it: voxscene review {run_path}",
     ]
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))

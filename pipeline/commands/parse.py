@@ -10,7 +10,15 @@ import click
 
 from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
-from pipeline.options import Common, RecordingSource, common_options, numbers, recording_options, run_options
+from pipeline.options import (
+    AnyPath,
+    Common,
+    RecordingSource,
+    common_options,
+    numbers,
+    recording_options,
+    run_options,
+)
 
 MOST_FRAMES = 1000
 """All are held in memory and compared at once."""
@@ -49,7 +57,7 @@ class FrameNumbers(click.ParamType):
 @run_options
 @click.option(
     "--shapes",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     required=True,
     metavar="DIR",
     help="Learned shapes (.npz), a RUN that holds some, or meshes (.ply, .obj, .stl, .glb, .off).",
@@ -61,7 +69,7 @@ class FrameNumbers(click.ParamType):
 )
 @click.option(
     "--ids",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="FILE.json",
     help='Ids of objects in poses.csv, {"mug": 14}; those of models_info.json or of the recording otherwise.',
 )
@@ -199,9 +207,10 @@ def command(
         f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s; "
         f"{rate:.1f} effective samples/s, {document['acceptance']:.0%} of moves accepted",
         verdict_text(document),
+        f"poses: {run_path / 'poses.csv'}; look at it: voxscene review {run_path}",
     ]
     if shape_samples:
-        lines.append(f"variance of the log likelihood's estimate {document['log_estimate_variance']:.2f}")
+        lines.insert(-1, f"variance of the log likelihood's estimate {document['log_estimate_variance']:.2f}")
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))
 
@@ -215,7 +224,7 @@ def _names(option: str, text: str) -> tuple[str, ...]:
 
 def _hidden_line(one: dict[str, Any]) -> str:
     """What a person wants to know of an object that nobody sees."""
-    text = f"{one['name']}: not seen, presence {one['presence']:.3f} ± {one['presence_std']:.3f}"
+    text = f"{one['name']}: not seen, presence {one['presence']:.3f} +- {one['presence_std']:.3f}"
     places = [
         f"{region['probability']:.2f} in ({_corner(region['low_m'])}) to ({_corner(region['high_m'])}) cm"
         for region in one["regions"][:REGIONS]

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 
 @click.command(name="report")
-@click.argument("runs", metavar="RUN|PROJECT...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", metavar="RUN|PROJECT...", nargs=-1, required=True, type=AnyPath())
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=AnyPath(dir_okay=False),
     default="report.html",
     show_default=True,
     metavar="FILE.html",

@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from pipeline.executors import Workers, executors_for
-from pipeline.options import Common, common_options, words
+from pipeline.options import AnyPath, Common, common_options, words
+from pipeline.progress import tell
 
 SECTIONS = ("C", "D", "E", "F", "G", "H", "L", "O")
 PEERS = ("fpfh", "icp24", "ppf")
@@ -17,19 +18,13 @@ ESTIMATE_AFTER = 8
 
 
 @click.command(name="reproduce")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), required=True, metavar="DIR"
-)
+@click.option("-o", "--output", type=AnyPath(file_okay=False), required=True, metavar="DIR")
 @click.option("--only", metavar="LETTER,...", help=f"Sections of the supplement: {', '.join(SECTIONS)}.")
 @click.option("--images", type=click.IntRange(min=1), default=25, show_default=True, help="Of each kind.")
-@click.option(
-    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of the built-in objects."
-)
+@click.option("--meshes", type=AnyPath(), metavar="DIR", help="Instead of the built-in objects.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--objects", metavar="NAME,...", help="These objects alone.")
-@click.option(
-    "--data", type=click.Path(path_type=Path), metavar="BOP_ROOT", help="Real images, for section F."
-)
+@click.option("--data", type=AnyPath(), metavar="BOP_ROOT", help="Real images, for section F.")
 @click.option("--split", default="test", show_default=True, help="Folder of the data set's scenes.")
 @click.option(
     "--against", default="fpfh", show_default=True, metavar="PEER,...", help=f"Of {', '.join(PEERS)}."
@@ -88,7 +83,7 @@ def command(
 
     def say(sentence: str) -> None:
         if not common.quiet:
-            click.echo(sentence, err=True)
+            tell(sentence, err=True)
 
     for part in ("tables", "figures"):
         (output / part).mkdir(parents=True, exist_ok=True)

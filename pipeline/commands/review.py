@@ -6,16 +6,14 @@ from pathlib import Path
 
 import click
 
-from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options, image_size
+from pipeline.errors import ConfigError, PipelineError
+from pipeline.options import AnyPath, Common, common_options, image_size
 from pipeline.progress import Progress
 
 
 @click.command(name="review")
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "--screenshot", type=click.Path(path_type=Path), metavar="OUT.png", help="Write a picture and end."
-)
+@click.argument("run", type=AnyPath())
+@click.option("--screenshot", type=AnyPath(), metavar="OUT.png", help="Write a picture and end.")
 @click.option(
     "--size", default="1600x1000", show_default=True, metavar="WIDTHxHEIGHT", help="Of the picture."
 )
@@ -37,7 +35,7 @@ from pipeline.progress import Progress
 )
 @click.option(
     "--truth",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="TUM|REC",
     help="Also show the truth of a recording or a TUM file, and how much of it the reported regions hold.",
 )
@@ -63,6 +61,8 @@ def command(
     from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrd_with_truth, rrds_of, serve_viewer
 
     width, height = image_size(size)
+    if screenshot is not None and screenshot.suffix.lower() != ".png":
+        raise ConfigError(f"--screenshot {screenshot}: name a file that ends in .png")
     if from_mcap:
         rrds = [rrd_of_mcap(run)]
     else:

@@ -11,19 +11,19 @@ import click
 
 from pipeline.damage import report_damage
 from pipeline.executors import Workers
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 if TYPE_CHECKING:
     from pipeline.project_run import Row
 
 
 @click.command(name="run")
-@click.argument("project_file", type=click.Path(path_type=Path), metavar="PROJECT.toml")
+@click.argument("project_file", type=AnyPath(), metavar="PROJECT.toml")
 @click.option(
     "-o",
     "--output",
     "run_path",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="RUN",
     help="Run folder; PROJECT.run next to the project file by default.",
 )

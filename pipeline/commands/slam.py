@@ -57,7 +57,7 @@ def command(
         f"trajectory: {run_path / 'trajectory.tum'}; look at it: voxscene review {run_path}",
     ]
     if len(paths) > 1:
-        lines.insert(1, f"{len(paths)} paths explain what was seen, the one told with {paths[0]:.0%}")
+        lines.insert(1, f"{len(paths)} paths explain what was seen, the reported one with {paths[0]:.0%}")
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))
 

@@ -43,15 +43,19 @@ class RecordedTruth:
         self.scene: SceneTruth = scene
         self.trajectory: Trajectory = trajectory
 
-    def camera_from_world(self, time_ns: int) -> NDArray[np.float64]:
-        """Inverse pose (4, 4) of the camera at the stamp of a frame.
+    def camera_from_world(self, time_ns: int | None) -> NDArray[np.float64]:
+        """Inverse pose (4, 4) of the camera at the stamp of a frame, as far as that is known.
 
         Raises:
-            PipelineError: the recording has no true pose at that time.
+            PipelineError: the stamp is not known, or the recording has no true pose at that time.
         """
+        if time_ns is None:
+            raise PipelineError("the run does not say when what was parsed was seen; parse it again")
         found = np.flatnonzero(self.trajectory.times_ns == time_ns)
         if not len(found):
-            raise PipelineError(f"{self._path} has no true camera pose at {time_ns / 1e9:.9f} s")
+            raise PipelineError(
+                f"{self._path} has no true camera pose at {time_ns / 1e9:.9f} s; is it the right one?"
+            )
         return np.asarray(np.linalg.inv(self.trajectory.reference_from_camera[found[0]]), np.float64)
 
     def object_of_shape(self, shape: str) -> TrueObject:

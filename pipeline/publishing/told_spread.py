@@ -52,7 +52,7 @@ def rotation_text(one: Mapping[str, Any]) -> str:
 def presence_text(one: Mapping[str, Any]) -> str:
     """Probability that an object is there, with its standard error where that shows."""
     error = one.get("presence_std") or 0.0
-    return f"{one['presence']:.2f}" + (f" ± {error:.2f}" if error >= 0.005 else "")
+    return f"{one['presence']:.2f}" + (f" +- {error:.2f}" if error >= 0.005 else "")
 
 
 def label_text(one: Mapping[str, Any]) -> str:
@@ -87,17 +87,18 @@ def agreement_text(one: Mapping[str, Any]) -> str:
 def verdict_text(parse: Mapping[str, Any]) -> str:
     """Whether the spreads of a parsed scene can be believed, and what to do where they cannot."""
     if parse["effective_samples"] is None:
-        return "too few samples to tell whether chains agree: spreads may be too small; raise parse.sweeps"
+        doubt = "standard deviations may be too small; raise parse.sweeps"
+        return f"too few samples to tell whether chains agree: {doubt}"
     figures = (
         f"R-hat {_r_hat(parse)}, {parse['effective_samples']:.0f} effective samples of {parse['samples']}"
     )
     if parse["converged"]:
         return f"converged: {figures}"
-    advised = f"-s parse.sweeps={parse['sweeps_advised']}"
+    advised = f"try -s parse.sweeps={parse['sweeps_advised']}"
     objects: Sequence[Mapping[str, Any]] = parse["objects"]
     if all(one["converged"] and one["modes_converged"] for one in objects):
         return f"not converged: {figures}; places agree, rarer poses may be missing; {advised}"
-    return f"not converged: {figures}; spreads are too small; {advised}"
+    return f"not converged: {figures}; standard deviations are too small; {advised}"
 
 
 def _r_hat(document: Mapping[str, Any]) -> str:

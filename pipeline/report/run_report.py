@@ -152,7 +152,7 @@ def _figures(run: ReportedRun) -> dict[str, str]:
         found["lost frames"] = str(int(slam.lost.sum()))
         found["path length"] = f"{length_m:.2f} m"
         found["position"] = camera_text(run.summary["slam"]).removeprefix("position ")
-        found["most hypotheses at once"] = f"{slam.hypotheses.max():.1f}"
+        found["largest effective number of hypotheses"] = f"{slam.hypotheses.max():.2g}"
     for name, shape in run.values.shapes.items():
         size = " x ".join(f"{100 * side:.1f}" for side in np.ptp(shape.bounding_box_m, axis=0))
         found[f"shape {name}"] = f"{size} cm"
@@ -192,7 +192,7 @@ def _camera(page: Page, run: ReportedRun) -> None:
         time_s = (slam.times_ns - slam.times_ns[0]) / 1e9
         lost = time_s[slam.lost]
         spread = {"root mean square distance": _position_std_mm(run)}
-        pictures["spread of the camera's position; lost frames in red"] = charts.lines(
+        pictures["reported standard deviation of the camera's position; lost frames in red"] = charts.lines(
             time_s, spread, "time, s", "mm", marked=lost
         )
         pictures["share of the returns that lie on the map"] = charts.lines(
@@ -260,7 +260,14 @@ def _objects(page: Page, run: ReportedRun) -> None:
         spread = ", ".join((position_text(one), rotation_text(one), agreement_text(one))).removesuffix(", ")
         presence, visible = presence_text(one), f"{one['visible_fraction']:.0%}"
         rows.append([one["name"], presence, f"({place}) cm", spread, f"{share:.0%}", visible, support])
-    header = ["object", "presence", "centre", "spread, all samples", "share of its mode", "visible"]
+    header = [
+        "object",
+        "presence",
+        "centre",
+        "standard deviation, all samples",
+        "share of its mode",
+        "visible",
+    ]
     page.table([*header, "rests on"], rows)
     if parse["not_found"]:
         told = ", ".join(f"{one['name']} ({presence_text(one)})" for one in parse["not_found"])

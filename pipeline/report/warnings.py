@@ -63,7 +63,9 @@ def _of_scene(parse: Mapping[str, Any]) -> list[str]:
         largest = max((mode["probability"] for mode in one["modes"]), default=1.0)
         if largest < MAIN_SHARE:
             modes = len(one["modes"])
-            found.append(f"{one['name']}: the pose told holds {largest:.0%} of the samples; {modes} modes.")
+            found.append(
+                f"{one['name']}: the reported pose holds {largest:.0%} of the samples; {modes} modes."
+            )
         if one["presence"] < SURE:
             found.append(f"{one['name']}: present with a probability of only {one['presence']:.2f}.")
     return found

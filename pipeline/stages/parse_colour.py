@@ -64,7 +64,7 @@ def parse_colour_frame(
     if strange > STRANGE:
         session.warn(
             f"{strange:.0%} of frame {number} is neither of the table's one colour nor a thing of one "
-            "colour: what is told of it is not to be trusted"
+            "colour: the result is not to be trusted"
         )
     return scene
 

@@ -128,7 +128,7 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
         if contested:
             session.warn(
                 f"in {len(contested)} frames, {contested[0]} to {contested[-1]}, two things move against "
-                "each other and which is the room is open: the spread told there reaches to both. What moves "
-                "along with the camera is left out by --mask FILE.png"
+                "each other and which is the room is open: the reported uncertainty reaches to both. What "
+                "moves along with the camera is left out by --mask FILE.png"
             )
         return result

@@ -7,6 +7,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from pipeline.publishing.values import RunValues
+from pipeline.room import RoomView
 from pipeline.views.framing import Eye, chosen_eye
 from pipeline.views.scene_view import found_places_m
 from pipeline.views.timelines import ELAPSED
@@ -28,7 +29,7 @@ def run_blueprint(values: RunValues, *, truth: bool = False) -> rrb.Blueprint:
     """
     rows: list[tuple[float, rrb.ContainerLike]] = []
     if values.room is not None:
-        rows += [(3.0, _images(values)), (1.2, _picture("legend", "Colours"))]
+        rows += [(3.0, _images(values.room)), (1.2, _picture("legend", "Colours"))]
     if values.shapes:
         rows.append((3.0, rrb.Tabs(*(_shape_view(name, values) for name in values.shapes))))
     if values.scene is not None:
@@ -37,7 +38,7 @@ def run_blueprint(values: RunValues, *, truth: bool = False) -> rrb.Blueprint:
     if values.slam is not None:
         rows.append((3.4 if truth else 2.3, _plots(truth=truth)))
     if truth:
-        rows.append((2.6, _picture("calibration", "How much of the truth lies in the regions told")))
+        rows.append((2.6, _picture("calibration", "How much of the truth lies in the reported regions")))
     rows.append((3.2, rrb.TextDocumentView(origin="report", name="Report")))
     side = rrb.Vertical(*(row for _, row in rows), row_shares=[share for share, _ in rows])
     return rrb.Blueprint(
@@ -52,9 +53,11 @@ def _has_room(values: RunValues) -> bool:
     return values.room is not None or values.slam is not None or values.scene is not None
 
 
-def _images(values: RunValues) -> rrb.Horizontal:
+def _images(room: RoomView) -> rrb.Horizontal:
     names = {"depth": "Seen", "rendered": "Rendered", "difference": "Residual"}
-    if values.room is not None and values.room.view_rgb is not None:
+    if not room.has_depth:
+        names = {"rendered": "Rendered"}
+    if room.view_rgb is not None:
         names["colour"] = "Colour"
     return rrb.Horizontal(*(_picture(f"images/{path}", title) for path, title in names.items()))
 
@@ -105,11 +108,19 @@ def _eye(values: RunValues) -> Eye:
         first_camera = values.reference_from_parsed
         corners = found_places_m(values.scene, values.surfaces, first_camera[:3, :3].T @ values.up)
         focus = corners @ first_camera[:3, :3].T + first_camera[:3, 3]
+        cloud = cloud if len(cloud) else _inside(focus)
         wanted = np.concatenate([focus, path])
     elif values.shapes:
         focus = np.concatenate([_posed_box(values, name) for name in values.shapes])
         wanted = np.concatenate([focus, path])
     return chosen_eye(cloud, wanted, first_camera, values.up, focus)
+
+
+def _inside(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (F * 648, 3) between the places (F * 9, 3) of objects: what fills the picture without depth."""
+    nine = places_m.reshape(-1, 9, 1, 1, 3)
+    share = np.linspace(0, 1, 8)[:, None]
+    return (share * nine + (1 - share) * nine.swapaxes(1, 2)).reshape(-1, 3)
 
 
 def _posed_box(values: RunValues, name: str) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
 from pipeline.views.rendered_depth import difference_rgb, rendered_views_mm
 from pipeline.views.timelines import set_times
-from pipeline.views.trajectory_view import PARTICLE_WIDTH
+from pipeline.views.trajectory_view import THIN_WIDTH
 
 SPACING_NEIGHBOURS = 4
 LARGEST_RADIUS_M, RADIUS_AT_OBJECTS_M = 0.02, 0.0008
@@ -39,20 +39,31 @@ def log_room(recording: rr.RecordingStream, values: RunValues, room: RoomView) -
     recording.log("world/room", rr.Points3D(room.points_m, colors=colours, radii=radii), static=True)
 
 
-def log_camera_views(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> None:
-    """Observed depth, rendered depth, their difference and colour, in the frames that were kept."""
+def log_camera_views(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> tuple[float, float]:
+    """Observed depth, rendered depth, their difference and colour, in the frames that were kept.
+
+    Of photographs without depth, rendered depth and colour alone.
+
+    Returns:
+        Metres at which the colours of the depth images begin and end.
+    """
     rendered_mm = rendered_views_mm(values, room)
-    low_m, high_m = depth_range_m(room)
+    low_m, high_m = depth_range_m(room.depth_mm if room.has_depth else rendered_mm)
     for view, frame in enumerate(room.frames.tolist()):
         set_times(recording, frame, int(room.times_ns[view]), values.first_ns)
-        for name, pixels in (("depth", room.depth_mm[view]), ("rendered", rendered_mm[view])):
+        depth_mm = {"rendered": rendered_mm[view]}
+        if room.has_depth:
+            depth_mm["depth"] = room.depth_mm[view]
+            difference = difference_rgb(room.depth_mm[view], rendered_mm[view])
+            recording.log("images/difference", rr.Image(difference))
+        for name, pixels in depth_mm.items():
             image = rr.DepthImage(
                 pixels, meter=1000.0, depth_range=[1000 * low_m, 1000 * high_m], colormap="turbo"
             )
             recording.log(f"images/{name}", image)
-        recording.log("images/difference", rr.Image(difference_rgb(room.depth_mm[view], rendered_mm[view])))
         if room.view_rgb is not None:
             recording.log("images/colour", rr.Image(room.view_rgb[view]))
+    return low_m, high_m
 
 
 def log_frusta(recording: rr.RecordingStream, values: RunValues, room: RoomView) -> None:
@@ -78,7 +89,7 @@ def log_frusta(recording: rr.RecordingStream, values: RunValues, room: RoomView)
     for view in _far_apart(poses[:, :3, 3], FRUSTUM_DISTANCE * extent_m):
         tip, base = poses[view, :3, 3], length_m * rays @ poses[view, :3, :3].T + poses[view, :3, 3]
         strips += [[*base, base[0]], [base[0], tip, base[1]], [base[2], tip, base[3]]]
-    frusta = rr.LineStrips3D(strips, colors=SKY_BLUE, radii=PARTICLE_WIDTH)
+    frusta = rr.LineStrips3D(strips, colors=SKY_BLUE, radii=THIN_WIDTH)
     recording.log("world/path/views", frusta, static=True)
 
 
@@ -98,9 +109,9 @@ def point_radii_m(points_m: NDArray[np.float32], centres_m: NDArray[np.float64])
     return np.minimum(RADIUS_SHARE * spacing_m, LARGEST_RADIUS_M).astype(np.float32)
 
 
-def depth_range_m(room: RoomView) -> tuple[float, float]:
-    """Where most of the depth of a run lies, by which its images are coloured."""
-    seen = room.depth_mm[room.depth_mm > 0]
+def depth_range_m(depth_mm: NDArray[np.uint16]) -> tuple[float, float]:
+    """Where most of the depth of images (V, h, w) lies, by which they are coloured; metres."""
+    seen = depth_mm[depth_mm > 0]
     if not len(seen):
         return 0.0, 1.0
     low, high = np.percentile(seen[:: max(len(seen) // 100_000, 1)], [1, 98]) / 1000

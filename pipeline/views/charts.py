@@ -22,25 +22,26 @@ Colour = tuple[int, int, int]
 
 
 def legend(
-    depth_range_m: tuple[float, float] | None, *, path: bool, shape: bool, truth: bool = False
+    depth_range_m: tuple[float, float], *, residual: bool, path: bool, shape: bool, truth: bool = False
 ) -> NDArray[np.uint8]:
     """What the colours of a run's views mean (h, w, 3).
 
     Args:
-        depth_range_m: at which the colours of depth images begin and end; None without images.
+        depth_range_m: at which the colours of depth images begin and end.
+        residual: images of the difference of depths are shown.
         path: a trajectory is drawn.
         shape: a learned shape is drawn.
         truth: so are the true path and objects.
     """
     rows: list[tuple[str, Sequence[tuple[str, Colour]] | NDArray[np.uint8], tuple[str, str]]] = []
-    if depth_range_m is not None:
-        low, high = depth_range_m
-        rows.append(("depth", depth_colours(np.linspace(0, 1, BAR_PX)), (f"{low:.2g} m", f"{high:.2g} m")))
+    low, high = depth_range_m
+    rows.append(("depth", depth_colours(np.linspace(0, 1, BAR_PX)), (f"{low:.2g} m", f"{high:.2g} m")))
+    if residual:
         signed = difference_colours(np.linspace(-1, 1, BAR_PX)).astype(np.uint8)
         ends = f"-{DIFFERENCE_MM:.0f} mm (nearer)", f"+{DIFFERENCE_MM:.0f} mm (farther)"
         rows.append(("residual", signed, ends))
     if path:
-        rows.append(("camera", [("mean path, particles", PATH), ("frames that were lost", LOST)], ("", "")))
+        rows.append(("camera", [("mean path, drawn trajectories", PATH), ("lost frames", LOST)], ("", "")))
     if truth:
         rows.append(("truth", [("true path, boxes of true objects", TRUTH)], ("", "")))
     if shape:

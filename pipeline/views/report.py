@@ -46,7 +46,7 @@ def _camera(slam: SlamResult, told: Mapping[str, Any]) -> list[str]:
         "",
         f"- {told['frames']} frames over {told['length_m']:.2f} m, {told['lost_frames'] or 'none'} lost",
         *([f"- {spread}"] if spread else []),
-        f"- at most {slam.hypotheses.max():.1f} hypotheses at once,"
+        f"- effective number of hypotheses at most {slam.hypotheses.max():.2g};"
         f" {len(slam.log_weights)} trajectories drawn",
         *_paths(slam.path_probabilities),
         "- ellipsoids: 95% regions of positions, of true size; ten times larger as `uncertainty_10x`",
@@ -85,9 +85,9 @@ def _scene(parse: Mapping[str, Any]) -> list[str]:
         *lines,
         *(f"| {one['name']} | {presence_text(one)} | | | | not found |" for one in parse["not_found"]),
         "",
-        "- +-: root mean square over all samples, of the middle's place and of the orientation; "
-        "poses: shares of those that are told apart; ?: chains do not agree",
-        "- outlines: samples of the posterior; ellipsoid on the pole: 95% region of the middle, of true size",
+        "- +-: standard deviation over all samples, of the centre and of the orientation; "
+        "poses: shares of distinct ones; ?: chains do not agree",
+        "- outlines: samples of the posterior; ellipsoid on the pole: 95% region of the centre, of true size",
     ]
 
 

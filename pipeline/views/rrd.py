@@ -11,7 +11,7 @@ from pipeline.colours import object_colours
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.views.blueprint import run_blueprint
-from pipeline.views.camera_view import depth_range_m, log_camera_views, log_frusta, log_room
+from pipeline.views.camera_view import log_camera_views, log_frusta, log_room
 from pipeline.views.charts import legend, presence_bars
 from pipeline.views.report import report_markdown
 from pipeline.views.scene_view import log_scene
@@ -61,10 +61,11 @@ def _log(recording: rr.RecordingStream, values: RunValues, truth: RunTruth | Non
         log_filter(recording, values.slam)
     if values.room is not None:
         log_room(recording, values, values.room)
-        log_camera_views(recording, values, values.room)
+        range_m = log_camera_views(recording, values, values.room)
         log_frusta(recording, values, values.room)
         colours = legend(
-            depth_range_m(values.room),
+            range_m,
+            residual=values.room.has_depth,
             path=values.slam is not None,
             shape=bool(values.shapes),
             truth=truth is not None,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
+import trimesh
 from numpy.typing import NDArray
 
 from pipeline.colours import TABLE as TABLE_COLOUR
@@ -16,7 +18,7 @@ from pipeline.colours import UNSEEN, WHITE, object_colours
 from pipeline.publishing.told_spread import label_text
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import SceneSurface, Surfaces
-from pipeline.views.trajectory_view import ENLARGED, PARTICLE_WIDTH, quaternions_xyzw
+from pipeline.views.trajectory_view import ENLARGED, THIN_WIDTH, quaternions_xyzw
 from scene.result import SceneResult
 from shapes.geometry.poses import matrices_of
 
@@ -27,6 +29,8 @@ LIKELY = 0.05
 LABEL_RADIUS_M = 1e-4
 CHI_95 = 2.796
 """Radius of the 95% region of a normal distribution in three dimensions, in standard deviations."""
+SHARP_RAD = math.radians(60)
+"""Angle between faces from which on their edge is drawn sharp: no edge of a learned surface's cells is."""
 GHOSTS = 20
 """Samples of the posterior that are drawn as outlines."""
 ABOVE = 1.3
@@ -55,13 +59,7 @@ def log_scene(
         surface = surfaces.by_name[name]
         pose = values.reference_from_parsed @ scene.camera_from_object[one]
         recording.log(path, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]), static=True)
-        mesh = rr.Mesh3D(
-            vertex_positions=surface.vertices_m,
-            triangle_indices=surface.faces,
-            vertex_normals=_normals(surface),
-            albedo_factor=colour,
-        )
-        recording.log(f"{path}/surface", mesh, static=True)
+        recording.log(f"{path}/surface", _mesh(surface, colour), static=True)
         samples = np.linalg.inv(scene.camera_from_object[one]) @ matrices_of(scene.sample_poses[:, one])
         recording.log(f"{path}/samples", _outlines(samples, surface, colour), static=True)
         _log_flag(recording, values, scene, one, surface, label_text(told[name]))
@@ -115,7 +113,7 @@ def _outlines(
         half_sizes=np.tile(np.ptp(surface.vertices_m, axis=0) / 2, (len(poses), 1)),
         quaternions=quaternions_xyzw(poses[:, :3, :3]),
         colors=(*colour, 90),
-        radii=PARTICLE_WIDTH,
+        radii=THIN_WIDTH,
         fill_mode="majorwireframe",
     )
 
@@ -144,7 +142,7 @@ def _log_flag(
             fill_mode="solid" if scale == 1 else "majorwireframe",
         )
         recording.log(f"{path}/{name}", ellipsoid, static=True)
-    pole = rr.LineStrips3D([[surface.middle_m, above]], colors=(*colour, 160), radii=PARTICLE_WIDTH)
+    pole = rr.LineStrips3D([[surface.middle_m, above]], colors=(*colour, 160), radii=THIN_WIDTH)
     recording.log(f"{path}/pole", pole, static=True)
     label = rr.Points3D([above], radii=LABEL_RADIUS_M, colors=WHITE, labels=text)
     recording.log(f"{path}/label", label, static=True)
@@ -214,11 +212,13 @@ def _node_places(scene: SceneResult, labels: Sequence[str]) -> NDArray[np.float6
     return np.array([places[node] for node in nodes])
 
 
-def _normals(surface: SceneSurface) -> NDArray[np.float64]:
-    """Unit normals (V, 3) at the vertices, faces weighing by their area."""
-    corners = surface.vertices_m[surface.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(surface.vertices_m)
-    for corner in range(3):
-        np.add.at(normals, surface.faces[:, corner], across)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+def _mesh(surface: SceneSurface, colour: tuple[int, int, int]) -> rr.Mesh3D:
+    """A surface with smooth normals but for its edges, which are drawn sharp."""
+    whole = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
+    drawn = trimesh.graph.smooth_shade(whole, angle=SHARP_RAD)
+    return rr.Mesh3D(
+        vertex_positions=drawn.vertices,
+        triangle_indices=drawn.faces,
+        vertex_normals=drawn.vertex_normals,
+        albedo_factor=colour,
+    )

@@ -1,4 +1,4 @@
-"""The camera: its path with uncertainty, its particles, and how sure the filter was."""
+"""The camera: its path with uncertainty, drawn trajectories, and how sure the filter was."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from slam.result import SlamResult
 ENLARGED = 10.0
 """Of the ellipsoids that can be switched on beside those of true size."""
 ELLIPSOIDS = 40
-PATH_WIDTH, PARTICLE_WIDTH = rr.Radius.ui_points(4.0), rr.Radius.ui_points(0.7)
+PATH_WIDTH, THIN_WIDTH = rr.Radius.ui_points(4.0), rr.Radius.ui_points(0.7)
 """In points of the screen: a path is seen at any distance."""
 PLOTS = {
-    "position": ("Position spread, mm", ORANGE),
-    "rotation": ("Rotation spread, deg", PURPLE),
+    "position": ("Position std, mm", ORANGE),
+    "rotation": ("Rotation std, deg", PURPLE),
     "hypotheses": ("Hypotheses, effective number", GREEN),
     "evidence": ("Log evidence, nat a frame", SKY_BLUE),
 }
-"""By path: title with unit, and colour. Spreads are root mean square distances and angles from the mean."""
+"""By path: title with unit, and colour. Std is the root mean square distance or angle from the mean."""
 
 
 def log_trajectory(recording: rr.RecordingStream, result: SlamResult) -> None:
-    """The mean path, every particle's path, the 95% ellipsoids, and the camera along the frames."""
+    """The mean path, every drawn trajectory, the 95% ellipsoids, and the camera along the frames."""
     centres = result.mean[:, :3, 3]
     path = rr.LineStrips3D([centres], colors=PATH, radii=PATH_WIDTH)
     recording.log("world/path/mean", path, static=True)
-    particles = rr.LineStrips3D(list(result.draws[:, :, 4:]), colors=(*PATH, 40), radii=PARTICLE_WIDTH)
-    recording.log("world/path/particles", particles, static=True)
+    drawn = rr.LineStrips3D(list(result.draws[:, :, 4:]), colors=(*PATH, 40), radii=THIN_WIDTH)
+    recording.log("world/path/drawn", drawn, static=True)
     if result.lost.any():
         lost = rr.Points3D(centres[result.lost], colors=LOST, radii=rr.Radius.ui_points(5.0))
         recording.log("world/path/lost", lost, static=True)
@@ -73,7 +73,7 @@ def _log_ellipsoids(recording: rr.RecordingStream, result: SlamResult) -> None:
             half_sizes=scale * half_sizes,
             quaternions=quaternions_xyzw(turns),
             colors=(*SKY_BLUE, 120),
-            line_radii=PARTICLE_WIDTH,
+            line_radii=THIN_WIDTH,
             fill_mode="majorwireframe",
         )
         recording.log(f"world/path/{name}", ellipsoids, static=True)

@@ -59,7 +59,7 @@ def truth_of(values: RunValues, source: Path) -> RunTruth:
     if values.slam is not None:
         path, errors_m, levels["camera"] = _camera_truth(values.slam, source)
     if values.scene is not None and values.surfaces is not None and recorded_scene_truth(source) is not None:
-        in_camera = _objects_truth(values.scene, values.surfaces, RecordedTruth(source))
+        in_camera = _objects_truth(values.parsed_time_ns, values.surfaces, RecordedTruth(source))
         objects = {name: values.reference_from_parsed @ pose for name, pose in in_camera.items()}
         found = _object_levels(values.scene, values.surfaces, in_camera)
         if len(found):
@@ -81,13 +81,10 @@ def _camera_truth(
 
 
 def _objects_truth(
-    scene: SceneResult, surfaces: Surfaces, known: RecordedTruth
+    time_ns: int | None, surfaces: Surfaces, known: RecordedTruth
 ) -> dict[str, NDArray[np.float64]]:
-    """True camera_from_object (4, 4) by name, of the objects that were looked for."""
-    first, times_ns = int(scene.frames[0]), known.trajectory.times_ns
-    if first >= len(times_ns):
-        raise PipelineError(f"there is no true camera for frame {first}: is it the recording of this run?")
-    camera_from_world = known.camera_from_world(int(times_ns[first]))
+    """True camera_from_object (4, 4) by name at a frame's stamp, of the objects that were looked for."""
+    camera_from_world = known.camera_from_world(time_ns)
     return {
         one.shape: camera_from_world @ one.world_from_object
         for one in known.scene.objects
@@ -111,7 +108,7 @@ def _object_levels(
 
 def calibration_picture(truth: RunTruth) -> bytes:
     """A PNG: the share of truths that lie inside the regions of each level, beside what it should be."""
-    series = {"as told": LEVELS}
+    series = {"as reported": LEVELS}
     for what, levels in truth.levels.items():
         series[f"{what}, {len(levels)}"] = (levels[None] <= LEVELS[:, None]).mean(axis=1)
     return charts.lines(LEVELS, series, "level of the region", "share of the truth inside")

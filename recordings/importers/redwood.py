@@ -70,7 +70,8 @@ def _intrinsics(folder: Path) -> tuple[Intrinsics, tuple[str, ...]]:
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue
         return (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]), ()
-    return _PRIMESENSE, (f"{folder} has no camera file: taking Redwood's 525,525,319.5,239.5",)
+    assumed = "taking Redwood's 525,525,319.5,239.5, right for 640x480"
+    return _PRIMESENSE, (f"{folder} has no camera file: {assumed}",)
 
 
 def _poses(path: Path) -> list[tuple[int, NDArray[np.float64]]]:

@@ -59,7 +59,8 @@ def _intrinsics(folder: Path) -> tuple[Intrinsics, tuple[str, ...]]:
         if (folder / name).exists():
             matrix = read_numbers(folder / name, (3, 3))
             return (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]), ()
-    return _KINECT, (f"{folder} has no {' or '.join(_INTRINSICS_NAMES)}: taking 7-Scenes' 585,585,320,240",)
+    missing = " or ".join(_INTRINSICS_NAMES)
+    return _KINECT, (f"{folder} has no {missing}: taking 7-Scenes' 585,585,320,240, right for 640x480",)
 
 
 def _pose(depth: Path) -> NDArray[np.float64] | None:

@@ -58,7 +58,7 @@ def _intrinsics(folder: Path) -> tuple[Intrinsics, tuple[str, ...]]:
     camera = re.search(r"freiburg([123])", folder.resolve().name)
     if camera:
         return _KINECTS[camera[1]], ()
-    return _ROS_DEFAULT, (f"{folder} does not say its camera: taking 525,525,319.5,239.5",)
+    return _ROS_DEFAULT, (f"{folder} does not say its camera: taking 525,525,319.5,239.5, right for 640x480",)
 
 
 def _listed(path: Path) -> list[tuple[int, list[str]]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner, Result
 from PIL import Image
 
@@ -149,6 +150,21 @@ def test_a_pipe_is_not_waited_for(command: str, tmp_path: Path) -> None:
     assert_one_line(run(command, path, *output), "it is a pipe or a device; copy it")
 
 
+@pytest.mark.parametrize("command", ["info", "review", "report"])
+def test_what_may_not_be_read_is_no_misuse(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends as what cannot be read: with where, in one line, and exit code 1."""
+    path = tmp_path / "secret"
+    path.write_bytes(b"")
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    done = CliRunner().invoke(voxscene, [command, str(path)])
+
+    assert done.exit_code == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert str(path) in done.stderr
+
+
 def test_worlds_hold_no_more_than_there_are_meshes(tmp_path: Path) -> None:
     """The number that was named and those that there are; no file is left."""
     told = run("synth", "worlds", tmp_path / "w.mcap", "--objects", 50, "--quiet")
@@ -174,6 +190,25 @@ def test_one_frame_is_a_recording(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     (line,) = (tmp_path / "run" / "trajectory.tum").read_text().splitlines()
     np.testing.assert_allclose(np.array(line.split(), float), [1, 0, 0, 0, 0, 0, 0, 1], atol=1e-9)
+
+
+@pytest.mark.parametrize("command", ["slam", "parse"])
+def test_times_between_which_no_frame_lies_are_named(command: str, tmp_path: Path) -> None:
+    """Not a recording without depth."""
+    path = write(tmp_path / "r.mcap", depth())
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "meshes" / "box.ply")
+    shapes = ["--shapes", tmp_path / "meshes"] if command == "parse" else []
+
+    told = run(command, path, *shapes, "-o", tmp_path / "run", "--start", 99, "--quiet")
+    assert_one_line(told, "no frame lies between --start and --end")
+    assert not (tmp_path / "run" / "sensor.toml").exists()
+
+
+def test_a_picture_is_a_png(tmp_path: Path) -> None:
+    """Another ending would lie about what is in the file."""
+    told = run("review", tmp_path, "--screenshot", tmp_path / "a.jpg")
+    assert (told.exit_code, "ends in .png" in told.stderr) == (2, True)
 
 
 def test_output_that_cannot_be_written(tmp_path: Path) -> None:

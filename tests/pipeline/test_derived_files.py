@@ -10,6 +10,7 @@ import pytest
 from pipeline.config import Settings
 from pipeline.errors import PipelineError
 from pipeline.options import Common, RecordingSource
+from pipeline.run_folder import RunFolder
 from pipeline.session import open_session
 from recordings.errors import RecordingError
 from slam.result import SlamResult
@@ -42,6 +43,7 @@ def test_half_of_any_file_is_mended(mug_file: Path, true_trajectory: SlamResult,
     run = tmp_path / "run"
     run_again(mug_file, run, true_trajectory)
     expected = contents(run)
+    assert RunFolder(run).changed == []
     files = sorted(path for path in run.rglob("*") if path.is_file() and path.name not in NOT_DERIVED)
     assert len(files) >= 13
     for path in files:

@@ -21,6 +21,7 @@ from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
 from pipeline.synthesis.world import Part, RayCaster
 from pipeline.synthesis.writing import write_recording
+from recordings.truth import write_scene_truth
 from recordings.types import Frame
 from recordings.writer import RecordingWriter
 from scene.result import SceneResult
@@ -94,6 +95,24 @@ def test_eval_poses_tells_the_same_errors(table: SyntheticRecording, parsed: Pat
     assert document["largest_m"] == max(one["add_s_m"] for one in document["objects"])
     assert document["accuracy"]["0.005"] == 1.0
     assert {one["name"] for one in document["objects"] if one["parent_right"]} >= {"box"}
+
+
+def test_eval_poses_takes_the_camera_of_the_frame_that_was_parsed(
+    table: SyntheticRecording, parsed: Path, tmp_path: Path
+) -> None:
+    """By its stamp: with --start it has another number in the recording, here by a frame before it."""
+    (frame,), pose = list(table), table.trajectory.reference_from_camera[0]
+    aside = pose.copy()
+    aside[:3, 3] += 0.5
+    with RecordingWriter(tmp_path / "longer.mcap", table.intrinsics) as writer:
+        write_scene_truth(writer, table.truth, frame.time_ns)
+        for one, camera in ((blank_before(frame), aside), (frame, pose)):
+            writer.write_camera_pose(one.time_ns, camera)
+            writer.write_depth(one)
+    command = ["eval", "poses", str(parsed), "--truth", str(tmp_path / "longer.mcap"), "--json"]
+    document = json.loads(CliRunner().invoke(voxscene, command, catch_exceptions=False).stdout)
+
+    assert document["largest_m"] < 0.005
 
 
 def test_eval_poses_leaves_out_what_was_not_looked_for(parsed: Path, tmp_path: Path) -> None:

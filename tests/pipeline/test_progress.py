@@ -4,7 +4,7 @@ import io
 import re
 import time
 
-from pipeline.progress import Progress
+from pipeline.progress import Progress, tell
 
 
 class Terminal(io.StringIO):
@@ -120,3 +120,28 @@ def test_the_program_lives_between_calls() -> None:
         time.sleep(2.6)
 
     assert stream.getvalue() == "slam: compiling once for 640x480, 0:02\n"
+
+
+def test_what_is_printed_does_not_stand_behind_the_line(capsys) -> None:
+    """The terminal's line is wiped before."""
+    clock, stream = Clock(), Terminal()
+    with Progress("slam", "frames", stream=stream, clock=clock) as progress:
+        clock.now_s += 3.0
+        progress(12, 60)
+        tell("none lost")
+        assert stream.getvalue() == "\rslam: 12/60 frames\r" + " " * len("slam: 12/60 frames") + "\r"
+
+    assert capsys.readouterr().out == "none lost\n"
+
+
+def test_a_line_is_no_longer_than_the_terminal_is_wide(monkeypatch) -> None:
+    """A longer one would wrap, and could not be wiped; its end is what counts."""
+    monkeypatch.setenv("COLUMNS", "20")
+    text = shown(Terminal(), [(2.0, 4)])
+    clock, stream = Clock(), Terminal()
+    with Progress("recordings/of_a_long_name.mcap", "frames", stream=stream, clock=clock) as progress:
+        clock.now_s += 3.0
+        progress(12, 60)
+
+    assert "\rslam: 4/60 frames\r" in text
+    assert "\r...ap: 12/60 frames\r" in stream.getvalue()

@@ -93,7 +93,20 @@ def test_a_clock_that_steps_back_is_told(recording_path, images, logged_by_stamp
 
     assert found.stamp_steps_back == 1
     assert found.first_step_back_s == pytest.approx(0.5)
-    assert "step back 1 times, first at 0.500 s" in found.warnings(recording.size)[0]
+    told = found.warnings(recording.size)[0]
+    assert "step back once" in told
+    assert "first at 0.500 s: a clock was set" in told
+
+
+def test_frames_that_are_written_late_are_no_alarm(recording_path, images):
+    """They are put in order; the warning says so, with how late they are."""
+    stamps = np.array([0, 1, 2, 5, 3, 4, 6, 7, 9, 8, 10, 11]) / 10 + 5
+    recording = recorded(recording_path, images, stamps)
+    told = recording.statistics().warnings(recording.size)[0]
+
+    assert "step back 2 times by up to 0.2 s, first at 0.500 s: read in the order" in told
+    assert [frame.time_ns for frame in recording] == sorted(round(one * SECOND_NS) for one in stamps)
+    assert recording.problems == []
 
 
 def test_a_clock_that_stands_still_is_named(recording_path, images):

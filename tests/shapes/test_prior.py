@@ -94,6 +94,13 @@ def test_saving_and_loading_gives_the_same_shape(prior: ShapePrior, tmp_path: Pa
             np.testing.assert_array_equal(loaded.surfels.arrays[name], values)
 
 
+def test_a_path_may_be_a_text(prior: ShapePrior, tmp_path: Path) -> None:
+    """As docs/python.md writes it; the folder is made."""
+    prior.save(str(tmp_path / "shapes" / "mug.npz"))
+
+    np.testing.assert_array_equal(ShapePrior.load(str(tmp_path / "shapes" / "mug.npz")).phi, prior.phi)
+
+
 def test_files_from_before_surfels_are_read(prior: ShapePrior, tmp_path: Path) -> None:
     """Format 1 is format 2 without them; a version that nobody has written yet is refused in one line."""
     bare = replace(prior, surfels=Surfels.none())

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 
 @click.command(name="occlusion")
@@ -29,9 +29,7 @@ from pipeline.options import Common, common_options
 @click.option(
     "--width", type=click.IntRange(32, 1024), default=64, show_default=True, help="Of images, pixels."
 )
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write a row for each scene."
-)
+@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write a row for each scene.")
 @common_options()
 def command(
     common: Common, scenes: int, drawn: int | None, draws: int, width: int, csv_path: Path | None

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import click
-
 from pipeline.errors import PipelineError
 from pipeline.executors import executors_for
 from pipeline.options import Common, words
+from pipeline.progress import tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -295,4 +294,4 @@ def judge_drawn_tables(
 
 def _say(common: Common, line: str) -> None:
     if not (common.as_json or common.quiet):
-        click.echo(line)
+        tell(line)

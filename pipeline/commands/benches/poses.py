@@ -10,7 +10,7 @@ import click
 from pipeline.commands.benches import pose_runs
 from pipeline.commands.benches.pose_runs import KINDS, PoseFiles
 from pipeline.executors import Workers
-from pipeline.options import Common, common_options, image_size, words
+from pipeline.options import AnyPath, Common, common_options, image_size, words
 
 PEERS = ("fpfh", "icp24", "ppf")
 SOURCES = ("points", "masks", "both")
@@ -78,17 +78,13 @@ class NamedFile(click.ParamType):
 )
 @click.option(
     "--unasked",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="DIR",
     help="Meshes of things in these worlds that are not requested.",
 )
-@click.option(
-    "--data", type=click.Path(path_type=Path), metavar="DIR", help="A BOP data set, or YCB-Video frames."
-)
+@click.option("--data", type=AnyPath(), metavar="DIR", help="A BOP data set, or YCB-Video frames.")
 @click.option("--split", default="test", show_default=True, help="Folder of the data set's scenes.")
-@click.option(
-    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of built-in or the data's."
-)
+@click.option("--meshes", type=AnyPath(), metavar="DIR", help="Instead of built-in or the data's.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--only", metavar="NAME,...", help="These objects alone.")
 @click.option(
@@ -147,28 +143,24 @@ class NamedFile(click.ParamType):
 )
 @click.option(
     "--keep",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="DIR",
     help="Keep rows; what is there is not run again.",
 )
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write all rows as one table."
-)
+@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write all rows as one table.")
 @click.option(
     "--bop",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=AnyPath(dir_okay=False),
     metavar="FILE.csv",
     help="Write what our column found as a BOP results file.",
 )
 @click.option(
     "--curves",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=AnyPath(dir_okay=False),
     metavar="FILE.png|svg",
     help="Draw accuracy curves.",
 )
-@click.option(
-    "--sheets", type=click.Path(path_type=Path), metavar="DIR", help="Draw the images of largest difference."
-)
+@click.option("--sheets", type=AnyPath(), metavar="DIR", help="Draw the images of largest difference.")
 @click.option("--watch", is_flag=True, help="Print the tables so far of --keep, and judge nothing.")
 @click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
 @common_options()

@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options, words
+from pipeline.options import AnyPath, Common, common_options, words
+from pipeline.progress import tell
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
 POSES = ("true", "slam", "orbit")
@@ -25,7 +26,7 @@ COLUMNS: tuple[str, ...] = (
 
 
 @click.command(name="shapes")
-@click.option("--meshes", type=click.Path(path_type=Path), required=True, metavar="DIR", help="True shapes.")
+@click.option("--meshes", type=AnyPath(), required=True, metavar="DIR", help="True shapes.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--views", metavar="T,...", help="Numbers of views; 5,10,20, or the paper's 5.")
 @click.option(
@@ -36,7 +37,7 @@ COLUMNS: tuple[str, ...] = (
 )
 @click.option(
     "--keep",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=AnyPath(file_okay=False),
     metavar="DIR",
     help="Rows are kept there one by one, and taken from there where they were made with the same settings.",
 )
@@ -64,9 +65,7 @@ COLUMNS: tuple[str, ...] = (
     show_default=True,
     help="Peers on the same frames and poses; an empty word for none.",
 )
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write it as CSV too."
-)
+@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
 @common_options("learn")
 def command(
     common: Common,
@@ -123,10 +122,8 @@ def command(
     config = common.settings.section("learn", LearnConfig)
     talking = not (common.as_json or common.quiet)
     if talking:
-        click.echo(
-            f"pitch {1000 * config.pitch_m:g} mm; the paper does not state its pitch and interior rule"
-        )
-        click.echo(_line(["object", "poses", "T", *TITLES, "paper"]))
+        tell(f"pitch {1000 * config.pitch_m:g} mm; the paper does not state its pitch and interior rule")
+        tell(_line(["object", "poses", "T", *TITLES, "paper"]))
     rows, grown, total = [], [], len(counts) * len(chosen) * len(kinds)
     remaining = shape_rows(
         all_meshes, chosen, counts, kinds, peers, config, common.seed, keep, conditions, noise_free=noise_free
@@ -137,7 +134,7 @@ def command(
                 with stdout_to_stderr():
                     rows.append(next(remaining))
                 if talking:
-                    click.echo(_row_line(rows[-1].figures))
+                    tell(_row_line(rows[-1].figures))
                 progress(len(rows), total)
             if growth:
                 with stdout_to_stderr():
@@ -178,7 +175,7 @@ def _installed(peers: list[str]) -> list[str]:
     """The peers without OctoMap where it is not installed, which is told on stderr."""
     if "octomap" not in peers or importlib.util.find_spec("octomap") is not None:
         return peers
-    click.echo("octomap is left out: pip install 'voxscene[bench]' adds it", err=True)
+    tell("octomap is left out: pip install 'voxscene[bench]' adds it", err=True)
     return [peer for peer in peers if peer != "octomap"]
 
 

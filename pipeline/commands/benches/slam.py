@@ -8,8 +8,9 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, common_options, words
+from pipeline.options import AnyPath, Common, common_options, words
 from pipeline.peers import PEERS
+from pipeline.progress import tell
 
 
 @click.command(name="slam")
@@ -48,15 +49,13 @@ from pipeline.peers import PEERS
 )
 @click.option(
     "--data",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=AnyPath(file_okay=False),
     envvar="VOXSCENE_DATA",
     default=Path("data"),
     show_default=True,
     help="Folder with sevenscenes_redkitchen and apc_shelf_handheld [env: VOXSCENE_DATA].",
 )
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write it as CSV too."
-)
+@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
 @common_options()
 def command(
     common: Common,
@@ -97,7 +96,7 @@ def command(
         raise PipelineError(f"--only {only}: no row has that in its name")
     talking = not (common.as_json or common.quiet)
     if talking:
-        click.echo(_line(HEADINGS))
+        tell(_line(HEADINGS))
     measured: list[dict[str, Any]] = []
     with common.progress("slam", "recordings") as progress:
         remaining = slam_rows(rows, peers, rooms, common.seed, progress)
@@ -106,20 +105,20 @@ def command(
                 measured.append(next(remaining))
             if talking:
                 for cells in _cells(measured[-1]):
-                    click.echo(_line(cells))
+                    tell(_line(cells))
     if counted:
         with common.progress("coverage", "runs") as progress, stdout_to_stderr():
             walk = partial(short_walk, distortion_per_m=distortion)
             measured.append(coverage_row(runs, common.seed, progress, walk))
         if talking:
             for cells in _cells(measured[-1]):
-                click.echo(_line(cells))
+                tell(_line(cells))
     if timed:
         with common.progress("hour", "frames") as progress, stdout_to_stderr():
             measured.append(hour_row(hour_frames, common.seed, progress))
         if talking:
             for cells in _cells(measured[-1]):
-                click.echo(_line(cells))
+                tell(_line(cells))
     document = {"rows": measured}
     if csv_path is not None:
         _write_csv(csv_path, document)

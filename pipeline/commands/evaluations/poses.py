@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 if TYPE_CHECKING:
     import trimesh
@@ -21,10 +21,8 @@ SAME_SIZE = 0.01
 
 
 @click.command(name="poses")
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "--truth", type=click.Path(path_type=Path), required=True, metavar="REC", help="Holds the truth."
-)
+@click.argument("run", type=AnyPath())
+@click.option("--truth", type=AnyPath(), required=True, metavar="REC", help="Holds the truth.")
 @common_options()
 def command(common: Common, run: Path, truth: Path) -> None:
     """ADD-S of each object in RUN.
@@ -44,20 +42,16 @@ def command(common: Common, run: Path, truth: Path) -> None:
     if scene is None or values.surfaces is None:
         raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
     known = RecordedTruth(truth)
-    times = known.trajectory.times_ns
     objects = [one for one in known.scene.objects if one.shape in values.surfaces.by_name]
     left_out = [one.name for one in known.scene.objects if one.shape not in values.surfaces.by_name]
     if not objects:
         raise PipelineError(f"{run} looked for none of the objects of {truth}: {', '.join(left_out)}")
-    first = int(scene.frames[0])
-    if first >= len(times):
-        raise PipelineError(f"{truth} has no true camera for frame {first}: is it the recording of {run}?")
     shapes = {one.shape for one in objects}
     found = [(shape_of(name, shapes), pose) for name, pose in scene.found_poses]
     errors = object_errors(
         objects,
         {one.shape: _mesh(one, values.surfaces) for one in objects},
-        known.camera_from_world(int(times[first])),
+        known.camera_from_world(values.parsed_time_ns),
         found,
     )
     document = summary_of_errors(errors, parents_right(scene, objects)) | {

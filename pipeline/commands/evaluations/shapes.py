@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pipeline.errors import ConfigError, PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 if TYPE_CHECKING:
     from pipeline.run_folder import RunFolder
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 @click.command(name="shapes")
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("--truth", type=click.Path(path_type=Path), metavar="REC", help="Holds the true meshes.")
+@click.argument("run", type=AnyPath())
+@click.option("--truth", type=AnyPath(), metavar="REC", help="Holds the true meshes.")
 @click.option(
     "--held-back",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="REC",
     help="The recording itself: compare with the frames that were not learned from (-s learn.views=N).",
 )

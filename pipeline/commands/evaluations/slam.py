@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 from pipeline.peers import PEERS
 
 if TYPE_CHECKING:
@@ -21,11 +21,11 @@ ESTIMATES = (".tum", ".txt")
 
 
 @click.command(name="slam")
-@click.argument("run_path", metavar="RUN", type=click.Path(path_type=Path))
+@click.argument("run_path", metavar="RUN", type=AnyPath())
 @click.option(
     "--reference",
     required=True,
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="TUM|MCAP",
     help="The truth: a TUM file, or a recording with poses.",
 )
@@ -36,14 +36,14 @@ ESTIMATES = (".tum", ".txt")
 )
 @click.option(
     "--recording",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="REC",
     help="The frames for the peers, where the reference is not the recording itself.",
 )
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=AnyPath(file_okay=False),
     metavar="DIR",
     help="Write reference.tum, estimate.tum, errors.csv, error.png, path.png and errors.rrd.",
 )

@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options, image_size
+from pipeline.options import AnyPath, Common, common_options, image_size
 
 
 @click.command(name="air")
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("out", type=AnyPath(file_okay=False))
 @click.option("--scenes", type=click.IntRange(min=1), default=40, show_default=True)
 @click.option("--size", metavar="WIDTHxHEIGHT", default="64x64", show_default=True, help="Image size.")
 @common_options()

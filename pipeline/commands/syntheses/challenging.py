@@ -9,18 +9,17 @@ import click
 
 from pipeline.errors import ConfigError
 from pipeline.executors import Workers, executors_for
-from pipeline.options import Common, common_options, image_size, words
+from pipeline.options import AnyPath, Common, common_options, image_size, words
+from pipeline.progress import tell
 
 KINDS = ("single", "stacked", "partial", "occluded")
 
 
 @click.command(name="challenging")
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("out", type=AnyPath(file_okay=False))
 @click.option("--images", type=click.IntRange(min=1), default=500, show_default=True, help="Of each kind.")
 @click.option("--kinds", default=",".join(KINDS), show_default=True, metavar="KIND,...")
-@click.option(
-    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of the built-in objects."
-)
+@click.option("--meshes", type=AnyPath(), metavar="DIR", help="Instead of the built-in objects.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--only", metavar="NAME,...", help="These objects alone.")
 @click.option(
@@ -84,7 +83,7 @@ def command(
     with common.progress(out.name, "images") as progress:
         remarks = write_set(wanted, out.resolve(), executors, at_once, progress, force=force)
     for remark in remarks:
-        click.echo(f"voxscene: {remark}", err=True)
+        tell(f"voxscene: {remark}", err=True)
     count = images * len(wanted.kinds)
     document = {"path": str(out), "images": count, "kinds": list(wanted.kinds), "left_out": remarks}
     common.report(document, [f"{out}: {count} images of {len(wanted.shapes.meshes)} objects"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pipeline.errors import ConfigError
-from pipeline.options import Common, Intrinsics, common_options, image_size, numbers
+from pipeline.options import AnyPath, Common, Intrinsics, common_options, image_size, numbers
 
 if TYPE_CHECKING:
     from pipeline.synthesis.recording import SyntheticRecording
@@ -20,10 +20,10 @@ Film = Callable[[int, Path], "SyntheticRecording"]
 def scene_options(scene: Callable[..., Any]) -> Any:
     """Give a command the options that every filmed scene has."""
     options = [
-        click.argument("out", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False)),
+        click.argument("out", nargs=-1, required=True, type=AnyPath(dir_okay=False)),
         click.option(
             "--meshes",
-            type=click.Path(path_type=Path),
+            type=AnyPath(),
             metavar="DIR",
             help="Meshes instead of the built-in objects.",
         ),

@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 
 @click.command(name="occlusion")
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("out", type=AnyPath(file_okay=False))
 @click.option("--mug", is_flag=True, help="Let a mug stand behind the box.")
 @common_options()
 def command(common: Common, out: Path, mug: bool) -> None:

@@ -8,19 +8,17 @@ from typing import Any
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, common_options
+from pipeline.options import AnyPath, Common, common_options
 
 
 @click.command(name="worlds")
-@click.argument("out", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))
-@click.option(
-    "--meshes", type=click.Path(path_type=Path), metavar="DIR", help="Instead of the built-in objects."
-)
+@click.argument("out", nargs=-1, required=True, type=AnyPath(dir_okay=False))
+@click.option("--meshes", type=AnyPath(), metavar="DIR", help="Instead of the built-in objects.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--only", metavar="NAME,...", help="These objects alone.")
 @click.option(
     "--unasked",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="DIR",
     help="Meshes of things that are not requested.",
 )

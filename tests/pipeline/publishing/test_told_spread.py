@@ -80,7 +80,8 @@ def test_the_verdict_says_what_to_do() -> None:
         "objects": [SURE, TURNED],
     }
     assert verdict_text(parse) == (
-        "not converged: R-hat 1.94, 6 effective samples of 320; spreads are too small; -s parse.sweeps=2400"
+        "not converged: R-hat 1.94, 6 effective samples of 320; standard deviations are too small; "
+        "try -s parse.sweeps=2400"
     )
     assert "places agree, rarer poses may be missing" in verdict_text(parse | {"objects": [SURE]})
     assert verdict_text(parse | {"converged": True, "r_hat": 1.02}).startswith("converged: R-hat 1.02")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
+import trimesh
 from click.testing import CliRunner
 from PIL import Image
 from rerun.chunk import RrdReader
@@ -18,10 +19,12 @@ from pipeline.publishing.summary import summary_of
 from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.publishing.values import RunValues
 from pipeline.room import view_room
+from pipeline.surfaces import SceneSurface
 from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.views.blueprint import _eye
 from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
-from pipeline.views.scene_view import _node_places
+from pipeline.views.scene_view import _mesh, _node_places
 from pipeline.views.screenshot import SOFTWARE_DRIVER, frames_in, take_screenshot
 from pipeline.views.truth_view import _object_levels, truth_of
 from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of
@@ -54,7 +57,7 @@ def test_the_rrd_holds_every_part_of_the_run(values: RunValues, tmp_path: Path) 
 
     expected = {f"/plots/{plot}": 6 for plot in ("position", "rotation", "hypotheses", "evidence")}
     expected |= {f"/images/{image}": 6 for image in ("depth", "rendered", "difference", "colour")}
-    expected |= {f"/world/path/{part}": 1 for part in ("mean", "particles", "views", "uncertainty")}
+    expected |= {f"/world/path/{part}": 1 for part in ("mean", "drawn", "views", "uncertainty")}
     expected |= {"/world/camera": 6, "/world/room": 1, "/legend": 1, "/report": 1}
     expected |= {f"/shapes/mug/{part}": 1 for part in ("surface_by_state", "voxels", "never_seen")}
     assert {path: rows.get(path, 0) >= count for path, count in expected.items()} == dict.fromkeys(
@@ -93,6 +96,37 @@ def test_a_single_frame_shows_its_images(values: RunValues, parsed_run: RunValue
     assert frames_in(tmp_path / "run.rrd") == [2, 2]
     with pytest.raises(PipelineError, match="has no frame 0: it shows 2 to 2"):
         take_screenshot([tmp_path / "run.rrd"], tmp_path / "a.png", (800, 500), 0)
+
+
+def test_edges_are_drawn_sharp_and_round_sides_smooth() -> None:
+    """A box has its own normals on each of six faces; a ball one normal at each vertex."""
+    box, ball = trimesh.creation.box(), trimesh.creation.icosphere()
+    counts = []
+    for one in (box, ball):
+        surface = SceneSurface(vertices_m=np.asarray(one.vertices), faces=np.asarray(one.faces))
+        normals = _mesh(surface, (200, 0, 0)).vertex_normals
+        assert normals is not None
+        counts.append(len(normals.as_arrow_array()))
+
+    assert counts == [6 * 4, len(ball.vertices)]
+
+
+def test_a_photograph_shows_no_depth_that_was_not_measured(
+    values: RunValues, parsed_run: RunValues, tmp_path: Path
+) -> None:
+    """Colour and what was found in it alone, looked at from near by, not through the camera."""
+    assert values.room is not None
+    assert values.room.view_rgb is not None
+    one = {name: getattr(values.room, name)[:1] for name in ("frames", "times_ns", "view_rgb")}
+    none = {name: getattr(values.room, name)[:0] for name in ("points_m", "normals")}
+    room = replace(values.room, **one, **none, depth_mm=0 * values.room.depth_mm[:1], rgb=None)
+    photograph = replace(parsed_run, slam=None, room=room)
+    write_rrd(tmp_path / "run.rrd", "photograph", photograph)
+
+    entities = {str(chunk.entity_path) for chunk in RrdReader(tmp_path / "run.rrd").stream()}
+    shown = {entity for entity in entities if entity.startswith("/images/")}
+    assert shown == {"/images/rendered", "/images/colour"}
+    assert _eye(photograph).position[2] > 0.1
 
 
 def test_runs_keep_their_views_to_themselves(tmp_path: Path) -> None:
