@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 import shutil
@@ -16,7 +15,7 @@ from pipeline.atomic import write_json
 from pipeline.errors import PipelineError
 from pipeline.logs import log, logging_to
 from pipeline.machine import machine, versions
-from pipeline.run_folder import RunFolder
+from pipeline.run_folder import INPUTS, RunFolder, read_inputs
 from recordings.errors import RecordingError
 
 _OWN_FOLDERS = frozenset({"shapes", "recordings"})
@@ -43,7 +42,7 @@ def open_run_folder(
     Raises:
         PipelineError: the folder cannot be used; the message says why and what to do.
     """
-    marker = path / "stages" / "inputs.json"
+    marker = path / INPUTS
     with ExitStack() as held:
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -53,7 +52,7 @@ def open_run_folder(
             held.push(partial(_remove_if_fruitless, path))
             marker.parent.mkdir(exist_ok=True)
             _remove_partial_files(path)
-            made_from = _read_inputs(marker)
+            made_from = read_inputs(path)
             if made_from and sorted(made_from.values()) != sorted(inputs.values()):
                 if not (force or replace):
                     raise PipelineError(
@@ -74,18 +73,10 @@ def _is_run_folder(marker: Path) -> bool:
     return marker.is_file() or (marker.parent.is_dir() and not any(marker.parent.iterdir()))
 
 
-def _read_inputs(marker: Path) -> dict[str, str] | None:
-    """What a run folder was made from; None where it is new or was cut off before it was known."""
-    try:
-        return dict(json.loads(marker.read_text()))
-    except (OSError, ValueError, TypeError):
-        return None
-
-
 def _clear(path: Path) -> None:
     """Remove what a run folder holds: records first, so that a cut leaves none without its value."""
     for record in (path / "stages").rglob("*.json"):
-        if record.name != "inputs.json":
+        if record.name != INPUTS.name:
             record.unlink()
     for member in path.iterdir():
         if member.name in _OWN_FOLDERS:
@@ -102,7 +93,7 @@ def _remove_if_fruitless(path: Path, kind: type[BaseException] | None, *_: objec
     if kind is None or not issubclass(kind, PipelineError | RecordingError | OSError):
         return
     _remove_partial_files(path)
-    if {file.name for file in path.rglob("*") if file.is_file()} <= {"inputs.json", "log.txt"}:
+    if {file.name for file in path.rglob("*") if file.is_file()} <= {INPUTS.name, "log.txt"}:
         shutil.rmtree(path, ignore_errors=True)
 
 

@@ -31,6 +31,18 @@ FORMAT = 4
 """Raised whenever a stage's value would differ for the same inputs, settings and sources."""
 
 
+INPUTS = Path("stages", "inputs.json")
+"""Within a run folder: what it was made from."""
+
+
+def read_inputs(path: Path) -> dict[str, str] | None:
+    """What a run folder was made from; None where it is new or was cut off before it was known."""
+    try:
+        return dict(json.loads((path / INPUTS).read_text()))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
 class Value(Protocol):
     """The result of a stage."""
 
@@ -170,6 +182,11 @@ class RunFolder:
             for name, record in found.items()
             if all(used in found and found[used].fingerprint == made for used, made in record.uses.items())
         }
+
+    @property
+    def made_from(self) -> dict[str, str]:
+        """Hashes of what the folder was made from, by file name; nothing where it does not say so."""
+        return read_inputs(self.path) or {}
 
     @property
     def changed(self) -> list[str]:

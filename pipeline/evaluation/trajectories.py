@@ -37,12 +37,17 @@ def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
     Raises:
         PipelineError: there are no poses in it.
     """
-    if path.is_file() and path.suffix not in (".mcap", ".zstd"):
+    if is_trajectory_file(path):
         return _read_tum(path)
     trajectory = recorded_trajectory(path, options)
     if trajectory is None:
         raise PipelineError(f"{path} has no recorded poses; give a TUM file instead")
     return trajectory
+
+
+def is_trajectory_file(path: Path) -> bool:
+    """Whether a file is taken for a TUM trajectory, and not for a recording."""
+    return path.is_file() and path.suffix not in (".mcap", ".zstd")
 
 
 def _read_tum(path: Path) -> Trajectory:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,13 +104,10 @@ def _recording_of(run: Path) -> Path:
 
     Looked for in the folders above the run, in their `recordings`, and in the working directory.
     """
-    try:
-        made_from = json.loads((run / "stages" / "inputs.json").read_text())
-        name, digest = next(iter(made_from.items()))
-    except (OSError, ValueError, StopIteration, AttributeError) as error:
-        raise PipelineError(
-            f"{run} does not say what it was made from; name it with --recording REC"
-        ) from error
+    made_from = RunFolder(run).made_from
+    if not made_from:
+        raise PipelineError(f"{run} does not say what it was made from; name it with --recording REC")
+    name, digest = next(iter(made_from.items()))
     above = list(run.resolve().parents)[:4]
     for folder in (*above, *(one / "recordings" for one in above), Path.cwd()):
         path = folder / name

@@ -11,6 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from pipeline.errors import PipelineError
+from pipeline.evaluation.same_recording import check_truth
 from pipeline.fingerprints import file_hash
 from pipeline.logs import log
 from pipeline.publishing.values import RunValues
@@ -41,13 +42,15 @@ def rrd_with_truth(path: Path, truth: Path) -> Path:
 
     Raises:
         RecordingError: the truth cannot be read.
-        PipelineError: there is no run, or no truth of it.
+        PipelineError: there is no run, or no truth of it, or that of another recording.
     """
     run = RunFolder(path)
     if not run.records():
         raise PipelineError(f"{path} holds no run of one recording; --truth shows one beside its truth")
     rrd, values = path / "run.truth.rrd", RunValues.load(run).drawable
-    write_rrd(rrd, f"{path.resolve().name}, truth", values, f"{run.identity}-truth", truth_of(values, truth))
+    known = truth_of(values, truth)
+    check_truth(run, truth)
+    write_rrd(rrd, f"{path.resolve().name}, truth", values, f"{run.identity}-truth", known)
     return rrd
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +79,18 @@ def test_objects_stand_where_they_are(table: SyntheticRecording, parsed: Path) -
     assert len((parsed / "poses.csv").read_text().splitlines()) == 1 + len(found)
 
 
+def test_eval_poses_stops_at_the_truth_of_another_table(parsed: Path, tmp_path: Path) -> None:
+    """Filmed at the same stamp: an error in one line, and no figures."""
+    scene = TableScene(room=RoomConfig(kind="none"), path=PathConfig(frames=1, radius_m=0.6), objects=2)
+    write_recording(
+        film_table({name: built_in_object(name) for name in SHAPES}, scene, 5), tmp_path / "o.mcap"
+    )
+    result = CliRunner().invoke(voxscene, ["eval", "poses", str(parsed), "--truth", str(tmp_path / "o.mcap")])
+
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (1, "", 1), result.output
+    assert "is not the recording of" in result.stderr
+
+
 def test_eval_poses_tells_the_same_errors(table: SyntheticRecording, parsed: Path) -> None:
     """With the truth's own surfaces, and whether the parents are right."""
     recording = parsed.parent / "table.mcap"
@@ -115,12 +128,18 @@ def test_eval_poses_takes_the_camera_of_the_frame_that_was_parsed(
     assert document["largest_m"] < 0.005
 
 
-def test_eval_poses_leaves_out_what_was_not_looked_for(parsed: Path, tmp_path: Path) -> None:
-    """Truth of another table, which has a bowl too: it is named, the others are judged."""
-    scene = TableScene(room=RoomConfig(kind="none"), path=PathConfig(frames=1, radius_m=0.8), objects=3)
-    meshes = {name: built_in_object(name) for name in (*SHAPES, "bowl")}
-    write_recording(film_table(meshes, scene, 4), tmp_path / "other.mcap")
-    command = ["eval", "poses", str(parsed), "--truth", str(tmp_path / "other.mcap")]
+def test_eval_poses_leaves_out_what_was_not_looked_for(
+    table: SyntheticRecording, parsed: Path, tmp_path: Path
+) -> None:
+    """Truth that tells of a bowl too: it is named, the others are judged."""
+    bowl = replace(table.truth.objects[0], name="bowl", shape="bowl")
+    told = replace(table.truth, objects=(*table.truth.objects, bowl))
+    (frame,) = table
+    with RecordingWriter(tmp_path / "more.mcap", table.intrinsics) as writer:
+        write_scene_truth(writer, told, frame.time_ns)
+        writer.write_camera_pose(frame.time_ns, table.trajectory.reference_from_camera[0])
+        writer.write_depth(frame)
+    command = ["eval", "poses", str(parsed), "--truth", str(tmp_path / "more.mcap")]
     result = CliRunner().invoke(voxscene, command, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert "not looked for, and left out: bowl" in result.output

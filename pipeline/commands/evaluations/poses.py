@@ -31,17 +31,20 @@ def command(common: Common, run: Path, truth: Path) -> None:
     true pose to its surface at the pose found. Objects of the truth that RUN did not look for are named and
     left out; so are false finds.
     """
+    from pipeline.evaluation.same_recording import check_truth
     from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
     from pipeline.evaluation.truth import RecordedTruth
     from pipeline.publishing.values import RunValues
     from pipeline.run_folder import RunFolder
     from scene.copies import shape_of
 
-    values = RunValues.load(RunFolder(run, force=False))
+    folder = RunFolder(run)
+    values = RunValues.load(folder)
     scene = values.scene
     if scene is None or values.surfaces is None:
         raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
     known = RecordedTruth(truth)
+    check_truth(folder, truth)
     objects = [one for one in known.scene.objects if one.shape in values.surfaces.by_name]
     left_out = [one.name for one in known.scene.objects if one.shape not in values.surfaces.by_name]
     if not objects:

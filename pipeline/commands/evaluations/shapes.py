@@ -38,6 +38,7 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
     shell     their outermost layer against that of the object
     observed  voxels that some ray decided, alone
     """  # noqa: D301  (click reads the \b)
+    from pipeline.evaluation.same_recording import check_truth
     from pipeline.publishing.values import RunValues
     from pipeline.run_folder import RunFolder
 
@@ -47,6 +48,8 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
     values = RunValues.load(folder)
     if values.slam is None or not values.shapes:
         raise PipelineError(f"{run} holds no learned shape; make one with voxscene learn")
+    for source in filter(None, (truth, held_back)):
+        check_truth(folder, source)
     document: dict[str, Any] = {name: {"pitch_m": one.pitch_m} for name, one in values.shapes.items()}
     lines: list[str] = []
     if truth is not None:

@@ -63,6 +63,7 @@ def command(
     """
     from pipeline.config import build
     from pipeline.evaluation.error_files import write_comparison
+    from pipeline.evaluation.same_recording import check_truth
     from pipeline.evaluation.trajectories import (
         ComparedTrajectory,
         compared_file,
@@ -85,6 +86,7 @@ def command(
     options = build(ReadOptions, record.settings.get("recording", {}), "recording")
     truth = reference_trajectory(reference, options)
     ours = compared_run(result, truth)
+    check_truth(run, reference)
     found: dict[str, ComparedTrajectory | str] = {}
     if peers:
         found = _run_peers(peers, recording or reference, options, ours, run_path, common)
