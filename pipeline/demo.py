@@ -1,26 +1,34 @@
 """The whole program on recordings made for it, and how far from the truth it ends.
 
 OUT/recordings/*.mcap      one for each object to learn, and a table with all of them
+OUT/recordings/*.json      what each was filmed from, and its hash: it is kept as long as both are the same
 OUT/project.toml           what `voxscene run` does with them
 OUT/run                    its run folder
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from pipeline.atomic import write_text
+from pipeline.atomic import write_json, write_text
+from pipeline.config import plain_values
 from pipeline.errors import PipelineError
 from pipeline.evaluation.scenes import ObjectError, object_errors
 from pipeline.evaluation.shapes import shape_agreement
 from pipeline.evaluation.trajectories import slam_errors
 from pipeline.evaluation.truth import RecordedTruth, true_mesh
+from pipeline.fingerprints import METHOD, canonical_hash, file_hash, source_hash
+from pipeline.logs import log
 from pipeline.options import Common
 from pipeline.project import Project, ProjectRecording, read_project
 from pipeline.project_run import recording_folder, run_project
@@ -46,6 +54,8 @@ CAMERA = CameraConfig(width=640, height=480)
 AT_THE_TABLE = PathConfig(
     kind="handheld", frames=5, degrees_per_frame=4.0, radius_m=0.8, elevations_deg=(40.0,)
 )
+FILMED_BY = ("pipeline.synthesis.filming", "pipeline.synthesis.objects", "pipeline.synthesis.writing")
+Scene = TypeVar("Scene", ObjectScene, TableScene)
 
 TRAJECTORY_GATE_CM = 2.0
 IOU_GATE = 0.9
@@ -118,7 +128,7 @@ def demonstrate(folder: Path, common: Common) -> DemoResult:
 
 
 def film(folder: Path, common: Common) -> None:
-    """Write the recordings; equal seeds give equal bytes.
+    """Write the recordings that are not there yet; equal seeds give equal bytes.
 
     Raises:
         PipelineError: the folder holds something else.
@@ -128,10 +138,10 @@ def film(folder: Path, common: Common) -> None:
     (folder / "recordings").mkdir(parents=True, exist_ok=True)
     meshes = {name: built_in_object(name) for name in OBJECTS}
     for number, name in enumerate(OBJECTS):
-        scene = ObjectScene(camera=CAMERA, room=ROOM, path=ROUND_THE_OBJECT)
-        _write(folder, name, film_object(name, meshes[name], scene, common.seed + number), common)
+        scene, seed = ObjectScene(camera=CAMERA, room=ROOM, path=ROUND_THE_OBJECT), common.seed + number
+        _write(folder, name, partial(film_object, name, meshes[name]), scene, seed, common)
     scene = TableScene(objects=len(OBJECTS), path=AT_THE_TABLE)
-    _write(folder, TABLE, film_table(meshes, scene, common.seed), common)
+    _write(folder, TABLE, partial(film_table, meshes), scene, common.seed, common)
 
 
 def evaluate(project: Project, run: Path) -> DemoResult:
@@ -174,9 +184,26 @@ def _values(recording: ProjectRecording, run: Path) -> RunValues:
     return RunValues.load(RunFolder(recording_folder(run, recording), force=False))
 
 
-def _write(folder: Path, name: str, recording: SyntheticRecording, common: Common) -> None:
+def _write(
+    folder: Path,
+    name: str,
+    film_of: Callable[[Scene, int], SyntheticRecording],
+    scene: Scene,
+    seed: int,
+    common: Common,
+) -> None:
+    """Film a scene, unless the recording is there that the same program made of it with the same seed."""
+    path = folder / "recordings" / f"{name}.mcap"
+    record = path.with_suffix(".json")
+    sources = source_hash(*FILMED_BY, within=(*METHOD, "pipeline.synthesis"))
+    made_from = canonical_hash([sources, name, OBJECTS, plain_values({"scene": scene}), seed])
+    with suppress(OSError, ValueError):
+        if json.loads(record.read_text()) == {"made_from": made_from, "hash": file_hash(path)}:
+            log.info("filming %s: unchanged", name)
+            return
     with common.progress(f"filming {name}", "frames") as progress:
-        write_recording(recording, folder / "recordings" / f"{name}.mcap", progress)
+        write_recording(film_of(scene, seed), path, progress)
+    write_json(record, {"made_from": made_from, "hash": file_hash(path)})
 
 
 def _entries() -> list[dict[str, Any]]:

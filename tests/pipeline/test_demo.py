@@ -4,14 +4,18 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from pipeline import demo
 from pipeline.cli import voxscene
+from pipeline.config import Settings
 from pipeline.demo import DemoResult, LearnedObject
 from pipeline.evaluation.scenes import ObjectError
+from pipeline.options import Common
 
 ROOT = Path(__file__).parents[2]
 AT_MOST_S = 480
@@ -67,6 +71,33 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
 
     assert (ran.exit_code, "holds no demonstration" in ran.stderr) == (1, True)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_films_that_are_there_are_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Again are filmed only those that were damaged, and all with another seed."""
+    small = replace(demo.ROUND_THE_OBJECT, frames=1), replace(demo.AT_THE_TABLE, frames=1)
+    monkeypatch.setattr(demo, "ROUND_THE_OBJECT", small[0])
+    monkeypatch.setattr(demo, "AT_THE_TABLE", small[1])
+    filmed: list[str] = []
+    write = demo.write_recording
+    monkeypatch.setattr(
+        demo,
+        "write_recording",
+        lambda film, path, *more: (filmed.append(path.stem), write(film, path, *more)),
+    )
+
+    def again(seed: int = 0) -> list[str]:
+        filmed.clear()
+        demo.film(tmp_path, Common(as_json=False, quiet=True, settings=Settings({"run": {"seed": seed}})))
+        return filmed
+
+    everything = [*demo.OBJECTS, demo.TABLE]
+    assert again() == everything
+    (tmp_path / "recordings" / "can.mcap").write_bytes(b"cut")
+    (tmp_path / "recordings" / "table.json").unlink()
+    assert again() == ["can", "table"]
+    assert again() == []
+    assert again(seed=1) == everything
 
 
 @pytest.mark.slow
