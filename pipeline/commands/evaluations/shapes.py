@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from shapes.prior import ShapePrior
     from slam.result import SlamResult
 
+COLUMNS = (
+    "intersection over union with the truth, 1 at best: solid, the body with the inside that no ray sees;",
+    "shell, its outermost voxels; observed, the voxels that rays decided. Walls as thin as voxels lower it.",
+)
+"""What the columns of the table mean."""
+
 
 @click.command(name="shapes")
 @click.argument("run", type=AnyPath())
@@ -58,6 +64,7 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
             document[name] |= _agreement(name, shape, values.slam, truth)
             figures = (document[name][key] for key in ("solid", "shell", "observed"))
             lines.append(f"{name:<20} {'{:>7.3f} {:>7.3f} {:>9.3f}'.format(*figures)}")
+        lines += COLUMNS
     if held_back is not None:
         lines.append(f"{'shape':<20} {'held-back frames':>16} {'median mm':>10} {'90% mm':>8}")
         for name, shape in values.shapes.items():

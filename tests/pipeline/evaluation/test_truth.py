@@ -60,7 +60,8 @@ def test_a_perfect_shape_agrees_wholly(mug_file: Path, true_trajectory: SlamResu
 
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout) == {"mug": {"solid": 1, "shell": 1, "observed": 1, "pitch_m": 0.005}}
-    assert "mug" in CliRunner().invoke(voxscene, arguments).stdout
+    table = CliRunner().invoke(voxscene, arguments).stdout
+    assert all(f"{column}, " in table for column in ("solid", "shell", "observed"))
 
 
 def test_one_bad_frame_does_not_move_the_truth(mug_file: Path, true_trajectory: SlamResult) -> None:
