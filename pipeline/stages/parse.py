@@ -66,6 +66,7 @@ def parse_stage(
     """
     config = session.common.settings.section("parse", ParseConfig, options)
     alone = config.colour == "only"
+    _check_frames(session.recording, config)
     surfaces = _surfaces(session, shapes, units, config.objects, ids or {}, config.most if alone else 1)
     if missing := sorted(set(config.exact) - set(surfaces.value.by_name)):
         raise PipelineError(
@@ -91,6 +92,16 @@ def parse_stage(
     if session.run.record("slam") is None:
         view_stage(session, scene)
     return scene
+
+
+def _check_frames(recording: McapRecording, config: ParseConfig) -> None:
+    """Refuse frames that cannot be parsed or are not there, before anything is computed or decoded."""
+    if config.colour == "only" and len(config.frames) > 1:
+        raise PipelineError("--colour only reads one frame; name one with --frames N")
+    last = max(config.frames, default=-1)
+    count = sum(1 for _ in itertools.islice(recording.stamps_ns(), last + 1))
+    if count <= last:
+        raise PipelineError(f"{recording.decoded.bag.path} has no frame {last}: it has {count}, from 0 on")
 
 
 def _load(path: Path) -> SceneResult:

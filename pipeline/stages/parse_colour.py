@@ -43,8 +43,6 @@ def parse_colour_frame(
 
     from scene.colour_parsing import parse_colour
 
-    if len(config.frames) > 1:
-        raise PipelineError("--colour only reads one frame; name one with --frames N")
     number, frame = _colour_frame(session, config.frames)
     assert frame.rgb is not None
     tell_of_clipped(number, frame, session.warn)

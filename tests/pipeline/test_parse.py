@@ -216,7 +216,7 @@ def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Pat
     (tmp_path / "empty").mkdir()
     for shapes, more, told in [
         (meshes, ("--objects", "cup"), "no shape 'cup'; there are box, can, mug"),
-        (meshes, ("--frames", "7"), "no depth frame 7"),
+        (meshes, ("--frames", "7"), "no frame 7: it has 1, from 0 on"),
         (tmp_path / "empty", (), "holds no meshes"),
         (tmp_path / "nowhere", (), "no folder of shapes"),
     ]:
@@ -224,6 +224,7 @@ def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Pat
         assert result.exit_code == 1
         assert told in result.output
         assert "Traceback" not in result.output
+    assert not (tmp_path / "run").exists()
 
 
 def voxel_shape(name: str) -> ShapePrior:
