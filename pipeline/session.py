@@ -111,7 +111,7 @@ class Session:
         options = self.recording.options
         if not self._statistics.frames and (options.start_s > 0 or options.end_s < math.inf):
             raise PipelineError(f"{self.source.path}: no frame lies between --start and --end")
-        for sentence in self._statistics.warnings(self.recording.size):
+        for sentence in self._statistics.warnings(self.recording.size, self.recording.intrinsics):
             self.warn(sentence)
         return self._statistics
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import NO_RETURN
+from recordings.types import NO_RETURN, CameraIntrinsics
 
 _BINS_M = np.geomspace(1e-4, 1e4, 4001)
 """Edges of the histogram of depths: quantiles are right to half of a percent."""
@@ -110,9 +110,14 @@ class DepthStatistics:
         )
         return round(low, 4), round(middle, 4), round(high, 4)
 
-    def warnings(self, size: tuple[int, int]) -> list[str]:
-        """A sentence on each thing that can hardly be right, with what to do."""
-        return [*self._of_depths(size), *self._of_time()]
+    def warnings(self, size: tuple[int, int], camera: CameraIntrinsics | None) -> list[str]:
+        """A sentence on each thing that can hardly be right, with what to do.
+
+        Args:
+            size: width and height of the frames.
+            camera: that took them, where it is known.
+        """
+        return [*_of_camera(camera), *self._of_depths(size), *self._of_time()]
 
     def _of_depths(self, size: tuple[int, int]) -> list[str]:
         found = []
@@ -171,6 +176,18 @@ class DepthStatistics:
             f"{told}: a clock was set; frames from before and after may be mixed or left out, read them "
             "apart with --start and --end"
         )
+
+
+def _of_camera(camera: CameraIntrinsics | None) -> list[str]:
+    """A principal point outside the image: of a part that was cut out of a larger one, or a mistake."""
+    if camera is None or (
+        -0.5 <= camera.cx <= camera.width - 0.5 and -0.5 <= camera.cy <= camera.height - 0.5
+    ):
+        return []
+    return [
+        f"the principal point {camera.cx:.1f}, {camera.cy:.1f} lies outside the image of {camera.width}x"
+        f"{camera.height} pixels; unless that was cut out of a larger one, give --intrinsics fx,fy,cx,cy"
+    ]
 
 
 def _roughness(stored: NDArray[np.uint16]) -> float:

@@ -101,7 +101,7 @@ def _statistics(depth: DepthOverview | None) -> dict[str, Any]:
     names = ("depth_m", "measured_share", "identical_frames", "stamp_steps_back", "undecodable")
     return {
         **{name: getattr(found, name, None) for name in names},
-        "warnings": depth.statistics.warnings(depth.size) if depth else [],
+        "warnings": depth.statistics.warnings(depth.size, depth.intrinsics) if depth else [],
     }
 
 

@@ -185,3 +185,15 @@ def test_import_writes_what_info_reads(tmp_path):
     assert json.loads(result.stdout)["recording"] == str(out)
     document = json.loads(run("info", out, "--json").stdout)
     assert (document["depth_frames"], document["fy"], document["verified"]) == (3, 11.0, True)
+
+
+def test_a_principal_point_outside_the_image_is_a_warning(recording: Path) -> None:
+    """On stderr and in the document; on its edge it is none."""
+    for cx, told in ((900, True), (7.5, False)):
+        result = run("info", recording, "--json", "--intrinsics", f"10,11,{cx},2.5")
+        warned = [one for one in json.loads(result.stdout)["warnings"] if "principal point" in one]
+        assert (result.exit_code, bool(warned), "outside the image of 8x6" in result.stderr) == (
+            0,
+            told,
+            told,
+        )

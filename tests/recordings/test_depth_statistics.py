@@ -46,7 +46,7 @@ def test_a_room_in_its_right_unit_gives_no_warning(recording_path, images):
     found = recording.statistics()
     every = np.concatenate([one[one > 0] for one in images]) / 1000
 
-    assert found.warnings(recording.size) == []
+    assert found.warnings(recording.size, recording.intrinsics) == []
     assert found.frames == 12
     assert found.depth_m is not None
     np.testing.assert_allclose(found.depth_m, np.quantile(every, [0.01, 0.5, 0.99]), rtol=0.02)
@@ -68,7 +68,11 @@ def test_a_room_in_its_right_unit_gives_no_warning(recording_path, images):
 def test_depths_that_can_hardly_be_are_told(recording_path, images, change, encoding, options, told):
     """With what to do about it."""
     recording = recorded(recording_path, [change(one) for one in images], None, encoding, options)
-    warnings = [one for one in recording.statistics().warnings(recording.size) if "repeat" not in one]
+    warnings = [
+        one
+        for one in recording.statistics().warnings(recording.size, recording.intrinsics)
+        if "repeat" not in one
+    ]
 
     assert len(warnings) == 1
     assert told in warnings[0]
@@ -81,7 +85,7 @@ def test_frames_that_repeat_are_counted(recording_path, images):
     found = recording.statistics()
 
     assert found.identical_frames == 8
-    assert "8 of 12 depth frames repeat" in found.warnings(recording.size)[0]
+    assert "8 of 12 depth frames repeat" in found.warnings(recording.size, recording.intrinsics)[0]
 
 
 @pytest.mark.parametrize("logged_by_stamp", [False, True])
@@ -93,7 +97,7 @@ def test_a_clock_that_steps_back_is_told(recording_path, images, logged_by_stamp
 
     assert found.stamp_steps_back == 1
     assert found.first_step_back_s == pytest.approx(0.5)
-    told = found.warnings(recording.size)[0]
+    told = found.warnings(recording.size, recording.intrinsics)[0]
     assert "step back once" in told
     assert "first at 0.500 s: a clock was set" in told
 
@@ -102,7 +106,7 @@ def test_frames_that_are_written_late_are_no_alarm(recording_path, images):
     """They are put in order; the warning says so, with how late they are."""
     stamps = np.array([0, 1, 2, 5, 3, 4, 6, 7, 9, 8, 10, 11]) / 10 + 5
     recording = recorded(recording_path, images, stamps)
-    told = recording.statistics().warnings(recording.size)[0]
+    told = recording.statistics().warnings(recording.size, recording.intrinsics)[0]
 
     assert "step back 2 times by up to 0.2 s, first at 0.500 s: read in the order" in told
     assert [frame.time_ns for frame in recording] == sorted(round(one * SECOND_NS) for one in stamps)
