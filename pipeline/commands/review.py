@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -55,7 +56,7 @@ def command(
 ) -> None:
     """Open RUN in Rerun with its views arranged.
 
-    Of a project's run folder, every recording's run is opened.
+    Of a project's run folder, every recording's run is opened; a picture shows the last of them.
     """
     from pipeline.views.screenshot import take_screenshot
     from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrd_with_truth, rrds_of, serve_viewer
@@ -75,11 +76,20 @@ def command(
         raise PipelineError(f"{run} holds no run; make one with voxscene slam, learn, parse or demo")
     if screenshot:
         take_screenshot(rrds, screenshot, (width, height), frame)
-        document = {"screenshot": str(screenshot), "width": width, "height": height}
-        common.report(document, [f"{screenshot}: {width}x{height}"])
+        shows = str(rrds[-1].parent)
+        document = {"screenshot": str(screenshot), "width": width, "height": height, "shows": shows}
+        common.report(document, [f"{screenshot}: {width}x{height}, shows {shows}", *_others(rrds)])
         return
     with Progress("review", "", quiet=True):  # from now on the viewer shows that it lives
         if web:
             serve_viewer(rrds, port, lambda address: common.report({"address": address}, [address]))
         else:
             open_viewer(rrds)
+
+
+def _others(rrds: Sequence[Path]) -> list[str]:
+    """How to take a picture of the runs beside the one that is shown, where there are some."""
+    if len(rrds) < 2:
+        return []
+    names = ", ".join(rrd.parent.name for rrd in rrds[:-1])
+    return [f"others here: {names}; of one of them: voxscene review {rrds[0].parent} --screenshot OUT.png"]

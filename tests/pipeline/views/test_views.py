@@ -1,5 +1,6 @@
 """The views of a run hold what they say, and a picture can be taken without a screen."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -240,6 +241,23 @@ def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.Monkey
     assert rrds_of(tmp_path / "none") == []
     with pytest.raises(PipelineError, match=r"no screen here; .* --web, take a picture with --screenshot"):
         open_viewer([tmp_path / "run.rrd"])
+
+
+def test_a_picture_of_a_project_tells_whose_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """And how to take one of another recording; of a single run there is nothing to choose."""
+    rrds = [tmp_path / "recordings" / name / "run.rrd" for name in ("can", "table")]
+    monkeypatch.setattr("pipeline.views.screenshot.take_screenshot", lambda *_: None)
+    monkeypatch.setattr("pipeline.views.viewer.rrds_of", lambda *_, **__: rrds)
+    command = ["review", str(tmp_path), "--screenshot", str(tmp_path / "a.png")]
+    first, second = CliRunner().invoke(voxscene, command).stdout.splitlines()
+
+    assert first.endswith(f"shows {rrds[1].parent}")
+    assert f"others here: can; of one of them: voxscene review {rrds[0].parent} --screenshot" in second
+    assert json.loads(CliRunner().invoke(voxscene, [*command, "--json"]).stdout)["shows"] == str(
+        rrds[1].parent
+    )
+    monkeypatch.setattr("pipeline.views.viewer.rrds_of", lambda *_, **__: rrds[:1])
+    assert CliRunner().invoke(voxscene, command).stdout.count("\n") == 1
 
 
 @pytest.mark.slow
