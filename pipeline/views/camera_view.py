@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
+import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -13,11 +14,12 @@ from pipeline.room import RoomView
 from pipeline.views.rendered_depth import difference_rgb, rendered_views_mm
 from pipeline.views.timelines import set_times
 from pipeline.views.trajectory_view import THIN_WIDTH
+from shapes.prior import ShapePrior
 
 SPACING_NEIGHBOURS = 4
 LARGEST_RADIUS_M, RADIUS_AT_OBJECTS_M = 0.02, 0.0008
-"""Points are as large as their neighbours are far, so that walls close; but small where objects were found,
-or posed surfaces would vanish between them."""
+"""Points are as large as their neighbours are far, so that walls close; but small where objects were found or
+learned, or their surfaces would vanish between them."""
 BESIDE_OBJECTS_M = 0.02
 """Distance from an object's surface within which points count as being there."""
 FRUSTUM_SHARE, FRUSTUM_DISTANCE = 0.08, 0.2
@@ -124,15 +126,29 @@ def _camera_poses(values: RunValues, room: RoomView) -> NDArray[np.float64]:
 
 
 def _radii_m(values: RunValues, room: RoomView) -> NDArray[np.float32]:
-    """Of the balls that stand for the points of the cloud, small at what was found."""
+    """Of the balls that stand for the points of the cloud, small at what was found or learned."""
     radii = point_radii_m(room.points_m, _camera_poses(values, room)[:, :3, 3])
+    for shape in values.shapes.values():
+        radii[_in_box(shape, room.points_m)] = RADIUS_AT_OBJECTS_M
     if values.scene is not None and values.surfaces is not None:
         for name, pose in values.scene.found_poses:
             posed = values.reference_from_parsed @ pose
-            surface = values.surfaces.by_name[name].vertices_m @ posed[:3, :3].T + posed[:3, 3]
+            one = values.surfaces.by_name[name]
+            close_m = trimesh.remesh.subdivide_to_size(one.vertices_m, one.faces, BESIDE_OBJECTS_M)[0]
+            surface = close_m @ posed[:3, :3].T + posed[:3, 3]
             beside = KDTree(surface).query(room.points_m, distance_upper_bound=BESIDE_OBJECTS_M)[0]
             radii[np.isfinite(beside)] = RADIUS_AT_OBJECTS_M
     return radii
+
+
+def _in_box(shape: ShapePrior, points_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which points (N, 3) of the reference frame lie in the box of what is solid of a shape, or touch it."""
+    if not shape.solid.any():
+        return np.zeros(len(points_m), np.bool_)
+    low, high = shape.bounding_box_m
+    from_grid = shape.reference_from_grid
+    local = (points_m - from_grid[:3, 3]) @ from_grid[:3, :3]
+    return ((local >= low - shape.pitch_m) & (local <= high + shape.pitch_m)).all(axis=1)
 
 
 def _far_apart(centres_m: NDArray[np.float64], distance_m: float) -> list[int]:
