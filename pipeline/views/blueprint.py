@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
-from pipeline.views.framing import Eye, chosen_eye
-from pipeline.views.scene_view import found_places_m
+from pipeline.views.framing import Eye, chosen_eye, eye_before
+from pipeline.views.scene_view import found_places_m, graph_bounds
 from pipeline.views.timelines import ELAPSED
 from pipeline.views.trajectory_view import PLOTS
 from pipeline.views.truth_view import ERROR_PLOT
@@ -18,39 +18,44 @@ from shapes.prior import ShapePrior
 BACKGROUND = (18, 20, 26)
 """Of 3D views, on which every colour of `pipeline.colours` is seen."""
 ROOM_VIEW = "Room"
+SHAPE_FROM = np.array([0.75, -0.65, 0.55])
+"""Side of a learned shape from which it is looked at, its support below."""
 
 
-def run_blueprint(values: RunValues, *, truth: bool = False) -> rrb.Blueprint:
+def run_blueprint(values: RunValues, eye: Eye | None, *, truth: bool = False) -> rrb.Blueprint:
     """The room large on the left; what the camera saw, shapes, graph, plots and the report on the right.
 
     Args:
         values: of the run.
+        eye: on the room; None where there is nothing to see in it.
         truth: is shown beside them.
     """
     rows: list[tuple[float, rrb.ContainerLike]] = []
     if values.room is not None:
-        rows += [(3.0, _images(values.room)), (1.2, _picture("legend", "Colours"))]
+        lines = sum((1, values.room.has_depth, values.slam is not None, truth, bool(values.shapes)))
+        rows += [(2.6, _images(values.room)), (0.5 + 0.33 * lines, _picture("legend", "Colours"))]
     if values.shapes:
-        rows.append((3.0, rrb.Tabs(*(_shape_view(name, values) for name in values.shapes))))
+        rows.append((3.8, rrb.Tabs(*(_shape_view(name, values) for name in values.shapes))))
     if values.scene is not None:
-        graph = rrb.GraphView(origin="graph", name="What rests on what")
+        across, down = graph_bounds(values.scene).T.tolist()
+        graph = rrb.GraphView(
+            origin="graph",
+            name="What rests on what",
+            visual_bounds=rrb.VisualBounds2D(x_range=across, y_range=down),
+        )
         rows.append((2.8, rrb.Horizontal(graph, _picture("presence", "Presence"))))
     if values.slam is not None:
-        rows.append((3.4 if truth else 2.3, _plots(truth=truth)))
+        rows.append((4.0 if truth else 2.7, _plots(truth=truth)))
     if truth:
-        rows.append((2.6, _picture("calibration", "How much of the truth lies in the reported regions")))
-    rows.append((3.2, rrb.TextDocumentView(origin="report", name="Report")))
+        rows.append((2.4, _picture("calibration", "How much of the truth lies in the reported regions")))
+    rows.append((3.4, rrb.TextDocumentView(origin="report", name="Report")))
     side = rrb.Vertical(*(row for _, row in rows), row_shares=[share for share, _ in rows])
     return rrb.Blueprint(
-        rrb.Horizontal(_room_view(values), side, column_shares=[5, 4]) if _has_room(values) else side,
+        rrb.Horizontal(_room_view(values, eye), side, column_shares=[5, 4]) if eye is not None else side,
         rrb.TimePanel(state="collapsed", timeline=ELAPSED),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
-
-
-def _has_room(values: RunValues) -> bool:
-    return values.room is not None or values.slam is not None or values.scene is not None
 
 
 def _images(room: RoomView) -> rrb.Horizontal:
@@ -78,12 +83,12 @@ def _plots(*, truth: bool) -> rrb.Grid:
     return rrb.Grid(*plots, grid_columns=2)
 
 
-def _room_view(values: RunValues) -> rrb.Spatial3DView:
+def _room_view(values: RunValues, eye: Eye) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin="world",
         contents="world/**",
         name=ROOM_VIEW,
-        eye_controls=_controls(_eye(values)),
+        eye_controls=_controls(eye),
         line_grid=False,
         background=BACKGROUND,
         overrides={path: rrb.EntityBehavior(visible=False) for path in _switched_off(values)},
@@ -99,8 +104,13 @@ def _switched_off(values: RunValues) -> list[str]:
     return paths
 
 
-def _eye(values: RunValues) -> Eye:
-    """On the objects that were found, on what was learned, else on the room; the path in sight."""
+def room_eye(values: RunValues) -> Eye | None:
+    """On the objects that were found, on what was learned, else on the room; the path in sight.
+
+    None without room, path and scene.
+    """
+    if values.room is None and values.slam is None and values.scene is None:
+        return None
     cloud = np.zeros((0, 3)) if values.room is None else values.room.points_m
     path = np.zeros((0, 3)) if values.slam is None else values.slam.mean[:, :3, 3]
     first_camera, wanted, focus = np.eye(4), path, None
@@ -138,9 +148,10 @@ def _box_m(shape: ShapePrior) -> NDArray[np.float64]:
 
 def _shape_view(name: str, values: RunValues) -> rrb.Spatial3DView:
     """A learned shape in a space of its own: by state, as voxels where that is switched on."""
-    corners = _box_m(values.shapes[name])
-    centre, size = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
-    eye = Eye(centre + size * np.array([0.75, -0.65, 0.55]), centre, np.array([0.0, 0.0, 1.0]))
+    shape = values.shapes[name]
+    shown = shape.solid if shape.solid.any() else np.ones(shape.phi.shape, np.bool_)
+    voxels_m, toward = (np.argwhere(shown) + 0.5) * shape.pitch_m, SHAPE_FROM / np.linalg.norm(SHAPE_FROM)
+    eye = eye_before(voxels_m, toward, np.array([0.0, 0.0, 1.0]))
     return rrb.Spatial3DView(
         origin=f"shapes/{name}",
         name=name,

@@ -12,6 +12,8 @@ EYE_FOV_RAD = np.radians(55.0)
 """Rerun's vertical field of view."""
 ASPECT = 0.93
 """Width over height of the 3D panel in a picture of 1600 x 1000."""
+WIDE_ASPECT = 1.8
+"""The same, at least, of panels beside it."""
 EDGE = 1.05
 """What lies nearer to the edge than a fortieth counts as outside."""
 CELLS = 30
@@ -153,13 +155,34 @@ def _score(
     return score - STRAY * float(angle) / (np.pi / 2)
 
 
+def seen_from(eye: Eye, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Points (N, 3) to the right, below and ahead of an eye, metres."""
+    forward = eye.target - eye.position
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, eye.up)
+    right = right / np.linalg.norm(right)
+    return (points_m - eye.position) @ np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def eye_before(points_m: NDArray[np.floating], toward: NDArray[np.float64], up: NDArray[np.float64]) -> Eye:
+    """The nearest eye on a side of points (N, 3) that has all of them in a panel wider than it is high.
+
+    Args:
+        points_m: that are looked at, in the middle of their box.
+        toward: unit vector (3,) from there to the eye.
+        up: unit vector (3,).
+    """
+    centre = (points_m.min(axis=0) + points_m.max(axis=0)) / 2
+    across, below, ahead = seen_from(Eye(centre, centre - toward, up), points_m).T
+    half = np.tan(EYE_FOV_RAD / 2)
+    wide, high = abs(across) / (half * WIDE_ASPECT), abs(below) / half
+    distance_m = EDGE * float((np.maximum(wide, high) - ahead).max())
+    return Eye(centre + distance_m * toward, centre, up)
+
+
 def projected(eye: Eye, points_m: NDArray[np.floating]) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
     """Cell (N,) of the coarse picture in which each point falls, -1 outside, and its distance ahead (N,)."""
-    forward = eye.target - eye.position
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, eye.up)
-    right /= np.linalg.norm(right)
-    local = (points_m - eye.position) @ np.stack([right, np.cross(forward, right), forward], axis=1)
+    local = seen_from(eye, points_m)
     depth = local[:, 2]
     half = np.tan(EYE_FOV_RAD / 2) * np.maximum(depth, 1e-9)
     place = EDGE * np.stack([local[:, 0] / (half * ASPECT), local[:, 1] / half], axis=1)

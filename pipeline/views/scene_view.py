@@ -18,12 +18,17 @@ from pipeline.colours import UNSEEN, WHITE, object_colours
 from pipeline.publishing.told_spread import label_text
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import SceneSurface, Surfaces
+from pipeline.views.labels import Flag
 from pipeline.views.trajectory_view import ENLARGED, THIN_WIDTH, quaternions_xyzw
 from scene.result import SceneResult
 from shapes.geometry.poses import matrices_of
 
-LETTER_PX, LEVEL_PX, STAGGER_PX = 8, 110, 40
-"""Of the graph: width of a letter, height of a level, and by how much every second node is raised."""
+LETTER_PX, LINE_PX, PAD_PX = 8, 28, 12
+"""Of the graph's nodes: width of a letter, height, and what their boxes add to the width."""
+LEVEL_PX, STAGGER_PX = 170, 44
+"""Height of a level, and by how much every second node is raised."""
+TOLD_AT = 0.64, 0.55, 0.46, 0.72, 0.37, 0.8, 0.28
+"""Where on an edge its probability may stand, from the parent on: the first place that is free."""
 LIKELY = 0.05
 """Edges at least as probable are drawn, with their probabilities, and objects that nobody sees."""
 LABEL_RADIUS_M = 1e-4
@@ -42,7 +47,7 @@ def log_scene(
     values: RunValues,
     scene: SceneResult,
     surfaces: Surfaces,
-    parse: Mapping[str, Any],
+    flags: Mapping[str, Flag],
 ) -> None:
     """Objects that were found, in the room: surface, samples of the posterior, ellipsoid, label; the graph.
 
@@ -51,9 +56,8 @@ def log_scene(
         values: of the run.
         scene: its parsed scene.
         surfaces: of the objects.
-        parse: of summary.json.
+        flags: labels of the objects that were found, by name.
     """
-    told = {one["name"]: one for one in parse["objects"]}
     for one, colour in object_colours(scene.found).items():
         name, path = str(scene.names[one]), f"world/objects/{scene.names[one]}"
         surface = surfaces.by_name[name]
@@ -62,9 +66,29 @@ def log_scene(
         recording.log(f"{path}/surface", _mesh(surface, colour), static=True)
         samples = np.linalg.inv(scene.camera_from_object[one]) @ matrices_of(scene.sample_poses[:, one])
         recording.log(f"{path}/samples", _outlines(samples, surface, colour), static=True)
-        _log_flag(recording, values, scene, one, surface, label_text(told[name]))
+        _log_flag(recording, values, scene, one, surface, flags[name])
     _log_hidden(recording, values, scene, surfaces)
     _log_graph(recording, scene)
+
+
+def flags_of(
+    values: RunValues, scene: SceneResult, surfaces: Surfaces, parse: Mapping[str, Any]
+) -> dict[str, Flag]:
+    """Labels of the objects that were found, by name, each just above its object.
+
+    Args:
+        values: of the run.
+        scene: its parsed scene.
+        surfaces: of the objects.
+        parse: of summary.json.
+    """
+    told = {one["name"]: label_text(one) for one in parse["objects"]}
+    flags = {}
+    for name, camera_from_object in scene.found_poses:
+        pose, surface = values.reference_from_parsed @ camera_from_object, surfaces.by_name[name]
+        foot_m = pose[:3, :3] @ surface.middle_m + pose[:3, 3]
+        flags[name] = Flag(text=told[name], foot_m=foot_m, height_m=ABOVE * surface.radius_m)
+    return flags
 
 
 def found_places_m(scene: SceneResult, surfaces: Surfaces, up: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,12 +148,12 @@ def _log_flag(
     scene: SceneResult,
     one: int,
     surface: SceneSurface,
-    text: str,
+    flag: Flag,
 ) -> None:
     """Label and 95% region of an object's middle, above it, where nothing hides them; a line leads there."""
     path, colour = f"world/objects/{scene.names[one]}", object_colours(scene.found)[one]
     reference_from_object = values.reference_from_parsed @ scene.camera_from_object[one]
-    above = surface.middle_m + ABOVE * surface.radius_m * reference_from_object[:3, :3].T @ values.up
+    above = surface.middle_m + flag.height_m * reference_from_object[:3, :3].T @ values.up
     own = scene.camera_from_object[one, :3, :3]
     variances, axes = np.linalg.eigh(own.T @ scene.covariance_of_point(one, surface.middle_m) @ own)
     axes *= np.sign(np.linalg.det(axes))
@@ -144,7 +168,7 @@ def _log_flag(
         recording.log(f"{path}/{name}", ellipsoid, static=True)
     pole = rr.LineStrips3D([[surface.middle_m, above]], colors=(*colour, 160), radii=THIN_WIDTH)
     recording.log(f"{path}/pole", pole, static=True)
-    label = rr.Points3D([above], radii=LABEL_RADIUS_M, colors=WHITE, labels=text)
+    label = rr.Points3D([above], radii=LABEL_RADIUS_M, colors=WHITE, labels=flag.text)
     recording.log(f"{path}/label", label, static=True)
 
 
@@ -153,7 +177,8 @@ def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
     colours = object_colours(scene.found)
     names = [*map(str, scene.names), *scene.supports]
     nodes = [*colours, *range(len(scene.names), len(names))]
-    places = dict(zip(nodes, _node_places(scene, [names[node] for node in nodes]), strict=True))
+    labels = [names[node] for node in nodes]
+    places = dict(zip(nodes, _node_places(scene, labels), strict=True))
     edges = [
         (child, int(parent))
         for child in colours
@@ -162,13 +187,14 @@ def _log_graph(recording: rr.RecordingStream, scene: SceneResult) -> None:
     ]
     told = [f"{scene.edge_probabilities[edge]:.0%}" for edge in edges]
     between = [f"{names[child]} on {names[parent]}" for child, parent in edges]
-    middles = [(places[child] + places[parent]) / 2 for child, parent in edges]
+    ends = [(places[child], places[parent]) for child, parent in edges]
+    middles = _places_on_edges(ends, told, _boxes(list(places.values()), labels))
     recording.log(
         "graph",
         rr.GraphNodes(
-            [names[node] for node in nodes] + between,
+            labels + between,
             positions=np.array([*places.values(), *middles]),
-            labels=[names[node] for node in nodes] + told,
+            labels=labels + told,
             colors=[*colours.values(), *[TABLE_COLOUR] * len(scene.supports), *[WHITE] * len(edges)],
         ),
         rr.GraphEdges(
@@ -195,7 +221,7 @@ def _node_places(scene: SceneResult, labels: Sequence[str]) -> NDArray[np.float6
     parents = scene.sample_parents[np.argmax(scene.sample_log_posteriors)]
     resting = {node: [one for one in found if parents[one] == node] for node in nodes}
     floating = [one for one in found if parents[one] not in nodes]
-    closest = max(map(len, labels)) * LETTER_PX / 2 + LETTER_PX
+    closest = max(map(len, [*labels, "100%"])) * LETTER_PX / 2 + 2 * PAD_PX
     columns, raised = itertools.count(), defaultdict(lambda: itertools.cycle((0, STAGGER_PX)))
     places: dict[int, tuple[float, float]] = {}
 
@@ -210,6 +236,39 @@ def _node_places(scene: SceneResult, labels: Sequence[str]) -> NDArray[np.float6
     for one in floating:
         place(one, 1)
     return np.array([places[node] for node in nodes])
+
+
+def graph_bounds(scene: SceneResult) -> NDArray[np.float64]:
+    """Corners (2, 2) of the graph, its labels included; pixels."""
+    found = [str(name) for name, there in zip(scene.names, scene.found, strict=True) if there]
+    labels = [*found, *scene.supports]
+    boxes = _boxes(_node_places(scene, labels), labels)
+    return np.stack([boxes[:, 0].min(axis=0) - PAD_PX, boxes[:, 1].max(axis=0) + PAD_PX])
+
+
+def _boxes(
+    places: Sequence[NDArray[np.float64]] | NDArray[np.float64], labels: Sequence[str]
+) -> NDArray[np.float64]:
+    """Corners (N, 2, 2) of the boxes of nodes; pixels."""
+    half = np.array([[LETTER_PX * len(label) / 2 + PAD_PX, LINE_PX / 2] for label in labels])
+    return np.stack([places - half, places + half], axis=1)
+
+
+def _places_on_edges(
+    ends: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    told: Sequence[str],
+    taken: NDArray[np.float64],
+) -> list[NDArray[np.float64]]:
+    """Where the probability of each edge, from child to parent, covers no box of `taken` and no other one."""
+    places = []
+    for (child, parent), text in zip(ends, told, strict=True):
+        shares = np.array(TOLD_AT)[:, None]
+        boxes = _boxes(parent + shares * (child - parent), [text] * len(TOLD_AT))
+        covers = (boxes[:, None, 0] < taken[:, 1]) & (taken[:, 0] < boxes[:, None, 1])
+        free = int(covers.all(axis=-1).any(axis=-1).argmin())
+        places.append(boxes[free].mean(axis=0))
+        taken = np.concatenate([taken, boxes[free][None]])
+    return places
 
 
 def _mesh(surface: SceneSurface, colour: tuple[int, int, int]) -> rr.Mesh3D:

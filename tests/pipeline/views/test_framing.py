@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from pipeline.views.framing import CELLS, Eye, chosen_eye, projected
+from pipeline.views.framing import (
+    CELLS,
+    EYE_FOV_RAD,
+    WIDE_ASPECT,
+    Eye,
+    chosen_eye,
+    eye_before,
+    projected,
+    seen_from,
+)
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -56,3 +65,16 @@ def test_there_is_an_eye_without_a_room() -> None:
     """Of a single pose."""
     eye = chosen_eye(np.zeros((0, 3)), np.zeros((1, 3)), np.eye(4), UP)
     assert np.isfinite([eye.position, eye.target]).all()
+
+
+def test_the_nearest_eye_has_all_points_inside(seed: int) -> None:
+    """One of them at an edge of the panel, looked at from the side that was asked for."""
+    points = np.random.default_rng(seed).uniform([0, 0, 0], [0.3, 0.2, 0.1], (200, 3))
+    toward = np.array([0.6, -0.6, 0.5]) / np.linalg.norm([0.6, -0.6, 0.5])
+    eye = eye_before(points, toward, np.array([0.0, 0.0, 1.0]))
+
+    across, below, ahead = seen_from(eye, points).T
+    half = np.tan(EYE_FOV_RAD / 2) * ahead
+    share = np.maximum(abs(across) / (half * WIDE_ASPECT), abs(below) / half).max()
+    assert 0.9 < share < 1.0
+    np.testing.assert_allclose(np.cross(eye.position - eye.target, toward), 0, atol=1e-12)

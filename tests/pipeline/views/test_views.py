@@ -22,10 +22,10 @@ from pipeline.publishing.values import RunValues
 from pipeline.room import view_room
 from pipeline.surfaces import SceneSurface
 from pipeline.synthesis.recording import SyntheticRecording
-from pipeline.views.blueprint import _eye
+from pipeline.views.blueprint import room_eye
 from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
-from pipeline.views.scene_view import _mesh, _node_places
+from pipeline.views.scene_view import _boxes, _mesh, _node_places, _places_on_edges, graph_bounds
 from pipeline.views.screenshot import SOFTWARE_DRIVER, frames_in, take_screenshot
 from pipeline.views.truth_view import _object_levels, truth_of
 from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of
@@ -127,7 +127,9 @@ def test_a_photograph_shows_no_depth_that_was_not_measured(
     entities = {str(chunk.entity_path) for chunk in RrdReader(tmp_path / "run.rrd").stream()}
     shown = {entity for entity in entities if entity.startswith("/images/")}
     assert shown == {"/images/rendered", "/images/colour"}
-    assert _eye(photograph).position[2] > 0.1
+    eye = room_eye(photograph)
+    assert eye is not None
+    assert eye.position[2] > 0.1
 
 
 def test_runs_keep_their_views_to_themselves(tmp_path: Path) -> None:
@@ -172,6 +174,23 @@ def test_the_graph_stands_as_the_scene_does(parsed_run: RunValues) -> None:
     across = np.abs(places[:, None] - places[None])[np.triu_indices(6, 1)]
     assert (places[:, 1] < 0).all()
     assert ((across[:, 0] > 7 * len(names[0])) | (across[:, 1] > 30)).all()
+
+
+@pytest.mark.parametrize("name", ["can", "a_rather_long_name"])
+def test_no_box_of_the_graph_covers_another(name: str) -> None:
+    """Of six things on a table and their probabilities; all lie within the bounds of the view."""
+    labels = [*(f"{name}_{index}" for index in range(6)), "table"]
+    flat = scene_result(labels[:-1], np.tile(np.eye(4), (6, 1, 1)), [6] * 6)
+    places = _node_places(flat, labels)
+    nodes = _boxes(places, labels)
+    told = _places_on_edges([(place, places[-1]) for place in places[:-1]], ["100%"] * 6, nodes)
+    boxes = np.concatenate([nodes, _boxes(told, ["100%"] * 6)])
+
+    cover = ((boxes[:, None, 0] < boxes[:, 1]) & (boxes[:, 0] < boxes[:, None, 1])).all(axis=-1)
+    assert not np.triu(cover, 1).any()
+    low, high = graph_bounds(flat)
+    assert (boxes[:, 0] > low).all()
+    assert (boxes[:, 1] < high).all()
 
 
 def test_a_run_without_values_has_views_too(tmp_path: Path) -> None:
