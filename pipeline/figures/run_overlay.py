@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 
 from pipeline.errors import PipelineError
+from pipeline.evaluation.same_recording import check_truth
 from pipeline.evaluation.truth import RecordedTruth, true_mesh
 from pipeline.export.run_room import open_parsed
 from pipeline.figures.canvas import panels, write_figure
@@ -32,15 +33,18 @@ def export_overlay(run: Path, out: Path, recording: Path | None, truth: Path | N
         truth: recording that holds the true poses, outlined in white; None leaves them out.
 
     Raises:
-        PipelineError: the run has no parse, or its recording is not found.
+        PipelineError: the run has no parse, its recording is not found, or the truth is that of another one.
     """
-    values = RunValues.load(RunFolder(run, force=False))
+    folder = RunFolder(run)
+    values = RunValues.load(folder)
     scene = values.scene
     if scene is None or values.surfaces is None:
         raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
     film = open_parsed(run, recording)
     frame = _frame(film, int(scene.frames[0]))
     outlines = _true_outlines(truth, frame) if truth else []
+    if truth:
+        check_truth(folder, truth)
     captions = []
     for one in np.flatnonzero(scene.found):
         name = str(scene.names[one])

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -16,6 +17,7 @@ from pipeline.config import Settings
 from pipeline.demo import DemoResult, LearnedObject
 from pipeline.evaluation.scenes import ObjectError
 from pipeline.options import Common
+from pipeline.synthesis.recording import SyntheticRecording
 
 ROOT = Path(__file__).parents[2]
 AT_MOST_S = 480
@@ -80,11 +82,12 @@ def test_films_that_are_there_are_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
     monkeypatch.setattr(demo, "AT_THE_TABLE", small[1])
     filmed: list[str] = []
     write = demo.write_recording
-    monkeypatch.setattr(
-        demo,
-        "write_recording",
-        lambda film, path, *more: (filmed.append(path.stem), write(film, path, *more)),
-    )
+
+    def write_and_tell(film: SyntheticRecording, path: Path, *more: Any) -> None:
+        filmed.append(path.stem)
+        write(film, path, *more)
+
+    monkeypatch.setattr(demo, "write_recording", write_and_tell)
 
     def again(seed: int = 0) -> list[str]:
         filmed.clear()
