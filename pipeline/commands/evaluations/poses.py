@@ -44,11 +44,11 @@ def command(common: Common, run: Path, truth: Path) -> None:
     if scene is None or values.surfaces is None:
         raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
     known = RecordedTruth(truth)
-    check_truth(folder, truth)
     objects = [one for one in known.scene.objects if one.shape in values.surfaces.by_name]
     left_out = [one.name for one in known.scene.objects if one.shape not in values.surfaces.by_name]
     if not objects:
         raise PipelineError(f"{run} looked for none of the objects of {truth}: {', '.join(left_out)}")
+    check_truth(folder, truth)
     shapes = {one.shape for one in objects}
     found = [(shape_of(name, shapes), pose) for name, pose in scene.found_poses]
     errors = object_errors(
