@@ -13,11 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from scene.hidden.pose_kernels import PoseKernels
 from scene.hidden.pose_priors import EulerUniformPoses
 from scene.objects.scene_object import SceneObject
 
-THROUGH_POINTS = 0.75
-"""Share of the mixture's draws that go through a point; the rest is the prior's, which bounds the weights."""
+PRIOR_SHARE = 0.25
+"""Of the mixture's draws: it bounds the weights."""
+
+KERNEL_SHARE = 0.1
+"""Of the mixture's draws, from kernels where there are any; the rest goes through points."""
+
+KERNELS = 128
+"""Poses that kernels are put round. Search effort."""
 
 LEAST_SHARE = 0.3
 """Of those draws, that is spread evenly over the points after their shares are fitted."""
@@ -70,19 +77,24 @@ class Shell:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosesThroughPoints:
-    """The prior, and poses with the prior's rotation that put the object's surface on a point.
+    """The prior, poses with the prior's rotation that put the object's surface on a point, and kernels.
+
+    A pose that explains two points at once is rare among those through one of them: kernels round heavy draws
+    find its like.
 
     Attributes:
         prior: of poses.
         shell: of the object.
         points_m: (P, 3) in the world.
         shares: (P,) of the draws through points, that go through each.
+        kernels: round heavy draws; None before there were any.
     """
 
     prior: EulerUniformPoses
     shell: Shell
     points_m: NDArray[np.float64]
     shares: NDArray[np.float64]
+    kernels: PoseKernels | None = None
 
     @classmethod
     def even(
@@ -98,31 +110,53 @@ class PosesThroughPoints:
     def draw(self, rng: np.random.Generator, one: SceneObject, count: int) -> NDArray[np.float64]:
         """Poses (count, 4, 4) world_from_box."""
         poses = self.prior.draw(rng, [one], count)[0]
-        through = rng.uniform(size=count) < THROUGH_POINTS
+        kind = rng.uniform(size=count)
+        near = kind < self._kernel_share
+        through = kind > self._kernel_share + PRIOR_SHARE
         points_m = self.points_m[rng.choice(len(self.points_m), int(through.sum()), p=self.shares)]
         in_box_m = self.shell.draw(rng, len(points_m))
         poses[through, :3, 3] = points_m - np.einsum("nij,nj->ni", poses[through, :3, :3], in_box_m)
+        if self.kernels:
+            poses[near] = self.kernels.draw(rng, int(near.sum()))
         return poses
 
     def log_weights(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log density (n,) of the prior over that of the mixture at poses (n, 4, 4)."""
-        passes = self._passes(poses) @ self.shares
-        ratio = passes * self.prior.volume_m3 / self.shell.volume_m3
-        inside = np.isfinite(self.prior.log_density(poses))
-        return np.where(inside, -np.log1p(THROUGH_POINTS * (ratio - 1)), -np.inf)
+        log_prior = self.prior.log_density(poses)
+        inside = np.isfinite(log_prior)
+        ratio = self._passes(poses) @ self.shares * self.prior.volume_m3 / self.shell.volume_m3
+        mixture = PRIOR_SHARE + (1 - PRIOR_SHARE - self._kernel_share) * ratio
+        if self.kernels:
+            log_ratio = self.kernels.log_density(poses) - np.where(inside, log_prior, 0.0)
+            mixture += self._kernel_share * np.exp(log_ratio)
+        return np.where(inside, -np.log(mixture), -np.inf)
 
-    def masses(self, poses: NDArray[np.float64], log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The weight (P,) of poses (n, 4, 4) through each point, shared where they pass through several."""
+    def fitted(
+        self, rng: np.random.Generator, poses: NDArray[np.float64], log_weights: NDArray[np.float64]
+    ) -> PosesThroughPoints:
+        """With shares in proportion to the weights (n,) of poses (n, 4, 4) through points, and kernels there.
+
+        The poses of kernels are drawn by weight, none twice (population Monte Carlo, Cappe et al. 2004).
+        """
         passes = self._passes(poses) * self.shares
-        total = passes.sum(axis=1, keepdims=True)
-        return np.exp(log_weights) @ np.divide(passes, total, out=np.zeros_like(passes), where=total > 0)
-
-    def with_masses(self, masses: NDArray[np.float64]) -> PosesThroughPoints:
-        """With shares in proportion to masses (P,) of points (population Monte Carlo, Cappe et al. 2004)."""
-        if not masses.any():
+        total = passes.sum(axis=1)
+        weights = np.where(total > 0, np.exp(log_weights), 0.0)
+        heavy = np.flatnonzero(weights)
+        if not len(heavy):
             return self
+        masses = weights[heavy] @ (passes[heavy] / total[heavy, None])
         even = np.full(len(masses), 1 / len(masses))
-        return replace(self, shares=LEAST_SHARE * even + (1 - LEAST_SHARE) * masses / masses.sum())
+        chances = weights[heavy] / weights[heavy].sum()
+        chosen = rng.choice(heavy, min(KERNELS, len(heavy)), replace=False, p=chances)
+        return replace(
+            self,
+            shares=LEAST_SHARE * even + (1 - LEAST_SHARE) * masses / masses.sum(),
+            kernels=PoseKernels(centres=poses[chosen]),
+        )
+
+    @property
+    def _kernel_share(self) -> float:
+        return KERNEL_SHARE if self.kernels else 0.0
 
     def _passes(self, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(n, P) whether the object's surface at poses (n, 4, 4) passes through each point."""

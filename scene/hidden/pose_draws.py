@@ -134,11 +134,11 @@ def _fitted(
     proposal: PosesThroughPoints,
     draws: int,
 ) -> PosesThroughPoints:
-    """The proposal with shares that all rounds of so many draws tell, each of which weighs the same."""
-    masses = np.zeros(len(proposal.points_m))
+    """The proposal fitted to all rounds of so many draws so far, each of which weighs the same."""
+    poses, log_weights = np.zeros((0, 4, 4)), np.zeros(0)
     for _ in range(PILOT_ROUNDS):
         pilot = RouletteDraws(one=one, prior=prior, images=images, proposal=proposal)
-        poses, log_weights = pilot.draw(rng, draws)
-        masses += proposal.masses(poses[0], log_weights)
-        proposal = proposal.with_masses(masses)
+        drawn, log_drawn = pilot.draw(rng, draws)
+        poses, log_weights = np.concatenate([poses, drawn[0]]), np.concatenate([log_weights, log_drawn])
+        proposal = proposal.fitted(rng, poses, log_weights)
     return proposal
