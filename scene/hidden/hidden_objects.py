@@ -20,22 +20,35 @@ from scene.hidden.pose_priors import PosePrior
 from scene.model.number_prior import NumberPrior
 from scene.objects.scene_object import SceneObject
 
+LARGEST_LOG = 709.0
+"""Of a double."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeanRatio:
     """An estimate of a mean likelihood ratio from independent draws.
 
     Attributes:
-        mean: m.
-        standard_error: of it.
+        log_mean: log m; m of what is in plain sight is no number.
+        relative_error: standard error over m.
         effective_draws: (sum w)^2 / sum w^2; few where the object would be seen, and m is then a lower guess.
         poses: (n, K, 4, 4) world_from_box of the n objects in K independent draws of the posterior.
     """
 
-    mean: float
-    standard_error: float
+    log_mean: float
+    relative_error: float
     effective_draws: float
     poses: NDArray[np.float64]
+
+    @property
+    def mean(self) -> float:
+        """The ratio m, 1e308 at most."""
+        return float(np.exp(min(self.log_mean, LARGEST_LOG)))
+
+    @property
+    def standard_error(self) -> float:
+        """Of m."""
+        return self.mean * self.relative_error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,12 +140,12 @@ def mean_ratio(
         chances = np.exp(log_weights - log_batch)
         picked = rng.choice(len(chances), int(replaced.sum()), p=chances / chances.sum())
         poses[:, replaced] = drawn[:, picked]
-    mean = float(np.exp(log_total - np.log(draws)))
-    variance = np.exp(log_squares - np.log(draws)) - mean**2
+    effective = float(np.exp(2 * log_total - log_squares)) if log_total > -np.inf else 0.0
+    spread = max(draws / effective - 1, 0.0) if effective else 0.0
     return MeanRatio(
-        mean=mean,
-        standard_error=float(np.sqrt(max(variance, 0.0) / max(draws - 1, 1))),
-        effective_draws=float(np.exp(2 * log_total - log_squares)) if log_total > -np.inf else 0.0,
+        log_mean=float(log_total - np.log(draws)),
+        relative_error=float(np.sqrt(spread / max(draws - 1, 1))),
+        effective_draws=effective,
         poses=poses,
     )
 
@@ -145,23 +158,30 @@ def _joined(
 ) -> HiddenPosterior:
     """The posterior over sets, its errors by the delta method, and poses of each object over all sets."""
     count = len(log_sets) - 1
-    weights = {members: np.exp(log_sets[len(members)]) * ratio.mean for members, ratio in ratios.items()}
-    total = np.exp(log_sets[0]) + sum(weights.values())
+    log_weights = {members: log_sets[len(members)] + ratio.log_mean for members, ratio in ratios.items()}
+    log_total = np.logaddexp.reduce([log_sets[0], *log_weights.values()])
+    weights = {members: float(np.exp(one - log_total)) for members, one in log_weights.items()}
     presence, errors = np.zeros((2, count))
     poses = np.zeros((count, keep, 4, 4))
     for one in range(count):
         holding = [members for members in ratios if one in members]
-        presence[one] = sum(weights[members] for members in holding) / total
-        slopes = {
-            members: np.exp(log_sets[len(members)]) * ((one in members) - presence[one]) / total
-            for members in ratios
-        }
-        errors[one] = np.sqrt(sum((slopes[each] * ratios[each].standard_error) ** 2 for each in ratios))
+        presence[one] = sum(weights[members] for members in holding)
+        errors[one] = np.sqrt(
+            sum(
+                (weights[each] * ((one in each) - presence[one]) * ratio.relative_error) ** 2
+                for each, ratio in ratios.items()
+            )
+        )
         shares = np.array([weights[members] for members in holding])
         chances = shares / shares.sum() if shares.any() else None  # where all would be seen, any will do
         chosen = rng.choice(len(holding), keep, p=chances)
         for which, members in enumerate(holding):
             mine = chosen == which
             poses[one, mine] = ratios[members].poses[members.index(one), mine]
-    both = float(weights[(0, 1)] / total) if (0, 1) in weights else 0.0
-    return HiddenPosterior(presence=presence, standard_error=errors, both=both, ratios=ratios, poses=poses)
+    return HiddenPosterior(
+        presence=presence,
+        standard_error=errors,
+        both=weights.get((0, 1), 0.0),
+        ratios=ratios,
+        poses=poses,
+    )

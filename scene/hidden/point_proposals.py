@@ -140,10 +140,11 @@ class PosesThroughPoints:
         """
         passes = self._passes(poses) * self.shares
         total = passes.sum(axis=1)
-        weights = np.where(total > 0, np.exp(log_weights), 0.0)
-        heavy = np.flatnonzero(weights)
-        if not len(heavy):
+        log_weights = np.where(total > 0, log_weights, -np.inf)
+        if np.isneginf(log_weights).all():
             return self
+        weights = np.exp(log_weights - log_weights.max())
+        heavy = np.flatnonzero(weights)
         masses = weights[heavy] @ (passes[heavy] / total[heavy, None])
         even = np.full(len(masses), 1 / len(masses))
         chances = weights[heavy] / weights[heavy].sum()

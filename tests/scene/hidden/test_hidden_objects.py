@@ -189,6 +189,19 @@ def test_what_would_be_seen_everywhere_is_not_there(
     assert found.standard_error[0] == 0
 
 
+def test_what_is_in_plain_sight_is_there(
+    seed: int, images: DepthImages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every place is 2,000 nats better, too much for a number: presence 1, and no error."""
+    monkeypatch.setattr(DepthImages, "log_ratios", lambda *given: np.full(len(given[2]), 2000.0))
+
+    found = of_one(seed, np.ones((1, PLACES, 3)), images)
+
+    assert found.presence[0] == 1
+    assert found.standard_error[0] == 0
+    assert np.isfinite(found.ratios[(0,)].mean)
+
+
 def test_three_objects_are_told_what_they_would_cost(seed: int, images: DepthImages) -> None:
     """One line says how many sets there are."""
     three = [replace(boxes()[0], name=str(one)) for one in range(3)]
