@@ -2,8 +2,9 @@
 
 Views far apart are explained by more than one map: a corner of a bare room by any other, an object on a
 pedestal from the wrong side. Several maps are proposed, brought to the nearest optimum of the overlap graph
-(`slam.pose_graph.gauss_newton`), and weighed by the tempered composite likelihood of all images times the
-trajectory prior. Those of non-negligible weight are kept (`slam.map_hypotheses.modes`).
+(`slam.pose_graph.gauss_newton`), and weighed by the composite likelihood of all images, calibrated by its
+own variance (`slam.map_hypotheses.map_odds`), times the trajectory prior. Those of non-negligible weight are
+kept (`slam.map_hypotheses.modes`).
 
 The joint optimum is needed since searched poses are centimetres off. Keyframe by keyframe, each against the
 map of the others, a bare wall takes dozens of rounds; the graph takes few.
@@ -26,18 +27,12 @@ from slam.map_hypotheses.cross_registration import (
     consistent_set,
     register_inconsistent,
 )
+from slam.map_hypotheses.map_odds import log_odds
 from slam.map_hypotheses.modes import Modes
 from slam.map_hypotheses.spanning_trees import place_by_spanning_trees
 from slam.pose_graph.gauss_newton import HELD_INFLATIONS, INFLATIONS, optimise
 from slam.pose_graph.overlaps import KeyframeImages
 from slam.pose_graph.trajectory_prior import TrajectoryPrior
-
-MODES_EXPONENT = 0.01
-"""Tempering of the composite likelihood between maps. What tempers one map's optimum
-(`slam.likelihood.noise_calibration`: .25 to 1 here) does not know that maps are wrong at creases, and how
-much: right maps were ahead of the filter's wrong ones by 1056, 155 and 274 nats (three films of 5 views
-of objects), by 1988 and -365 in bare rooms (two circles of 5; docs/model.md, development films). So few films
-tell no more than the order of magnitude."""
 
 REGULAR_DISTANCES = (0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.25)
 """To the pivot of a circle, in depths at the image centre: the object there, or halfway to a far wall."""
@@ -67,24 +62,25 @@ def candidate_maps(
         rng: of the search; used.
     """
     settle = partial(optimise_jointly, images=images, motion=motion)
-
-    def log_weight(poses: NDArray[np.float64]) -> float:
-        return MODES_EXPONENT * registrar.log_composite(poses) + motion.log_density(poses)
-
     maps = [settle(poses) for poses in (*present, *_regular_maps(registrar, motion))]
-    log_weights = [log_weight(poses) for poses in maps]
+    blocks = [registrar.log_composite_of_blocks(poses) for poses in maps]
+
+    def log_weights() -> NDArray[np.float64]:
+        return log_odds(np.stack(blocks)) + [motion.log_density(poses) for poses in maps]
+
     for round_ in range(1 + MOST_ROUNDS):
-        best = maps[int(np.argmax(log_weights))]
+        best = maps[int(np.argmax(log_weights()))]
         core = consistent_set(registrar, best)
         if len(core) == len(registrar):
             break
         if round_:
             proposed = [register_inconsistent(registrar, best, core)]
         else:
-            proposed = place_by_spanning_trees(registrar, settle, motion.log_density, MODES_EXPONENT, rng)
-        maps += [settle(poses) for poses in proposed]
-        log_weights += [log_weight(poses) for poses in maps[len(log_weights) :]]
-    return Modes.of(maps, log_weights)
+            proposed = place_by_spanning_trees(registrar, settle, motion.log_density, rng)
+        settled = [settle(poses) for poses in proposed]
+        maps += settled
+        blocks += [registrar.log_composite_of_blocks(poses) for poses in settled]
+    return Modes.of(maps, log_weights().tolist())
 
 
 def _regular_maps(registrar: KeyframeRegistrar, motion: TrajectoryPrior) -> list[NDArray[np.float64]]:

@@ -63,8 +63,12 @@ class KeyframeRegistrar:
         degrees by 285; given all the others the true ones win, by 55 and 188 (docs/model.md, development
         films).
         """
+        return float(self.log_composite_of_blocks(poses).sum())
+
+    def log_composite_of_blocks(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same (N * B,), by blocks of pixels of each image, whose errors are about independent."""
         located = (self.register_locally(poses, index, self.all_but(index)) for index in range(len(self)))
-        return 0.5 * sum(one.log_density for one in located)
+        return 0.5 * np.concatenate([one.log_density_of_blocks(self.noise) for one in located])
 
     def log_scores(
         self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float

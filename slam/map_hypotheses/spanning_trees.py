@@ -28,6 +28,7 @@ from slam.map_hypotheses.cross_registration import (
     KeyframeRegistrar,
     inlier_ratio,
 )
+from slam.map_hypotheses.map_odds import log_odds
 from slam.registration.registered import SAME_SHIFT_M, Registration
 
 CHAINS, COMPARED = 32, 50_000
@@ -75,7 +76,6 @@ def place_by_spanning_trees(
     registrar: KeyframeRegistrar,
     settle: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     log_prior: Callable[[NDArray[np.float64]], float],
-    exponent: float,
     rng: np.random.Generator,
 ) -> list[NDArray[np.float64]]:
     """Poses (N, 4, 4) of all keyframes from the first: maps that differ, none where ways do not join them.
@@ -84,13 +84,15 @@ def place_by_spanning_trees(
         registrar: the keyframes.
         settle: brings a map (N, 4, 4) to its joint optimum.
         log_prior: of a map's motion.
-        exponent: of the composite likelihood between maps.
         rng: of the draws; used.
     """
     ways = _register_pairs(registrar)
     maps = [_align_in_turn(registrar, poses) for poses in _draw_maps(registrar, ways, log_prior, rng)]
-    composites = np.asarray([registrar.log_composite(poses) for poses in maps])
-    weights = exponent * composites + [log_prior(poses) for poses in maps]
+    if not maps:
+        return []
+    blocks = np.stack([registrar.log_composite_of_blocks(poses) for poses in maps])
+    composites = blocks.sum(axis=1)
+    weights = log_odds(blocks) + [log_prior(poses) for poses in maps]
     likeliest, most_agreed = (
         _take_distinct((maps[index] for index in np.argsort(-values)), KEPT_MAPS)
         for values in (weights, composites)

@@ -8,10 +8,12 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from recordings.types import DepthNoise
 from shapes.geometry import pose_sets
 from shapes.geometry.poses import matrices_of
+from slam.likelihood.image_density import STRIDE_PX, log_pixel_factors
 from slam.registration.local_map import LocalMap
-from slam.registration.local_search import Optimum
+from slam.registration.local_search import Optimum, block_membership
 
 CONVINCING_EXPLAINED = 0.75
 """Chosen by hand."""
@@ -64,6 +66,13 @@ class Registration:
     def log_density(self) -> float:
         """Of the image there; minus infinity where alignment left the numbers."""
         return float(self.optimum.log_density) if self.is_finite else -np.inf
+
+    def log_density_of_blocks(self, noise: DepthNoise) -> NDArray[np.float64]:
+        """The same (B,), by blocks of pixels. `noise` is the sensor's."""
+        pose = self.optimum.pose
+        factors, _ = log_pixel_factors(self.optimum.pixels, self.local_map.keyframes_from_camera(pose), noise)
+        blocks = np.asarray(factors, np.float64) @ block_membership(STRIDE_PX)
+        return blocks if self.is_finite else np.full_like(blocks, -np.inf)
 
     @property
     def is_finite(self) -> bool:

@@ -108,7 +108,11 @@ class RingJury:
 
     def log_composite(self, poses: NDArray[np.float64]) -> float:
         """Most where all stand right."""
-        return -float(np.abs(poses[:, 0, 3] - np.arange(len(RING))).sum())
+        return float(self.log_composite_of_blocks(poses).sum())
+
+    def log_composite_of_blocks(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same, a block for each keyframe."""
+        return -np.abs(poses[:, 0, 3] - np.arange(len(RING)))
 
 
 def unsettled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -150,7 +154,7 @@ def all_trees(ways: Ways, count: int) -> set[Tree]:
 def test_whole_maps_decide(seed: int) -> None:
     """Beside the first keyframe wrong places have most evidence; of all keyframes the ring has."""
     placed = place_by_spanning_trees(
-        cast("KeyframeRegistrar", RingJury()), unsettled, of_any_motion, 1.0, np.random.default_rng(seed)
+        cast("KeyframeRegistrar", RingJury()), unsettled, of_any_motion, np.random.default_rng(seed)
     )
 
     assert 1 <= len(placed) <= 2 * KEPT_MAPS
@@ -166,7 +170,7 @@ def test_motion_counts_in_whole_maps(nats: float, is_left: bool, monkeypatch: py
         return nats * float(poses[1, 0, 3] < 0)
 
     placed = place_by_spanning_trees(
-        cast("KeyframeRegistrar", RingJury()), unsettled, log_prior, 1.0, np.random.default_rng(0)
+        cast("KeyframeRegistrar", RingJury()), unsettled, log_prior, np.random.default_rng(0)
     )
 
     assert (placed[0][1, 0, 3] < 0) == is_left
@@ -180,7 +184,7 @@ def test_without_ways_there_is_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spanning_trees, "_register_pairs", lambda registrar: ways)  # noqa: ARG005
 
     assert not place_by_spanning_trees(
-        cast("KeyframeRegistrar", RingJury()), unsettled, of_any_motion, 1.0, np.random.default_rng(0)
+        cast("KeyframeRegistrar", RingJury()), unsettled, of_any_motion, np.random.default_rng(0)
     )
 
 
