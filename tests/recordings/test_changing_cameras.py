@@ -47,7 +47,8 @@ def test_frames_of_another_zoom_are_brought_to_the_first_camera(recording_path, 
     np.testing.assert_array_equal(frames[3], frames[0])
     found = recording.statistics()
     assert list(found.camera_changes) == [1.5, 2.5]
-    assert any("calibration changes 2 times, at 1.500, 2.500 s" in one for one in found.warnings(SIZE))
+    told = found.warnings(SIZE, recording.intrinsics)
+    assert any("calibration changes 2 times, at 1.500, 2.500 s" in one for one in told)
 
 
 def test_jitter_of_a_calibration_is_no_change(recording_path):
