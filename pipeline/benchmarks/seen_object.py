@@ -120,10 +120,11 @@ def _log_first(steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _next_power(log_ratios: NDArray[np.float64], power: float) -> float:
-    """The greatest power up to 1 that leaves `ALIVE` of the draws; by bisection."""
+    """The greatest power up to 1 that leaves `ALIVE` of the draws that are possible; by bisection."""
+    possible = log_ratios[np.isfinite(log_ratios)]
 
     def alive(following: float) -> bool:
-        weights = np.exp((following - power) * (log_ratios - log_ratios.max()))
+        weights = np.exp((following - power) * (possible - possible.max()))
         return weights.sum() ** 2 >= ALIVE * len(weights) * (weights**2).sum()
 
     low, high = power, 1.0
