@@ -32,7 +32,7 @@ def test_moves_tell_what_the_sum_tells(name: str, seed: int) -> None:
         box = empty.layers(objects[BOX], scene.camera_from_object[BOX][None])
         behind = evidence_against(scene, np.minimum(box, FAR_M))
         number = BinomialNumber(PRESENCE)
-        exact = hidden_posterior(rng, [objects[MUG]], PRIOR, behind, number, draws=8192)
+        exact = hidden_posterior(rng, [objects[MUG]], PRIOR, behind, number, draws=2**16)
 
         def draw(before: Ensemble | None) -> Ensemble:
             drawn = PRIOR.draw(rng, [objects[MUG]], COUNT)
