@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from pipeline.benchmarks.pose_methods import sought_shape
-from pipeline.evaluation.calibration import expected_calibration_error
+from pipeline.evaluation.calibration import PRESENCE_BINS, expected_calibration_error
 from pipeline.evaluation.scenes import region_level
 from pipeline.evaluation.trajectory_errors import LEVELS
 from pipeline.mesh_source import MeshSource
@@ -36,8 +36,6 @@ from scene.parsing import parse_scene
 ASKED = 3
 """Shapes asked of each table."""
 CONFIG = ParseConfig(presence=0.5, unknown_solids=False)
-PRESENCE_BINS = 10
-"""Of presence, equally wide (Guo et al. 2017, expected calibration error)."""
 LEAST_PROBABILITY = 1e-3
 """Of what is so, in the log loss: hundreds of rows tell no smaller ones."""
 

@@ -13,9 +13,8 @@ import trimesh
 from scipy.special import expit, logit
 
 from pipeline.atomic import write_table
-from pipeline.benchmarks.calibration import PRESENCE_BINS
 from pipeline.benchmarks.seen_object import seen_posterior
-from pipeline.evaluation.calibration import expected_calibration_error
+from pipeline.evaluation.calibration import PRESENCE_BINS, expected_calibration_error
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.occlusion import (
     FAR_M,
@@ -82,8 +81,7 @@ def measure_occlusion(
         draws: of the mug's poses in each scene.
         progress: told scenes done and in all.
     """
-    meshes = {name: built_in_object(name) for name in (BOX, MUG)}
-    objects = {name: scene_object(name, mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    meshes, objects = _box_and_mug()
     rng = np.random.default_rng([seed, 1])
     placed = {name: box_pose(yaw_deg, 0.0, away_m) for name, (yaw_deg, away_m) in SCENES.items()}
     placed |= {str(number): random_box_pose(rng) for number in range(random_scenes)}
@@ -102,8 +100,7 @@ def measure_drawn_scenes(
 
     The box is told where it is there: what is asked is the mug.
     """
-    meshes = {name: built_in_object(name) for name in (BOX, MUG)}
-    objects = {name: scene_object(name, mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    meshes, objects = _box_and_mug()
     rows = []
     for number in range(scenes):
         rng = np.random.default_rng([seed, 2, number])
@@ -113,6 +110,12 @@ def measure_drawn_scenes(
         rows.append(occlusion_row(scene, objects, draws, rng))
         progress(number + 1, scenes)
     return rows
+
+
+def _box_and_mug() -> tuple[dict[str, trimesh.Trimesh], dict[str, SceneObject]]:
+    """Their meshes and shapes by name."""
+    meshes = {name: built_in_object(name) for name in (BOX, MUG)}
+    return meshes, {name: scene_object(name, mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
 
 
 def photographed(

@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 CLIP = 1e-3
+PRESENCE_BINS = 10
+"""Of the probability that an object is there, equally wide (Guo et al. 2017, expected calibration error)."""
+
 BINS = 15
 
 

@@ -63,12 +63,12 @@ class KeyframeRegistrar:
         degrees by 285; given all the others the true ones win, by 55 and 188 (docs/model.md, development
         films).
         """
-        return float(self.log_composite_of_blocks(poses).sum())
+        return 0.5 * sum(one.log_density for one in self._register_all(poses))
 
     def log_composite_of_blocks(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """The same (N * B,), by blocks of pixels of each image, whose errors are about independent."""
-        located = (self.register_locally(poses, index, self.all_but(index)) for index in range(len(self)))
-        return 0.5 * np.concatenate([one.log_density_of_blocks(self.noise) for one in located])
+        blocks = [one.log_density_of_blocks(self.noise) for one in self._register_all(poses)]
+        return 0.5 * np.concatenate(blocks)
 
     def log_scores(
         self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float
@@ -103,6 +103,10 @@ class KeyframeRegistrar:
     def all_but(self, index: int) -> list[int]:
         """The other keyframes."""
         return [other for other in range(len(self)) if other != index]
+
+    def _register_all(self, poses: NDArray[np.float64]) -> list[Registration]:
+        """Each keyframe where `poses` have it, in the map of all others."""
+        return [self.register_locally(poses, index, self.all_but(index)) for index in range(len(self))]
 
     def _searcher(self, poses: NDArray[np.float64], index: int, others: Sequence[int]) -> Searcher:
         placed = poses_of(poses[list(others)]).astype(np.float32)

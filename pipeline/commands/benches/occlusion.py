@@ -24,7 +24,7 @@ from pipeline.options import AnyPath, Common, common_options
     type=click.IntRange(1024, 10**8),
     default=2**19,
     show_default=True,
-    help="Prior poses of the mug in each scene.",
+    help="Poses of the mug that are drawn in each scene.",
 )
 @click.option(
     "--width", type=click.IntRange(32, 1024), default=64, show_default=True, help="Of images, pixels."
