@@ -60,7 +60,7 @@ class ColourFrames:
     def _take_recorded_camera(self, cameras: dict[str, CameraMessage]) -> None:
         found = matching_camera(self._topic.name, self._topic.first.frame_id, self.size, cameras)
         if found is None:
-            raise UnusableCamera("its camera is not recorded; give --intrinsics fx,fy,cx,cy")
+            raise UnusableCamera("no calibration of its camera is recorded; give --intrinsics fx,fy,cx,cy")
         rectified = is_rectified(self._topic.name)
         self.intrinsics = stored_intrinsics(found[1], *self.size, rectified=rectified)
         if not rectified and is_distorted(found[1].distortion):

@@ -61,7 +61,7 @@ class DepthImages:
     def _take_recorded_camera(self, topic: DepthTopic, cameras: dict[str, CameraMessage]) -> None:
         found = matching_camera(topic.name, topic.first.frame_id, self.size, cameras)
         if found is None:
-            raise UnusableCamera("its camera is not recorded; give --intrinsics fx,fy,cx,cy")
+            raise UnusableCamera("no calibration of its camera is recorded; give --intrinsics fx,fy,cx,cy")
         camera_topic, self._camera = found
         intrinsics = stored_intrinsics(self._camera, *self.size, rectified=self._rectified)
         self.undistortion = self._undistortion(self._camera, intrinsics, intrinsics)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.cameras.matching import is_frame
 from recordings.cameras.recorded import recorded_cameras
 from recordings.colour_frames import ColourFrames, first_colour_topic
 from recordings.colour_projection import ColourCamera, projected_colour
@@ -316,7 +317,7 @@ class McapRecording:
 
     def _is_taken_here(self, message: DepthMessage, lose: Callable[[object], None]) -> bool:
         """Whether a depth message was taken where the first was; else it is lost."""
-        if message.frame_id.lstrip("/") == self.frame_id.lstrip("/"):
+        if is_frame(message.frame_id, self.frame_id):
             return True
         lose(f"taken in the frame {message.frame_id!r}, the first in {self.frame_id!r}")
         return False

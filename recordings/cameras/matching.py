@@ -44,6 +44,9 @@ def matching_camera(
 ) -> tuple[str, CameraMessage] | None:
     """The camera topic of an image topic and its message, or None without any camera.
 
+    A camera of another frame than the images' counts only where it stands beside them or above, as
+    `/camera/camera_info` does: elsewhere it is another camera's.
+
     Args:
         image_topic: the images' topic.
         frame_id: the frame that the images say they were taken in.
@@ -51,16 +54,26 @@ def matching_camera(
         cameras: a usable message of each camera topic.
 
     Raises:
-        UnusableCamera: several cameras with different calibrations are equally near.
+        UnusableCamera: every camera is another's, or several with different calibrations are equally near.
     """
-    same_frame = {topic: c for topic, c in cameras.items() if frame_id and c.frame_id == frame_id}
-    candidates = same_frame or cameras
+    same_frame = {topic: c for topic, c in cameras.items() if frame_id and is_frame(c.frame_id, frame_id)}
+    candidates = same_frame or {
+        topic: camera
+        for topic, camera in cameras.items()
+        if not (frame_id and camera.frame_id) or _is_beside(topic, image_topic)
+    }
 
     def nearness(topic: str) -> tuple[int, bool, int]:
         camera = candidates[topic]
         same_size = (camera.width, camera.height) == size
         return shared_namespace(image_topic, topic), same_size, -len(namespace(topic))
 
+    if not candidates and cameras:
+        others = ", ".join(f"{topic} of {camera.frame_id}" for topic, camera in sorted(cameras.items())[:4])
+        raise UnusableCamera(
+            f"its camera, of {frame_id}, is not recorded, only others' are ({others}); "
+            "give --intrinsics fx,fy,cx,cy"
+        )
     if not candidates:
         return None
     best = max(map(nearness, candidates))
@@ -69,6 +82,20 @@ def matching_camera(
     if any(not np.array_equal(first.K, candidates[topic].K, equal_nan=True) for topic in nearest):
         raise UnusableCamera(f"its camera could be {' or '.join(nearest)}; give --intrinsics fx,fy,cx,cy")
     return nearest[0], first
+
+
+def is_frame(frame_id: str, other: str) -> bool:
+    """Whether two names are of one frame; ROS 1 puts a slash before them."""
+    return frame_id.lstrip("/") == other.lstrip("/")
+
+
+def _is_beside(camera_topic: str, image_topic: str) -> bool:
+    """Whether a camera's namespace is the images' topic itself, or lies above it."""
+    own, above = (
+        (*namespace(image_topic), base_topic(image_topic).rpartition("/")[2]),
+        namespace(camera_topic),
+    )
+    return own[: len(above)] == above
 
 
 def shared_namespace(topic: str, other: str) -> int:

@@ -53,13 +53,35 @@ def test_the_camera_is_found_by_frame_then_namespace(cameras, frame_id, recordin
 def test_equally_near_cameras_ask(recording_path):
     """Two different cameras as near as each other are not guessed between; their size may decide."""
     pair = {
-        "/camera/color/camera_info": camera_info(STAMP, (40, 30), WRONG, "b"),
-        "/camera/infra/camera_info": camera_info(STAMP, (40, 30), RIGHT, "c"),
+        "/camera/color/camera_info": camera_info(STAMP, (40, 30), WRONG, ""),
+        "/camera/infra/camera_info": camera_info(STAMP, (40, 30), RIGHT, ""),
     }
     with pytest.raises(RecordingError, match=r"could be /camera/color.* or /camera/infra.*--intrinsics"):
         intrinsics_of(recording_path, pair, frame_id="lens")
-    pair["/camera/color/camera_info"] = camera_info(STAMP, (80, 60), WRONG, "b")
+    pair["/camera/color/camera_info"] = camera_info(STAMP, (80, 60), WRONG, "")
     assert intrinsics_of(recording_path, pair, frame_id="lens") == RIGHT
+
+
+@pytest.mark.parametrize(
+    ("camera_topic", "topic", "frame_id", "is_own"),
+    [
+        ("/camera/color/camera_info", "/camera/depth/image_raw", "color", False),
+        ("/front/camera_info", "/wrist/depth", "front", False),
+        ("/camera/depth/camera_info", "/camera/depth/image_raw/compressedDepth", "camera_link", True),
+        ("/camera/camera_info", "/camera/depth/image_raw", "camera_link", True),
+        ("/depth/calibration", "/depth", "camera_link", True),
+        ("/camera/color/camera_info", "/camera/depth/image_raw", "", True),
+        ("/elsewhere/camera_info", "/camera/depth/image_raw", "/lens", True),
+    ],
+)
+def test_the_calibration_of_another_camera_is_not_used(camera_topic, topic, frame_id, is_own, recording_path):
+    """One of another frame is this camera's only beside the images or above them."""
+    cameras = {camera_topic: camera_info(STAMP, (40, 30), RIGHT, frame_id)}
+    if is_own:
+        assert intrinsics_of(recording_path, cameras, topic=topic, frame_id="lens") == RIGHT
+    else:
+        with pytest.raises(RecordingError, match=f"of lens, is not recorded.*{camera_topic}.*--intrinsics"):
+            intrinsics_of(recording_path, cameras, topic=topic, frame_id="lens")
 
 
 def test_zeros_before_the_calibration_are_passed_over(recording_path):
@@ -71,7 +93,7 @@ def test_zeros_before_the_calibration_are_passed_over(recording_path):
 
 def test_no_camera_asks_for_intrinsics(recording_path):
     """Without any camera the error says which option helps, and the option does."""
-    with pytest.raises(RecordingError, match=r"camera is not recorded; give --intrinsics"):
+    with pytest.raises(RecordingError, match=r"calibration of its camera is recorded; give --intrinsics"):
         intrinsics_of(recording_path, {})
     camera = open_recording(recording_path, ReadOptions(intrinsics=RIGHT)).intrinsics
     assert camera == CameraIntrinsics(width=40, height=30, fx=35.0, fy=36.0, cx=18.5, cy=15.25)
