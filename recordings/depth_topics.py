@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from recordings.cameras.matching import base_topic
+from recordings.cameras.matching import base_topic, namespace, shared_namespace
 from recordings.errors import RecordingError
 from recordings.images.colour import is_colour
 from recordings.images.compressed_depth import holds_depth, image_size
@@ -46,7 +46,7 @@ def choose_depth_topic(decoded: DecodedBag, wanted: str | None, start_s: float =
     """The depth topic of a recording, or None where it has none.
 
     Of several, the one that is neither another's copy in another transport nor resampled into the frame of a
-    colour camera, as `aligned_depth_to_color` is: that is what the sensor measured.
+    colour camera beside it, as `aligned_depth_to_color` is: that is what the sensor measured.
 
     Args:
         decoded: the recording.
@@ -91,7 +91,14 @@ def _measured(decoded: DecodedBag, candidates: list[str]) -> list[str]:
         if not any(topic != other and base_topic(topic) == other for other in candidates)
     ]
     own = [topic for topic in plain if not is_aligned_to_colour(decoded, topic)]
-    return own or plain
+    resampled = [t for t in plain if t not in own and any(_is_of_one_device(t, other) for other in own)]
+    return [topic for topic in plain if topic not in resampled]
+
+
+def _is_of_one_device(topic: str, other: str) -> bool:
+    """Whether topics could be of one camera driver, which puts its streams side by side: /left/NAME/image."""
+    devices = namespace(topic)[:-1], namespace(other)[:-1]
+    return shared_namespace(topic, other) >= min(map(len, devices))
 
 
 def _by_kind(decoded: DecodedBag) -> dict[str, list[str]]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recordings.errors import RecordingError
 from recordings.options import ReadOptions
 from recordings.overview import survey
 from recordings.reading import open_recording
@@ -149,6 +150,29 @@ def test_the_sensors_own_depth_is_taken_before_what_was_resampled_to_a_colour_ca
     ]
     chosen = ReadOptions(depth_topic="/camera/aligned_depth_to_color/image_raw")
     assert open_recording(recording_path, chosen).size == COLOUR_SIZE
+
+
+@pytest.mark.parametrize(
+    ("aligned", "is_copy"),
+    [
+        ("/left/aligned_depth_to_color/image_raw", True),
+        ("/left/depth/registered/image", True),
+        ("/right/aligned_depth_to_color/image_raw", False),
+    ],
+)
+def test_aligned_depth_of_another_device_is_no_copy(aligned, is_copy, recording_path):
+    """Two cameras, one of which was recorded aligned to its colour alone: the user has to choose."""
+    colour = np.zeros((6, 8, 3), np.uint8)
+    with Scribe(recording_path) as scribe:
+        for topic, frame in {"/left/depth/image_raw": "left", aligned: "colour"}.items():
+            scribe.ros2(topic, image(SECOND_NS, "16UC1", np.full((6, 8), 900, np.uint16), frame), SECOND_NS)
+        scribe.ros2("/any/color/image_raw", image(SECOND_NS, "rgb8", colour, "colour"), SECOND_NS)
+    options = ReadOptions(intrinsics=(9.0, 9.0, 3.5, 2.5))
+    if is_copy:
+        assert open_recording(recording_path, options).depth_topic == "/left/depth/image_raw"
+    else:
+        with pytest.raises(RecordingError, match=r"2 depth topics.*choose with --depth-topic"):
+            open_recording(recording_path, options)
 
 
 @pytest.mark.parametrize("aligned", [False, True])
