@@ -52,10 +52,14 @@ class TopicOverview:
 
 @dataclass(frozen=True, kw_only=True)
 class DepthOverview:
-    """The depth frames: pace by their stamps, sha256 of each frame's metres where asked for."""
+    """The depth frames: pace by their stamps, sha256 of each frame's metres where asked for.
+
+    `coloured` frames came with colour.
+    """
 
     topic: str
     frames: int
+    coloured: int
     size: tuple[int, int]
     pace: Pace
     intrinsics: CameraIntrinsics | None
@@ -174,8 +178,10 @@ def _survey_topics(bag: Bag) -> tuple[TopicOverview, ...]:
 def _survey_depth(recording: McapRecording, *, hashes: bool) -> DepthOverview:
     stamps: list[int] = []
     found: list[str] = []
+    coloured = 0
     for frame in recording:
         stamps.append(frame.time_ns)
+        coloured += frame.rgb is not None
         if hashes:
             found.append(hashlib.sha256(frame.depth_m.tobytes()).hexdigest())
     statistics = recording.statistics()
@@ -183,6 +189,7 @@ def _survey_depth(recording: McapRecording, *, hashes: bool) -> DepthOverview:
     return DepthOverview(
         topic=recording.depth_topic,
         frames=len(stamps),
+        coloured=coloured,
         size=recording.size,
         pace=_pace(stamps),
         intrinsics=None if recording.camera_problem else recording.intrinsics,

@@ -101,8 +101,19 @@ def _statistics(depth: DepthOverview | None) -> dict[str, Any]:
     names = ("depth_m", "measured_share", "identical_frames", "stamp_steps_back", "undecodable")
     return {
         **{name: getattr(found, name, None) for name in names},
-        "warnings": depth.statistics.warnings(depth.size, depth.intrinsics) if depth else [],
+        "coloured_frames": depth.coloured if depth else 0,
+        "warnings": _warnings(depth) if depth else [],
     }
+
+
+def _warnings(depth: DepthOverview) -> list[str]:
+    found = depth.statistics.warnings(depth.size, depth.intrinsics)
+    if depth.colour_topic and depth.frames and not depth.coloured:
+        found.append(
+            f"no frame comes with colour: {depth.colour_topic} has no image that can be read within 20 ms of "
+            "one; if its stamps are of another clock, colour has to be recorded anew"
+        )
+    return found
 
 
 def _depth_lines(overview: Overview) -> list[str]:
@@ -145,7 +156,8 @@ def _colour(depth: DepthOverview) -> str:
     if depth.colour_topic is None:
         return "none that is registered to the depth, or whose calibration and mounting are recorded"
     how = ", of another camera, projected onto the depth" if depth.colour_is_projected else ""
-    return f"{depth.colour_topic}{how}"
+    few = f", with {depth.coloured} of {depth.frames} frames" if depth.coloured < depth.frames else ""
+    return f"{depth.colour_topic}{how}{few}"
 
 
 def _depths(depth: DepthOverview) -> str:

@@ -12,10 +12,12 @@ from mcap.writer import Writer
 from pipeline.cli import voxscene
 from recordings.types import CameraIntrinsics, Frame
 from recordings.writer import MessageSchema, RecordingWriter
+from tests.recordings.samples import Scribe, camera_info, image
 
 FIELDS = ["depth_frames", "width", "height", "fx", "fy", "cx", "cy", "duration_s", "topics"]
 FIELDS += ["lost_messages", "lost_chunks", "verified"]
-FIELDS += ["depth_m", "measured_share", "identical_frames", "stamp_steps_back", "undecodable", "warnings"]
+FIELDS += ["depth_m", "measured_share", "identical_frames", "stamp_steps_back", "undecodable"]
+FIELDS += ["coloured_frames", "warnings"]
 CAMERA = CameraIntrinsics(width=8, height=6, fx=10.0, fy=11.0, cx=3.5, cy=2.5)
 
 
@@ -197,3 +199,20 @@ def test_a_principal_point_outside_the_image_is_a_warning(recording: Path) -> No
             told,
             told,
         )
+
+
+@pytest.mark.parametrize(("late_ns", "coloured"), [(0, 4), (50_000_000, 3), (10**9, 0)])
+def test_colour_that_comes_with_no_frame_is_a_warning(late_ns: int, coloured: int, tmp_path: Path) -> None:
+    """As of a colour camera with a clock of its own; how many frames have colour is told."""
+    path, k = tmp_path / "r.mcap", (10.0, 11.0, 3.5, 2.5)
+    with Scribe(path) as scribe:
+        scribe.ros2("/d/camera_info", camera_info(10**9, (8, 6), k), 10**9)
+        for stamp in range(10**9, 10**9 + 200_000_000, 50_000_000):
+            scribe.ros2("/d/image", image(stamp, "16UC1", np.full((6, 8), 900, np.uint16)), stamp)
+            colour = image(stamp + late_ns, "rgb8", np.zeros((6, 8, 3), np.uint8))
+            scribe.ros2("/c/image", colour, stamp)
+    document, text = json.loads(run("info", path, "--json").stdout), run("info", path)
+
+    assert document["coloured_frames"] == coloured
+    assert ("/c/image, with" in text.stdout) == (coloured < 4)
+    assert any("no frame comes with colour" in one for one in document["warnings"]) == (coloured == 0)
