@@ -28,6 +28,7 @@ from recordings.messages.types import (
     PointField,
     PoseMessage,
     TransformMessage,
+    UndecodableMessage,
     rigid_matrix,
 )
 
@@ -70,8 +71,13 @@ def _stamp_ns(stamp: Any) -> int:
     return stamp.seconds * 1_000_000_000 + stamp.nanos
 
 
-def _bytes(data: bytes | str) -> bytes:
-    return base64.b64decode(data, validate=True) if isinstance(data, str) else data
+def _bytes(data: bytes | str | list[int]) -> bytes:
+    """Bytes of protobuf, or of JSON: base64, or as some writers have it a list of numbers."""
+    if isinstance(data, str):
+        return base64.b64decode(data, validate=True)
+    if not isinstance(data, bytes | list):
+        raise UndecodableMessage(f"has {type(data).__name__} for its bytes")
+    return bytes(data)
 
 
 def _image(message: Any) -> ImageMessage:

@@ -9,6 +9,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from recordings.messages.ros2 import canonical_name, decoder
 from recordings.messages.types import quaternion_xyzw, rigid_matrix
+from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
 from tests.recordings.samples import ROS1_STORE, STORE, Scribe, camera_info, image, ros1_bytes, transform
@@ -118,6 +119,20 @@ WRITERS = {
     "Foxglove protobuf": write_protobuf,
     "Foxglove JSON": write_json,
 }
+
+
+@pytest.mark.parametrize(
+    ("data", "is_read"), [(list(DEPTH.tobytes()), True), ([300, -1], False), (7, False), (None, False)]
+)
+def test_bytes_of_json_may_be_numbers(data, is_read, recording_path):
+    """In place of base64; what is neither costs the message."""
+    with Scribe(recording_path) as scribe:
+        for i, content in enumerate([raw_image(), {**raw_image(), "data": data}]):
+            time = {"timestamp": {"sec": 5, "nsec": i}}
+            scribe.json("/c/depth", "foxglove.RawImage", {**time, **content}, i)
+    recording = open_recording(recording_path, ReadOptions(intrinsics=K))
+    assert len(list(recording)) == 1 + is_read
+    assert recording.damage.lost_messages == 1 - is_read
 
 
 @pytest.mark.parametrize("writer", WRITERS)
