@@ -114,7 +114,7 @@ def _kind(first: DecodedMessage | None) -> str | None:
     if isinstance(first, ImageMessage) and first.encoding in DEPTH_DTYPES:
         return "grey" if first.encoding == "mono16" else "certain"
     if isinstance(first, CompressedImageMessage) and holds_depth(first):
-        return "certain"
+        return "grey" if first.format.startswith("mono16") else "certain"
     if isinstance(first, PointCloudMessage):
         return "cloud"
     return None

@@ -262,11 +262,15 @@ def test_images_of_the_wrong_size_throughout_are_one_clear_line(millimetres, rec
         open_recording(recording_path)
 
 
-def test_infrared_is_not_depth_beside_depth(millimetres, recording_path):
-    """A mono16 topic counts as depth only where nothing else does."""
+@pytest.mark.parametrize("compressed", [False, True])
+def test_infrared_is_not_depth_beside_depth(compressed, millimetres, recording_path):
+    """A mono16 topic counts as depth only where nothing else does, compressed or not."""
+    infrared = image(STAMP, "mono16", millimetres)
+    if compressed:
+        infrared = compressed_image(STAMP, "mono16; png compressed ", png(millimetres))
     with Scribe(recording_path) as scribe:
         scribe.ros2("/a/camera_info", camera_info(STAMP, (40, 30), K), STAMP)
-        scribe.ros2("/a/infrared", image(STAMP, "mono16", millimetres), STAMP)
+        scribe.ros2("/a/infrared", infrared, STAMP)
         scribe.ros2("/a/z", image(STAMP, "16UC1", millimetres), STAMP)
     assert open_recording(recording_path).depth_topic == "/a/z"
 
