@@ -11,7 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.cameras.distortion import distortion_model, is_distorted, unfolded_radius
+from recordings.cameras.distortion import (
+    check_distortion,
+    distortion_model,
+    is_distorted,
+    unfolded_radius,
+)
 from recordings.cameras.matching import is_rectified, matching_camera, namespace, shared_namespace
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour
@@ -194,7 +199,7 @@ def _lens(
         intrinsics = stored_intrinsics(camera, *size, rectified=rectified)
         if rectified or not is_distorted(camera.distortion):
             return intrinsics, "", ()
-        distortion_model(camera.distortion_model)
+        check_distortion(camera.distortion_model, camera.distortion)
     except (UndecodableMessage, UnusableCamera):
         return None
     return intrinsics, camera.distortion_model, camera.distortion

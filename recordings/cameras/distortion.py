@@ -18,8 +18,6 @@ Points = NDArray[np.float64]
 Distort = Callable[[Points, Points, Sequence[float]], tuple[Points, Points]]
 
 
-_BROWN_CONRADY_COEFFICIENTS = 12
-"""OpenCV's 13th and 14th tilt the sensor."""
 _LEAST_INSIDE = 0.05
 """Share of the image that has to be left: coefficients of another model leave next to nothing."""
 
@@ -44,7 +42,7 @@ class Undistortion:
         coefficients: Sequence[float],
         stored: CameraIntrinsics | None = None,
     ) -> None:
-        _check(model, coefficients)
+        check_distortion(model, coefficients)
         stored = stored or intrinsics
         width, height = intrinsics.width, intrinsics.height
         u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -91,16 +89,19 @@ def distortion_model(name: str) -> Distort:
     return _MODELS[name]
 
 
-def _check(model: str, coefficients: Sequence[float]) -> None:
+def check_distortion(model: str, coefficients: Sequence[float]) -> None:
     """Raise UnusableCamera unless the coefficients are those of a known model."""
     advice = "record rectified depth or give --intrinsics fx,fy,cx,cy"
     if not is_distorted(coefficients):
         return
-    distort = distortion_model(model)
+    known = _COEFFICIENTS[distortion_model(model)]
     if not np.isfinite(coefficients).all():
         raise UnusableCamera(f"its camera's distortion is not finite; {advice}")
-    if distort is _brown_conrady and is_distorted(coefficients[_BROWN_CONRADY_COEFFICIENTS:]):
-        raise UnusableCamera(f"its camera's sensor is tilted, which is not known here; {advice}")
+    if is_distorted(coefficients[known:]):
+        raise UnusableCamera(
+            f"its camera's distortion has {len(coefficients)} coefficients, of which {known} are known here "
+            f"({model}); {advice}"
+        )
 
 
 def is_distorted(coefficients: Sequence[float]) -> bool:
@@ -149,3 +150,5 @@ _MODELS: dict[str, Distort] = {
     "kannala_brandt": _equidistant,
     "kannala_brandt4": _equidistant,
 }
+_COEFFICIENTS = {_brown_conrady: 12, _equidistant: 4}
+"""How many a model has; OpenCV's 13th and 14th of the first tilt the sensor."""

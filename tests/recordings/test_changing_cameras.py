@@ -79,7 +79,11 @@ def test_frames_of_another_camera_on_the_same_topic_are_lost_and_told(recording_
         ({"d": np.array([-90.0, 0, 0, 0, 0])}, "of the image"),
         (
             {"d": np.array([0.0] * 12 + [0.1, 0.0]), "distortion_model": "rational_polynomial"},
-            "sensor is tilted",
+            "14 coefficients, of which 12",
+        ),
+        (
+            {"d": np.array([0.1, 0, 0, 0, 0.1]), "distortion_model": "equidistant"},
+            "5 coefficients, of which 4",
         ),
     ],
 )
