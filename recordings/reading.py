@@ -49,7 +49,7 @@ _KEPT_FOR_COLOUR = 1 << 26
 
 
 def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapRecording:
-    """The depth frames of a recording: an MCAP file, a `.mcap.zstd` file or a rosbag2 folder.
+    """The depth frames of a recording: an MCAP file, a `.mcap.zstd` or `.mcap.zst` file, or a rosbag2 folder.
 
     Raises:
         RecordingError: it cannot be read, has no depth (nor colour, where that is enough), has several depth

@@ -21,6 +21,7 @@ from pipeline.evaluation.trajectory_errors import (
     trajectory_errors,
 )
 from pipeline.peers.registry import best_of
+from recordings.mcap_files.sources import ZSTD_SUFFIXES
 from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
@@ -47,7 +48,7 @@ def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
 
 def is_trajectory_file(path: Path) -> bool:
     """Whether a file is taken for a TUM trajectory, and not for a recording."""
-    return path.is_file() and path.suffix not in (".mcap", ".zstd")
+    return path.is_file() and path.suffix not in (".mcap", *ZSTD_SUFFIXES)
 
 
 def _read_tum(path: Path) -> Trajectory:

@@ -11,9 +11,10 @@ from typing import Any
 from recordings.errors import RecordingError
 from recordings.mcap_files.attachments import Attachment
 from recordings.mcap_files.mcap_file import McapFile, Message, Topic
+from recordings.mcap_files.sources import ZSTD_SUFFIXES
 from recordings.types import Damage
 
-_SUFFIXES = (".mcap", ".mcap.zstd")
+_SUFFIXES = (".mcap", *(f".mcap{suffix}" for suffix in ZSTD_SUFFIXES))
 _SPLIT_NUMBER = re.compile(r"_(\d+)$")
 _LARGEST_METADATA = 1 << 24
 
@@ -96,7 +97,7 @@ def _parts_of_folder(folder: Path) -> list[_Part]:
         key=lambda path: (_stem(path), _number(path), path.name),
     )
     if not found:
-        raise RecordingError(f"{folder} holds no MCAP file")
+        raise RecordingError(f"{folder} holds no MCAP file; data of other programs: voxscene import --help")
     if len({_stem(path) for path in found}) > 1:
         names = ", ".join(path.name for path in found[:4])
         raise RecordingError(f"{folder} holds several recordings ({names} ...); name one of them")
@@ -140,9 +141,13 @@ def _bag_information(path: Path) -> dict[str, Any]:
 
 
 def _stem(path: Path) -> str:
-    return _SPLIT_NUMBER.sub("", path.name.removesuffix(".zstd").removesuffix(".mcap"))
+    return _SPLIT_NUMBER.sub("", _without_suffix(path))
 
 
 def _number(path: Path) -> int:
-    match = _SPLIT_NUMBER.search(path.name.removesuffix(".zstd").removesuffix(".mcap"))
+    match = _SPLIT_NUMBER.search(_without_suffix(path))
     return int(match[1]) if match else -1
+
+
+def _without_suffix(path: Path) -> str:
+    return (path.with_suffix("") if path.suffix in ZSTD_SUFFIXES else path).name.removesuffix(".mcap")

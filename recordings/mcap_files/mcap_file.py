@@ -28,6 +28,13 @@ from recordings.mcap_files.summary import index_of_summary, read_summary
 
 SECOND_NS = 1_000_000_000
 _MAGIC_BYTES_THAT_MAY_BE_WRONG = 2
+_OTHER_FILES = {
+    b"#ROSBAG": "but a ROS 1 bag; convert it with: voxscene import bag {path} OUT.mcap",
+    b"SQLite": "but a rosbag2 file in SQLite; convert it with: voxscene import bag {path} OUT.mcap",
+    b"\x1f\x8b": "but packed with gzip; unpack it first",
+    b"PK": "but a zip archive; unpack it first",
+}
+"""What a file that starts so is, and what to do with it."""
 
 
 @dataclass(frozen=True)
@@ -190,4 +197,11 @@ def _check_magic(path: Path, source: Source) -> None:
         raise RecordingError(f"{path} is {'no zstd file, or cut off at its start' if is_packed else 'empty'}")
     wrong = sum(a != b for a, b in zip(magic, MAGIC, strict=False)) + len(MAGIC) - len(magic)
     if wrong > _MAGIC_BYTES_THAT_MAY_BE_WRONG:
-        raise RecordingError(f"{path} is not an MCAP file (it starts with {magic!r})")
+        raise RecordingError(f"{path} is not an MCAP file ({_what_it_is(path, magic)})")
+
+
+def _what_it_is(path: Path, magic: bytes) -> str:
+    for start, advice in _OTHER_FILES.items():
+        if magic.startswith(start):
+            return advice.format(path=path)
+    return f"it starts with {magic!r}"

@@ -12,6 +12,8 @@ import zstandard
 
 from recordings.errors import RecordingError
 
+ZSTD_SUFFIXES = (".zstd", ".zst")
+"""Of files that rosbag2 compressed, and those of the zstd program."""
 _STEP = 1 << 20
 _KEPT = 4 * _STEP
 _SMALLEST_LIMIT, _LARGEST_RATIO = 1 << 26, 1000
@@ -47,7 +49,7 @@ class FileSource:
 
 
 class ZstdSource:
-    """A `.mcap.zstd` file, unpacked as it is read.
+    """A `.mcap.zstd` or `.mcap.zst` file, unpacked as it is read.
 
     Reading forward unpacks once. The last few megabytes are kept, so that a step back is free; a
     longer way back unpacks again from the front. One that unpacks to more than depth ever does is cut there.
@@ -103,6 +105,6 @@ def open_source(path: Path) -> Iterator[Source]:
         raise RecordingError(f"cannot read {path}: it is a pipe or a device; copy it to a file")
     try:
         with path.open("rb") as file:
-            yield ZstdSource(file) if path.suffix == ".zstd" else FileSource(file)
+            yield ZstdSource(file) if path.suffix in ZSTD_SUFFIXES else FileSource(file)
     except OSError as error:
         raise RecordingError(f"cannot read {path}: {error.strerror}") from error

@@ -88,10 +88,10 @@ def test_folders_that_are_no_recording(tmp_path):
         Bag(tmp_path)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.6])
-def test_a_zstd_file_is_read_as_it_is(share, seed, tmp_path):
+@pytest.mark.parametrize(("share", "suffix"), [(1.0, "zstd"), (0.6, "zstd"), (1.0, "zst")])
+def test_a_zstd_file_is_read_as_it_is(share, suffix, seed, tmp_path):
     """`.mcap.zstd` is unpacked on the way, and recovered up to where it is cut."""
-    plain, packed = tmp_path / "r.mcap", tmp_path / "r.mcap.zstd"
+    plain, packed = tmp_path / "r.mcap", tmp_path / f"r.mcap.{suffix}"
     rng = np.random.default_rng(seed)
     with Scribe(plain) as scribe:
         for number in range(300):  # zstd flushes blocks of 128 KiB
@@ -223,4 +223,21 @@ def test_a_missing_recording_is_one_clear_line(tmp_path):
         Bag(path)
     shutil.copy(__file__, path)
     with pytest.raises(RecordingError, match="not an MCAP file"):
+        Bag(path)
+
+
+@pytest.mark.parametrize(
+    ("start", "advice"),
+    [
+        (b"#ROSBAG V2.0\n", r"ROS 1 bag; convert it with: voxscene import bag .*r.mcap OUT.mcap"),
+        (b"SQLite format 3\0", "voxscene import bag"),
+        (b"\x1f\x8b\x08\0\0\0\0\0", "unpack it first"),
+        (b"PK\x03\x04\0\0\0\0", "unpack it first"),
+    ],
+)
+def test_what_another_file_is_and_what_to_do_with_it_is_told(start, advice, tmp_path):
+    """Bags of ROS 1 and of SQLite have an importer; archives want to be unpacked."""
+    path = tmp_path / "r.mcap"
+    path.write_bytes(start)
+    with pytest.raises(RecordingError, match=advice):
         Bag(path)
