@@ -24,6 +24,8 @@ from recordings.types import CameraIntrinsics
 
 _FOCAL_TOLERANCE = 0.01
 _CENTRE_TOLERANCE_PX = 2.0
+_IMAGES = ("Image", "Video", "PointCloud")
+"""In the names of messages that could hold depth or colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +66,10 @@ def registered_colour(
 
 
 def unread_images(decoded: DecodedBag) -> str | None:
-    """A sentence on the first raw images whose encoding is neither depth nor a colour that is read."""
+    """A sentence on the first images that are not read: of an unknown type, or neither depth nor colour."""
+    for kind in decoded.unread_topics:
+        if any(word in kind.schema_name for word in _IMAGES):
+            return f"{kind.name} holds {kind.schema_name} ({kind.message_encoding}), which is not read"
     for topic in decoded.topic_names:
         first = decoded.first(topic)
         if isinstance(first, ImageMessage) and not is_colour(first) and first.encoding not in DEPTH_DTYPES:

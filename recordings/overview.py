@@ -67,6 +67,7 @@ class DepthOverview:
     camera_problem: str | None
     colour_topic: str | None
     colour_is_projected: bool
+    colour_problem: str
     frame_hashes: tuple[str, ...] | None
     statistics: DepthStatistics
 
@@ -197,6 +198,7 @@ def _survey_depth(recording: McapRecording, *, hashes: bool) -> DepthOverview:
         camera_problem=recording.camera_problem,
         colour_topic=recording.colour_topic,
         colour_is_projected=recording.colour_is_projected,
+        colour_problem=recording.colour_problem,
         frame_hashes=tuple(found) if hashes else None,
         statistics=statistics,
     )

@@ -154,7 +154,8 @@ def _candidate(one: DepthCandidate, *, taken: bool) -> str:
 
 def _colour(depth: DepthOverview) -> str:
     if depth.colour_topic is None:
-        return "none that is registered to the depth, or whose calibration and mounting are recorded"
+        found = "none that is registered to the depth, or whose calibration and mounting are recorded"
+        return found + depth.colour_problem
     how = ", of another camera, projected onto the depth" if depth.colour_is_projected else ""
     few = f", with {depth.coloured} of {depth.frames} frames" if depth.coloured < depth.frames else ""
     return f"{depth.colour_topic}{how}{few}"

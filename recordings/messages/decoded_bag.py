@@ -24,6 +24,11 @@ class DecodedBag:
         """The topics that can be decoded, in the order of the alphabet."""
         return sorted({topic.name for topic in self._decoders})
 
+    @property
+    def unread_topics(self) -> list[Topic]:
+        """The other topics: of unknown types or encodings."""
+        return [topic for topic in self.bag.topics if topic not in self._decoders]
+
     def messages(self, topics: Collection[str]) -> Iterator[tuple[int, DecodedMessage | UndecodableMessage]]:
         """Log time and content of every message of the named topics; the error where it has none."""
         for topic, log_time_ns, data in self.bag.messages(topics):

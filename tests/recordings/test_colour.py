@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from recordings.errors import RecordingError
+from recordings.options import ReadOptions
+from recordings.overview import survey
 from recordings.reading import open_recording
 from recordings.types import Frame
 from recordings.writer import RecordingWriter
@@ -80,6 +83,24 @@ def test_an_encoding_that_is_not_read_is_named(rgb, recording_path):
     message = image(SECOND_NS, "bayer_rggb8", rgb[..., :1])
     assert read(recording_path, [message]).rgb is None
     assert "/c/image has the encoding 'bayer_rggb8'" in open_recording(recording_path).colour_problem
+
+
+@pytest.mark.parametrize(
+    ("schema", "encoding"), [("foxglove.CompressedVideo", "protobuf"), ("foxglove.RawImage", "flatbuffer")]
+)
+def test_images_of_a_type_that_is_not_read_are_named(schema, encoding, recording_path):
+    """Beside depth, and where they may be the depth itself."""
+    with Scribe(recording_path) as scribe:
+        scribe.raw("/c/other", (schema, "", b""), encoding, b"data", SECOND_NS)
+        scribe.raw("/status", ("diagnostics", "", b""), encoding, b"data", SECOND_NS)
+    with pytest.raises(RecordingError, match=rf"/c/other holds {schema} \({encoding}\), which is not read"):
+        open_recording(recording_path)
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/d/image", image(SECOND_NS, "16UC1", DEPTH), SECOND_NS)
+        scribe.raw("/c/other", (schema, "", b""), encoding, b"data", SECOND_NS)
+    depth = survey(recording_path, ReadOptions(intrinsics=K)).depth
+    assert depth is not None
+    assert f"/c/other holds {schema}" in depth.colour_problem
 
 
 @pytest.mark.parametrize(("format_", "tolerance"), [("JPEG", 12), ("PNG", 0)])
