@@ -304,16 +304,18 @@ class McapRecording:
             return None, None
 
     def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DepthMessage]]:
-        """Stamp and content of the depth messages."""
+        """Stamp and content of the depth messages; of one that is written twice in a row the first."""
+        before: tuple[int, bytes] | None = None
         for log_time_ns, message in self.decoded.messages({self.depth_topic}):
             if not isinstance(message, DepthMessage):
                 lose(message)
-            else:
-                stamp_ns = log_time_ns if self._uses_log_time else message.stamp_ns
-                if 0 <= stamp_ns < _END_OF_TIME_NS:
-                    yield stamp_ns, message
-                else:
-                    lose("its stamp is no time of this age")
+                continue
+            stamp_ns = log_time_ns if self._uses_log_time else message.stamp_ns
+            if not 0 <= stamp_ns < _END_OF_TIME_NS:
+                lose("its stamp is no time of this age")
+            elif (stamp_ns, message.data) != before:
+                before = stamp_ns, message.data
+                yield stamp_ns, message
 
     def _is_taken_here(self, message: DepthMessage, lose: Callable[[object], None]) -> bool:
         """Whether a depth message was taken where the first was; else it is lost."""

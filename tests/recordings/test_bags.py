@@ -145,6 +145,20 @@ def test_repeated_and_late_stamps_are_left_out_and_counted(tmp_path):
     assert recording.damage.lost_messages == 2
 
 
+def test_a_frame_that_is_written_twice_is_read_once(tmp_path, seed):
+    """As where two recorders' files were merged: nothing is lost. Another image of the same stamp is."""
+    path = tmp_path / "r.mcap"
+    images = np.random.default_rng(seed).integers(500, 4000, (3, 6, 8)).astype(np.uint16)
+    with Scribe(path) as scribe:
+        for number, stamp in enumerate([1, 2, 2]):
+            for log_time in (10 * number, 10 * number + 1):
+                scribe.ros2("/depth", image(stamp, "16UC1", images[number]), log_time)
+    recording = open_recording(path, ReadOptions(intrinsics=(9.0, 9.0, 3.5, 2.5)))
+
+    assert [frame.time_ns for frame in recording] == [1, 2]
+    assert recording.damage.lost_messages == 1
+
+
 def test_order_within_the_window_is_restored(seed):
     """Items up to a few places late come out sorted, each once."""
     rng = np.random.default_rng(seed)
