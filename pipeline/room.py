@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,7 @@ class RoomView:
         intrinsics: (4,) fx, fy, cx, cy in pixels of the thinned images.
         frame_id: () str, the recording's own name of the camera's frame.
         frame_has_parent: () bool, whether the recording says where that frame is.
+        frame_from_camera: (4, 4) the camera, which looks along z, in that frame: a cloud's may look along x.
     """
 
     points_m: NDArray[np.float32]
@@ -56,6 +57,7 @@ class RoomView:
     intrinsics: NDArray[np.float64]
     frame_id: NDArray[np.str_]
     frame_has_parent: NDArray[np.bool_]
+    frame_from_camera: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
     @property
     def has_depth(self) -> bool:
@@ -89,6 +91,7 @@ def view_room(
     *,
     frame_id: str = "",
     frame_has_parent: bool = False,
+    frame_from_camera: NDArray[np.float64] | None = None,
 ) -> RoomView:
     """Fuse frames at known poses (T, 4, 4), one pose for each frame.
 
@@ -99,6 +102,7 @@ def view_room(
         progress: told frames done and frames in all.
         frame_id: the recording's name of the camera's frame, `camera` where it has none.
         frame_has_parent: whether the recording says where that frame is.
+        frame_from_camera: the camera in that frame, (4, 4); by default they are the same.
     """
     count = len(reference_from_camera)
     chosen = np.unique(np.linspace(0, count - 1, min(FUSED_FRAMES, count)).round().astype(int))
@@ -128,6 +132,7 @@ def view_room(
         intrinsics=np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy]) / step,
         frame_id=np.array(frame_id or "camera"),
         frame_has_parent=np.array(frame_has_parent),
+        frame_from_camera=np.eye(4) if frame_from_camera is None else frame_from_camera,
     )
 
 

@@ -52,7 +52,9 @@ def camera_transforms(values: RunValues) -> Iterator[tuple[int, FrameTransform]]
     A frame has one parent. Where the recording says where its camera's frame is, the reference hangs below
     that frame and not above it, so that the recording and run.mcap, opened together, are one tree.
     """
-    for time_ns, pose in values.stamped_poses():
+    camera_from_frame = np.linalg.inv(values.frame_from_camera)
+    for time_ns, reference_from_camera in values.stamped_poses():
+        pose = reference_from_camera @ camera_from_frame
         if values.camera_frame_has_parent:
             yield time_ns, frame_transform(values.camera_frame, REFERENCE, np.linalg.inv(pose))
         else:
@@ -60,8 +62,8 @@ def camera_transforms(values: RunValues) -> Iterator[tuple[int, FrameTransform]]
 
 
 def view_transform(values: RunValues) -> FrameTransform:
-    """From the recording's frame of the camera to the frame of the thinned images: none."""
-    return frame_transform(values.camera_frame, VIEW, np.eye(4))
+    """From the recording's frame of the camera to the frame of the thinned images, which look along z."""
+    return frame_transform(values.camera_frame, VIEW, values.frame_from_camera)
 
 
 def level_from_reference(up: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -113,6 +113,11 @@ class RunValues:
         """Whether the recording itself says where that frame is."""
         return self.room is not None and bool(self.room.frame_has_parent)
 
+    @property
+    def frame_from_camera(self) -> NDArray[np.float64]:
+        """The camera (4, 4), which looks along z, in that frame."""
+        return np.eye(4) if self.room is None else self.room.frame_from_camera
+
     def stamped_poses(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Stamps and reference_from_camera (4, 4) of every frame whose pose is known."""
         if self.slam is not None:

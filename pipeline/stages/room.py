@@ -50,4 +50,8 @@ def view_stage(session: Session, scene: Committed[SceneResult]) -> Committed[Roo
 
 def _camera_frame(recording: McapRecording) -> dict[str, Any]:
     """The recording's own frame of the camera, so that what is published can be joined with it."""
-    return {"frame_id": recording.frame_id, "frame_has_parent": has_recorded_parent(recording)}
+    return {
+        "frame_id": recording.frame_id,
+        "frame_has_parent": has_recorded_parent(recording),
+        "frame_from_camera": recording.frame_from_camera,
+    }

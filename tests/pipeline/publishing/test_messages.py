@@ -17,6 +17,7 @@ from pipeline.publishing.messages import write_messages
 from pipeline.publishing.values import RunValues
 from pipeline.room import view_room
 from pipeline.synthesis.recording import SyntheticRecording
+from recordings.images.point_clouds import OPTICAL_FROM_BODY
 from shapes.prior import ShapePrior
 from slam.result import SlamResult
 
@@ -194,6 +195,31 @@ def test_every_frame_leads_to_the_root_at_every_stamp(
             assert not frames or time in moving
     up = Rotation.from_quat([getattr(transforms[0][1].rotation, axis) for axis in "xyzw"]).as_matrix()
     np.testing.assert_allclose((up if has_parent else up.T)[:, 2], whole.up, atol=1e-9)
+
+
+@pytest.mark.parametrize("has_parent", [False, True])
+def test_a_frame_that_looks_along_x_keeps_its_axes(
+    values: RunValues, tmp_path: Path, has_parent: bool
+) -> None:
+    """Of point clouds in a body's frame: it is placed as the recording means it, and the images in it."""
+    assert values.slam is not None
+    assert values.room is not None
+    frame_from_camera = np.linalg.inv(OPTICAL_FROM_BODY)
+    about_frame = {"frame_has_parent": np.array(has_parent), "frame_from_camera": frame_from_camera}
+    write_messages(tmp_path / "run.mcap", replace(values, room=replace(values.room, **about_frame)), {})
+    topics = read(tmp_path / "run.mcap")
+
+    def placed(topic: str) -> np.ndarray:
+        transform = topics[f"/transforms/{topic}"][-1][1]
+        matrix = np.eye(4)
+        xyzw = [getattr(transform.rotation, axis) for axis in "xyzw"]
+        matrix[:3, :3] = Rotation.from_quat(xyzw).as_matrix()
+        matrix[:3, 3] = [getattr(transform.translation, axis) for axis in "xyz"]
+        return matrix
+
+    reference_from_frame = np.linalg.inv(placed("camera")) if has_parent else placed("camera")
+    np.testing.assert_allclose(placed("view"), frame_from_camera, atol=1e-12)
+    np.testing.assert_allclose(reference_from_frame @ placed("view"), values.slam.mean[-1], atol=1e-6)
 
 
 def test_values_are_attached_whole(values: RunValues, tmp_path: Path) -> None:
