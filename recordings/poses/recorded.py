@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,10 @@ from recordings.types import Trajectory
 PoseAt = Callable[[int], NDArray[np.float64] | None]
 
 _DEFAULT_OPTIONS = ReadOptions()
+_LEAST_POSES = 2
+"""Of a topic that says where something was: a single pose is a goal, or where a robot set out."""
+
+_log = logging.getLogger("voxscene.recordings")
 
 
 def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> Trajectory | None:
@@ -29,10 +35,11 @@ def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> 
     The reference frame is the root of the recorder's own frames, which for recordings that voxscene
     wrote is the world of their truth. Transforms are followed from the frame of the depth images up to
     the root; odometry counts as a transform where there is none; a topic of bare poses serves if the
-    camera's frame leads nowhere. Frames without a pose near in time are left out.
+    camera's frame leads nowhere, which is said in a warning. Frames without a pose near in time are left out.
 
     Raises:
-        RecordingError: the recording cannot be read, or several pose topics could be meant.
+        RecordingError: the recording cannot be read, several pose topics could be meant, or none of the poses
+            is near a frame in time.
     """
     recording = open_recording(path, options)
     pose_at = _camera_pose(recording)
@@ -40,6 +47,10 @@ def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> 
         return None
     stamped = [(stamp, pose_at(stamp)) for stamp in recording.stamps_ns()]
     found = [(stamp, pose) for stamp, pose in stamped if pose is not None]
+    if stamped and not found:
+        raise RecordingError(
+            f"{path} records poses of the camera, but none near the stamp of a frame: is their clock another?"
+        )
     if not found:
         return None
     times, poses = zip(*found, strict=True)
@@ -60,11 +71,18 @@ def _camera_pose(recording: McapRecording) -> PoseAt | None:
     if any(not track.is_mounting for track in way):
         return lambda time_ns: composed(way, time_ns)
     topic = _nearest_pose_topic(recording.decoded, recording.depth_topic)
-    return None if topic is None else _pose_track(recording.decoded, topic).at
+    if topic is None:
+        return None
+    _log.warning(
+        "%s: the poses of %s, which do not name what they are of, are taken for the camera's",
+        recording.decoded.bag.path,
+        topic,
+    )
+    return _pose_track(recording.decoded, topic).at
 
 
 def _nearest_pose_topic(decoded: DecodedBag, depth_topic: str) -> str | None:
-    topics = [topic for topic in decoded.topic_names if isinstance(decoded.first(topic), PoseMessage)]
+    topics = [topic for topic in decoded.topic_names if _holds_poses(decoded, topic)]
     if not topics:
         return None
     shared = max(shared_namespace(depth_topic, topic) for topic in topics)
@@ -75,6 +93,14 @@ def _nearest_pose_topic(decoded: DecodedBag, depth_topic: str) -> str | None:
             f"{', '.join(nearest)}; record only one, or transforms to the camera's frame"
         )
     return nearest[0]
+
+
+def _holds_poses(decoded: DecodedBag, topic: str) -> bool:
+    poses = (message for _, message in decoded.messages({topic}) if isinstance(message, PoseMessage))
+    return (
+        isinstance(decoded.first(topic), PoseMessage)
+        and len(list(islice(poses, _LEAST_POSES))) == _LEAST_POSES
+    )
 
 
 def _pose_track(decoded: DecodedBag, topic: str) -> Track:

@@ -1,5 +1,7 @@
 """Recorded poses lead to the depth camera, whichever way the recorder wrote them."""
 
+import logging
+
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -163,15 +165,38 @@ def test_circles_of_frames_end(recording_path):
 
 def test_two_pose_topics_ask(recording_path):
     """Bare poses of two things are not guessed between; the nearer namespace decides."""
-    messages = [("/a/pose", pose_stamped(STAMPS[0], "map", (1, 0, 0)))]
-    messages += [("/b/pose", pose_stamped(STAMPS[0], "map", (2, 0, 0)))]
+    messages = [
+        (topic, pose_stamped(stamp, "map", (i, 0, 0)))
+        for i, topic in enumerate(["/a/pose", "/b/pose"], 1)
+        for stamp in STAMPS
+    ]
     write(recording_path, messages)
     with pytest.raises(RecordingError, match=r"2 pose topics .* /a/pose, /b/pose"):
         recorded_trajectory(recording_path)
-    write(recording_path, [*messages, ("/c/pose", pose_stamped(STAMPS[0], "map", (3, 0, 0)))])
+    nearer = [("/c/pose", pose_stamped(stamp, "map", (3, 0, 0))) for stamp in STAMPS]
+    write(recording_path, messages + nearer)
     trajectory = recorded_trajectory(recording_path)
     assert trajectory is not None
     assert trajectory.reference_from_camera[0, 0, 3] == 3
+
+
+def test_a_single_bare_pose_is_a_goal_and_no_trajectory(recording_path, caplog, monkeypatch):
+    """Robots are sent to poses by the same message; that several are taken for the camera's is said."""
+    monkeypatch.setattr(logging.getLogger("voxscene"), "propagate", True)
+    goal = [("/goal_pose", pose_stamped(STAMPS[1], "map", (3, 1, 0)))]
+    write(recording_path, goal)
+    assert recorded_trajectory(recording_path) is None
+    assert not caplog.messages
+    write(recording_path, goal + [("/c/pose", pose_stamped(stamp, "map", (3, 0, 0))) for stamp in STAMPS])
+    assert recorded_trajectory(recording_path) is not None
+    assert "/c/pose, which do not name what they are of, are taken for the camera's" in caplog.text
+
+
+def test_poses_of_another_clock_are_told_from_none(recording_path):
+    """There are poses, but none where a frame is."""
+    write(recording_path, [("/tf", transform(s + 10**12, "map", "camera", (s, 0, 0))) for s in STAMPS])
+    with pytest.raises(RecordingError, match="none near the stamp of a frame"):
+        recorded_trajectory(recording_path)
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
