@@ -80,7 +80,8 @@ class MetricDepth:
     def __call__(self, stored: NDArray[np.uint16] | NDArray[np.float32]) -> NDArray[np.float32]:
         """Depths (H, W) in metres."""
         kind = stored.dtype.kind
-        depth_m = np.divide(stored, self._units_per_m[kind], dtype=np.float32)
+        # By default the metres would name the message's byte order in their type, which Open3D refuses.
+        depth_m = np.divide(stored, self._units_per_m[kind], out=np.empty(stored.shape, np.float32))
         if kind == "f":
             depth_m[~((depth_m > 0) & (depth_m < _FARTHEST_M))] = NO_RETURN
         elif stored.max() == _SATURATED:
