@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,10 @@ from recordings.types import NO_RETURN, CameraIntrinsics, Damage, Frame
 _DEFAULT_OPTIONS = ReadOptions()
 _OUT_OF_ORDER = "its stamp is not after those before it: the clock stood still or was set back"
 _SECOND_NS = 1_000_000_000
+_STAMPS_LOOKED_AT = 8
+"""Messages by whose stamps it is told whether a recorder sets any."""
+_CLOCKS_OF_TODAY_NS = 365 * 24 * 3600 * _SECOND_NS
+"""Clocks that show less, a year after 1970, count from the start of a simulation or a machine."""
 _LEAST_SIDE_PX = 4
 """Surfaces are fitted to neighbours on all sides."""
 _END_OF_TIME_NS = 1 << 62
@@ -74,7 +79,8 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
 class McapRecording:
     """A `Recording` of one depth topic.
 
-    Frames come in the order of their stamps (header.stamp; the log time where the recorder set none).
+    Frames come in the order of their stamps (header.stamp; the log time where the recorder set none). A stamp
+    of zero is a time where a simulation's clock begins, else the frame is lost for want of one.
     Colour comes with them where a topic of the recording is registered to the depth, or else where both
     cameras' calibrations and the transform between them are recorded.
 
@@ -87,7 +93,8 @@ class McapRecording:
         self.frame_id = topic.first.frame_id
         self.decoded = decoded
         self.options = options
-        self._uses_log_time = topic.first.stamp_ns == 0
+        self._first_stamp_ns = _first_stamp_ns(decoded, topic.name)
+        self._uses_log_time = self._first_stamp_ns == 0
         self._colour: ColourTopic | ColourCamera | None = None
         cameras = recorded_cameras(decoded)
         try:
@@ -313,6 +320,8 @@ class McapRecording:
             stamp_ns = log_time_ns if self._uses_log_time else message.stamp_ns
             if not 0 <= stamp_ns < _END_OF_TIME_NS:
                 lose("its stamp is no time of this age")
+            elif stamp_ns == 0 and self._first_stamp_ns > _CLOCKS_OF_TODAY_NS:
+                lose("has no stamp, where others have")
             elif (stamp_ns, message.data) != before:
                 before = stamp_ns, message.data
                 yield stamp_ns, message
@@ -332,6 +341,12 @@ class McapRecording:
                 yield log_time_ns if self._uses_log_time else message.stamp_ns, message
             else:
                 lose(message)
+
+
+def _first_stamp_ns(decoded: DecodedBag, topic: str) -> int:
+    """The first stamp of the topic's first messages that is not zero; zero where the recorder sets none."""
+    first = islice((message for _, message in decoded.messages({topic})), _STAMPS_LOOKED_AT)
+    return next((one.stamp_ns for one in first if isinstance(one, DepthMessage) and one.stamp_ns), 0)
 
 
 def _what_else(decoded: DecodedBag) -> str:

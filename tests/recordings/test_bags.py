@@ -133,6 +133,18 @@ def test_without_stamps_the_log_time_serves(tmp_path):
     assert [frame.time_ns for frame in open_recording(path)] == [SECOND_NS * (10 + i) // 10 for i in range(3)]
 
 
+@pytest.mark.parametrize(("clock_ns", "times"), [(0, [0, 1, 2, 3]), (17 * 10**17, [1, 2, 3])])
+def test_a_stamp_of_zero_is_a_time_of_simulations_alone(clock_ns, times, tmp_path):
+    """A simulation begins at 0; among stamps of today a frame without one is lost, and this is said."""
+    path = tmp_path / "r.mcap"
+    write_part(path, range(4), stamps={i: clock_ns + i if i else 0 for i in range(4)})
+    recording = open_recording(path)
+
+    assert [frame.time_ns for frame in recording] == [clock_ns + time for time in times]
+    assert recording.damage.lost_messages == 4 - len(times)
+    assert all("has no stamp" in problem for problem in recording.problems)
+
+
 def test_repeated_and_late_stamps_are_left_out_and_counted(tmp_path):
     """Time only goes forward; what would break that is a counted loss."""
     path = tmp_path / "r.mcap"
