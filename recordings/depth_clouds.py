@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.cameras.matching import matching_camera
+from recordings.cameras.matching import is_frame, matching_camera
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_topics import DepthTopic
 from recordings.images.depth_pixels import MAX_PIXELS, MetricDepth
@@ -15,6 +15,7 @@ from recordings.images.point_clouds import (
     pinhole_of_grid,
     points_of,
     projected,
+    share_in_view,
     virtual_camera,
 )
 from recordings.messages.types import CameraMessage, DecodedMessage, PointCloudMessage, UndecodableMessage
@@ -34,6 +35,10 @@ class DepthClouds:
         cameras: a usable message of each camera topic.
         options: what the user says.
 
+    Attributes:
+        share_in_view: of the first cloud's points, those that its depth image is made from; the others lie
+            beside the camera or behind it.
+
     Raises:
         UndecodableMessage: the first cloud shows nothing to place a virtual camera by.
     """
@@ -41,11 +46,10 @@ class DepthClouds:
     def __init__(self, topic: DepthTopic, cameras: dict[str, CameraMessage], options: ReadOptions) -> None:
         assert isinstance(topic.first, PointCloudMessage)
         first = topic.first
-        self._scale = np.float32(options.depth_scale_m or 1.0)
-        self._metric = MetricDepth(None, options.min_depth_m, options.max_depth_m)
+        self._metric = MetricDepth(options.depth_scale_m, options.min_depth_m, options.max_depth_m)
         self.camera_topic: str | None = None
         self.camera_problem = None
-        points = points_of(first) * self._scale
+        points = points_of(first)
         grid = pinhole_of_grid(points)
         self._grid_size = None if grid is None else (grid.width, grid.height)
         along_x = grid is None and looks_along_x(first.frame_id, points)
@@ -55,42 +59,57 @@ class DepthClouds:
         elif grid is not None:
             self.intrinsics = grid
         else:
-            recorded = self._recorded_camera(first, cameras)
+            recorded = self._recorded_camera(topic, cameras)
             self.intrinsics = _fitting(recorded) if recorded else virtual_camera(self._optical(points))
+        self.share_in_view = share_in_view(self._optical(points), self.intrinsics) if grid is None else 1.0
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the depth images."""
         return self.intrinsics.width, self.intrinsics.height
 
-    def depth(self, message: DecodedMessage, _time_ns: int) -> NDArray[np.float32]:
-        """The depth image (H, W) in metres of one cloud.
+    def stored(self, message: DecodedMessage) -> NDArray[np.float32]:
+        """The depth image (H, W) of one cloud in the cloud's own unit.
 
         Raises:
             UndecodableMessage: the message is damaged, or has lost the grid of the first.
         """
         if not isinstance(message, PointCloudMessage):
             raise UndecodableMessage("is no point cloud")
-        points = points_of(message) * self._scale
+        points = points_of(message)
         if self._grid_size is None:
-            return self._metric(projected(self._optical(points), self.intrinsics))
+            return projected(self._optical(points), self.intrinsics)
         if (message.width, message.height) != self._grid_size:
             raise UndecodableMessage(f"has {message.width}x{message.height} points, not the first's number")
-        return self._metric(points[..., 2])
+        return points[..., 2]
+
+    def metres(self, stored: NDArray, _time_ns: int) -> NDArray[np.float32]:
+        """The depth image (H, W) in metres of stored numbers."""
+        return self._metric(stored)
+
+    def depth(self, message: DecodedMessage, time_ns: int) -> NDArray[np.float32]:
+        """The depth image (H, W) in metres of one cloud.
+
+        Raises:
+            UndecodableMessage: the message is damaged, or has lost the grid of the first.
+        """
+        return self.metres(self.stored(message), time_ns)
 
     def _optical(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         with np.errstate(invalid="ignore"):  # infinite coordinates stand for no return
             return points.reshape(-1, 3) @ self.frame_from_camera[:3, :3].astype(np.float32)
 
     def _recorded_camera(
-        self, first: PointCloudMessage, cameras: dict[str, CameraMessage]
+        self, topic: DepthTopic, cameras: dict[str, CameraMessage]
     ) -> CameraIntrinsics | None:
-        same_frame = {topic: camera for topic, camera in cameras.items() if camera.frame_id == first.frame_id}
-        found = matching_camera("", first.frame_id, (0, 0), same_frame)
-        if found is None:
-            return None
-        camera_topic, camera = found
+        """A camera in the cloud's own frame; None where there is none, or nobody knows which."""
+        frame_id = topic.first.frame_id
+        same_frame = {name: camera for name, camera in cameras.items() if is_frame(camera.frame_id, frame_id)}
         try:
+            found = matching_camera(topic.name, frame_id, (0, 0), same_frame)
+            if found is None:
+                return None
+            camera_topic, camera = found
             intrinsics = stored_intrinsics(camera, camera.width, camera.height, rectified=True)
         except UnusableCamera:
             return None

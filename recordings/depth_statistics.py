@@ -18,6 +18,7 @@ _BINS_M = np.geomspace(1e-4, 1e4, 4001)
 _USUAL_M = (0.1, 5.0)
 """Between which the median depth of a room or a table lies: cameras for rooms measure from 0.1 to 10 m."""
 _LEAST_MEASURED = 0.05
+_LEAST_IN_VIEW = 0.7
 _MANY_REPEATS = 0.1
 _LEAST_SIDE_PX = 32
 _SMOOTHER = 4.0
@@ -40,7 +41,8 @@ class DepthStatistics:
         largest_step_back_s: by how much they step back at most; None where only the recorder's clock tells.
         undecodable: messages of the depth topic that hold no depth image.
         camera_changes: times at which the camera's calibration changes, in seconds after the first frame.
-        too_far: pixels whose stored depth is a kilometre or more.
+        too_far: pixels of floats whose depth is a kilometre or more.
+        share_in_view: of the points of the first cloud, those that its depth image is made from.
     """
 
     frames: int = 0
@@ -52,6 +54,7 @@ class DepthStatistics:
     undecodable: int = 0
     camera_changes: Sequence[float] = ()
     too_far: int = 0
+    share_in_view: float = 1.0
     swapped_is_smoother: int = 0
     _pixels: int = 0
     _measured: int = 0
@@ -81,15 +84,17 @@ class DepthStatistics:
         self.identical_frames += self.frames > 1 and data == self._last_data
         self._last_data = data
 
-    def add_frame(self, depth_m: NDArray[np.float32], stored: NDArray | None) -> None:
-        """A decoded frame (H, W), and its numbers as they are stored where it is an image."""
+    def add_frame(
+        self, depth_m: NDArray[np.float32], stored: NDArray | None, scale_m: float | None = None
+    ) -> None:
+        """A decoded frame (H, W), the numbers that are stored, if any, and metres for a stored 1 if told."""
         self.looked_at += 1
         measured = depth_m[depth_m != NO_RETURN]
         self._pixels += depth_m.size
         self._measured += measured.size
         self._histogram += np.bincount(np.searchsorted(_BINS_M, measured), minlength=len(_BINS_M) + 1)
         if stored is not None and stored.dtype.kind == "f":
-            self.too_far += int(np.count_nonzero(np.isfinite(stored) & (stored >= 1000)))
+            self.too_far += int(np.count_nonzero(np.isfinite(stored) & (stored * (scale_m or 1) >= 1000)))
         elif stored is not None:
             self.swapped_is_smoother += _roughness(stored) > _SMOOTHER * _roughness(stored.byteswap())
 
@@ -139,6 +144,11 @@ class DepthStatistics:
             found.append(
                 f"the depths are unusual: {depths[0]:.3g} to {depths[2]:.3g} m, median {depths[1]:.3g} m; if "
                 "the unit is another, give --depth-scale (0.001 for millimetres, 0.0001 for 0.1 mm)"
+            )
+        if self.share_in_view < _LEAST_IN_VIEW:
+            found.append(
+                f"only {self.share_in_view:.0%} of the first cloud's points lie in one camera's view; the "
+                "others, beside it and behind it as of a lidar that looks all round, are not used"
             )
         return found
 

@@ -246,6 +246,8 @@ class McapRecording:
     def statistics(self) -> DepthStatistics:
         """What depths and stamps look like: all messages are read, the first and four an octave decoded."""
         found = DepthStatistics()
+        if isinstance(self._depth, DepthClouds):
+            found.share_in_view = self._depth.share_in_view
 
         def lose(_: object) -> None:
             found.undecodable += 1
@@ -269,11 +271,12 @@ class McapRecording:
 
     def _add_frame(self, found: DepthStatistics, message: DecodedMessage, stamp_ns: int) -> None:
         try:
-            if isinstance(self._depth, DepthImages):
-                stored = self._depth.stored(message)
-                found.add_frame(self._corrected(self._depth.metres(stored, stamp_ns)), stored)
+            if isinstance(self._depth, ColourFrames):
+                found.add_frame(self._depth.depth(message, stamp_ns), None)
             else:
-                found.add_frame(self._corrected(self._depth.depth(message, stamp_ns)), None)
+                stored = self._depth.stored(message)
+                depth_m = self._corrected(self._depth.metres(stored, stamp_ns))
+                found.add_frame(depth_m, stored, self.options.depth_scale_m)
         except UndecodableMessage:
             found.undecodable += 1
 

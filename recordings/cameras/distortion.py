@@ -150,5 +150,5 @@ _MODELS: dict[str, Distort] = {
     "kannala_brandt": _equidistant,
     "kannala_brandt4": _equidistant,
 }
-_COEFFICIENTS = {_brown_conrady: 12, _equidistant: 4}
+_COEFFICIENTS: dict[Distort, int] = {_brown_conrady: 12, _equidistant: 4}
 """How many a model has; OpenCV's 13th and 14th of the first tilt the sensor."""

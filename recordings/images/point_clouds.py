@@ -108,16 +108,29 @@ def virtual_camera(points: NDArray[np.float32]) -> CameraIntrinsics:
 
 def projected(points: NDArray[np.float32], camera: CameraIntrinsics) -> NDArray[np.float32]:
     """The depth image of (N, 3) optical points: the nearest point of each pixel, `NO_RETURN` without one."""
+    pixel, z = _in_view(points, camera)
+    nearest = np.full(camera.width * camera.height, np.inf, np.float32)
+    np.minimum.at(nearest, pixel, z)
+    nearest[np.isinf(nearest)] = NO_RETURN
+    return nearest.reshape(camera.height, camera.width)
+
+
+def share_in_view(points: NDArray[np.float32], camera: CameraIntrinsics) -> float:
+    """Which share of the finite ones of (N, 3) optical points a camera sees, hidden ones with them."""
+    finite = int(np.count_nonzero(np.isfinite(points).all(axis=-1)))
+    return len(_in_view(points, camera)[0]) / max(finite, 1)
+
+
+def _in_view(
+    points: NDArray[np.float32], camera: CameraIntrinsics
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Pixel number and depth of those of (N, 3) optical points that fall into the image."""
     points = points[np.isfinite(points).all(axis=-1) & (points[:, 2] > 0)]
     with np.errstate(over="ignore"):
         u = np.rint(camera.fx * points[:, 0] / points[:, 2] + camera.cx)
         v = np.rint(camera.fy * points[:, 1] / points[:, 2] + camera.cy)
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    pixel = v[inside].astype(np.intp) * camera.width + u[inside].astype(np.intp)
-    nearest = np.full(camera.width * camera.height, np.inf, np.float32)
-    np.minimum.at(nearest, pixel, points[inside, 2])
-    nearest[np.isinf(nearest)] = NO_RETURN
-    return nearest.reshape(camera.height, camera.width)
+    return v[inside].astype(np.intp) * camera.width + u[inside].astype(np.intp), points[inside, 2]
 
 
 def _line(x: NDArray[np.float64], y: NDArray[np.intp]) -> tuple[float, float, float]:

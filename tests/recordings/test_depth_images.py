@@ -134,7 +134,7 @@ def test_every_encoding_gives_the_same_metres(name, millimetres, recording_path)
     frame = read_one(recording_path, as_stored(name, millimetres))
 
     np.testing.assert_array_equal(frame.depth_m, (millimetres / 1000).astype(np.float32))
-    assert memoryview(frame.depth_m).format == "f"
+    assert frame.depth_m.data.format == "f"
     assert frame.time_ns == STAMP
 
 

@@ -53,6 +53,13 @@ def test_a_room_in_its_right_unit_gives_no_warning(recording_path, images):
     assert found.measured_share == pytest.approx(0.9, abs=0.02)
 
 
+def test_millimetres_of_floats_that_are_given_as_such_give_no_warning(recording_path, images):
+    """The scale that the warning asks for ends it."""
+    floats = [one.astype(np.float32) for one in images]
+    recording = recorded(recording_path, floats, None, "32FC1", ReadOptions(depth_scale_m=0.001))
+    assert recording.statistics().warnings(recording.size, recording.intrinsics) == []
+
+
 @pytest.mark.parametrize(
     ("change", "encoding", "options", "told"),
     [

@@ -193,3 +193,37 @@ def test_malformed_clouds_are_one_clear_line(broken, depth_m, recording_path):
     write(recording_path, message)
     with pytest.raises(RecordingError, match=r"/points: "):
         open_recording(recording_path)
+
+
+def test_a_cloud_in_millimetres_is_told_and_scaled(depth_m, recording_path):
+    """The warning says which scale to give, and with it the depths are those of metres."""
+    points = points_of(depth_m).reshape(-1, 3)
+    write(recording_path, cloud(1000 * points), camera_info=camera_info(STAMP, (40, 30), K, "lens_optical"))
+    unscaled = open_recording(recording_path)
+    assert any("--depth-scale 0.001" in one for one in unscaled.statistics().warnings((40, 30), None))
+    recording = open_recording(recording_path, ReadOptions(depth_scale_m=0.001))
+    (frame,) = recording
+    np.testing.assert_allclose(frame.depth_m, depth_m, rtol=1e-6)
+    assert not any("--depth-scale" in one for one in recording.statistics().warnings((40, 30), None))
+
+
+def test_a_lidar_that_looks_all_round_is_told(recording_path):
+    """One camera sees what is in front; the share is that of the points."""
+    azimuth, height = np.meshgrid(np.linspace(-np.pi, np.pi, 360, endpoint=False), np.linspace(-1, 1, 16))
+    points = np.stack([3 * np.cos(azimuth), 3 * np.sin(azimuth), height], axis=-1).reshape(-1, 3)
+    write(recording_path, cloud(points, "velodyne"))
+    told = open_recording(recording_path).statistics().warnings((90, 90), None)
+    assert any("only 31% of the first cloud" in one and "lidar" in one for one in told)
+
+
+def test_a_cloud_in_the_frame_of_two_cameras_has_one_of_its_own(depth_m, recording_path):
+    """Nobody knows which of the two is meant: points are projected as where none is recorded."""
+    points = points_of(depth_m).reshape(-1, 3)
+    others = {
+        f"{name}/camera_info": camera_info(STAMP, (40, 30), (focal, *K[1:]), "lens_optical")
+        for name, focal in {"left": 35.0, "right": 70.0}.items()
+    }
+    write(recording_path, cloud(points), **others)
+    recording = open_recording(recording_path)
+    assert recording.camera_topic is None
+    assert len(list(recording)) == 1
