@@ -12,6 +12,7 @@ from recordings.cameras.matching import is_rectified, matching_camera
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_images import DepthImages
 from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour, resampled
+from recordings.images.compressed_depth import holds_depth
 from recordings.images.depth_pixels import DEPTH_DTYPES
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
@@ -74,6 +75,8 @@ def unread_images(decoded: DecodedBag) -> str | None:
         first = decoded.first(topic)
         if isinstance(first, ImageMessage) and not is_colour(first) and first.encoding not in DEPTH_DTYPES:
             return f"{topic} has the encoding {first.encoding!r}, which is not read"
+        if isinstance(first, CompressedImageMessage) and not is_colour(first) and not holds_depth(first):
+            return f"{topic} is compressed as {first.format!r}, which is not read"
     return None
 
 

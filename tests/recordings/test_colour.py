@@ -86,6 +86,17 @@ def test_an_encoding_that_is_not_read_is_named(rgb, recording_path):
 
 
 @pytest.mark.parametrize(
+    ("format_", "data"), [("webp", b"RIFFxxxxWEBP"), ("16UC1; zstd", b"\x28\xb5\x2f\xfd")]
+)
+def test_a_compression_that_is_not_read_is_named(format_, data, recording_path):
+    """With the word that its writer has for it."""
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/c/image", compressed_image(SECOND_NS, format_, data), SECOND_NS)
+    with pytest.raises(RecordingError, match=f"/c/image is compressed as '{format_}', which is not read"):
+        open_recording(recording_path)
+
+
+@pytest.mark.parametrize(
     ("schema", "encoding"), [("foxglove.CompressedVideo", "protobuf"), ("foxglove.RawImage", "flatbuffer")]
 )
 def test_images_of_a_type_that_is_not_read_are_named(schema, encoding, recording_path):
