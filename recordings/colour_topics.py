@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.cameras.distortion import Undistortion, is_distorted
-from recordings.cameras.matching import is_rectified, matching_camera
+from recordings.cameras.matching import is_rectified, matching_camera, possible_cameras
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_images import DepthImages
 from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour, resampled
@@ -85,8 +85,8 @@ def _sees_the_same(
 ) -> bool:
     try:
         size = colour_size(first)
-        own_frame = {name: camera for name, camera in cameras.items() if camera.frame_id == first.frame_id}
-        found = matching_camera(topic, first.frame_id, size, own_frame)
+        own = possible_cameras(topic, first.frame_id, cameras)
+        found = matching_camera(topic, first.frame_id, size, own)
         if found is None:
             return size == (depth.camera.width, depth.camera.height)
         camera = found[1]

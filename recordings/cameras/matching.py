@@ -56,12 +56,7 @@ def matching_camera(
     Raises:
         UnusableCamera: every camera is another's, or several with different calibrations are equally near.
     """
-    same_frame = {topic: c for topic, c in cameras.items() if frame_id and is_frame(c.frame_id, frame_id)}
-    candidates = same_frame or {
-        topic: camera
-        for topic, camera in cameras.items()
-        if not (frame_id and camera.frame_id) or _is_beside(topic, image_topic)
-    }
+    candidates = possible_cameras(image_topic, frame_id, cameras)
 
     def nearness(topic: str) -> tuple[int, bool, int]:
         camera = candidates[topic]
@@ -82,6 +77,21 @@ def matching_camera(
     if any(not np.array_equal(first.K, candidates[topic].K, equal_nan=True) for topic in nearest):
         raise UnusableCamera(f"its camera could be {' or '.join(nearest)}; give --intrinsics fx,fy,cx,cy")
     return nearest[0], first
+
+
+def possible_cameras(
+    image_topic: str, frame_id: str, cameras: Mapping[str, CameraMessage]
+) -> dict[str, CameraMessage]:
+    """The cameras that may have taken the images of a topic: those of their frame, if there are any.
+
+    Else those beside the images or above them, and those of which either side does not name its frame.
+    """
+    same_frame = {topic: c for topic, c in cameras.items() if frame_id and is_frame(c.frame_id, frame_id)}
+    return same_frame or {
+        topic: camera
+        for topic, camera in cameras.items()
+        if not (frame_id and camera.frame_id) or _is_beside(topic, image_topic)
+    }
 
 
 def is_frame(frame_id: str, other: str) -> bool:

@@ -150,6 +150,20 @@ def test_only_registered_colour_is_attached(rgb, recording_path):
     np.testing.assert_array_equal(frame.rgb, rgb)
 
 
+@pytest.mark.parametrize("camera_frame", ["", "driver"])
+def test_a_colour_camera_that_is_told_by_its_topic_alone_is_compared(camera_frame, rgb, recording_path):
+    """RealSense's own bags name the frame 0 in all images and none in the calibrations."""
+    for focal, is_registered in ((90.0, False), (K[0], True)):
+        with Scribe(recording_path) as scribe:
+            for name, k in {"Depth_0": K, "Color_0": (focal, *K[1:])}.items():
+                info = camera_info(SECOND_NS, (40, 30), k, camera_frame)
+                scribe.ros2(f"/d/{name}/camera_info", info, SECOND_NS)
+            scribe.ros2("/d/Depth_0/data", image(SECOND_NS, "mono16", DEPTH, "0"), SECOND_NS)
+            scribe.ros2("/d/Color_0/data", image(SECOND_NS, "rgb8", rgb, "0"), SECOND_NS)
+        (frame,) = open_recording(recording_path)
+        assert (frame.rgb is not None) == is_registered
+
+
 def test_colour_is_paired_in_time(recording_path):
     """Each frame gets the nearest image within 20 ms, none if there is none so near."""
     with Scribe(recording_path) as scribe:
