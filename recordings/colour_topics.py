@@ -25,6 +25,8 @@ from recordings.types import CameraIntrinsics
 
 _FOCAL_TOLERANCE = 0.01
 _CENTRE_TOLERANCE_PX = 2.0
+_GREY = {"mono8", "8UC1"}
+"""Infrared and the like: neither depth nor colour."""
 _IMAGES = ("Image", "Video", "PointCloud")
 """In the names of messages that could hold depth or colour."""
 
@@ -73,7 +75,8 @@ def unread_images(decoded: DecodedBag) -> str | None:
             return f"{kind.name} holds {kind.schema_name} ({kind.message_encoding}), which is not read"
     for topic in decoded.topic_names:
         first = decoded.first(topic)
-        if isinstance(first, ImageMessage) and not is_colour(first) and first.encoding not in DEPTH_DTYPES:
+        read = isinstance(first, ImageMessage) and (is_colour(first) or first.encoding in DEPTH_DTYPES)
+        if isinstance(first, ImageMessage) and not read and first.encoding not in _GREY:
             return f"{topic} has the encoding {first.encoding!r}, which is not read"
         if isinstance(first, CompressedImageMessage) and not is_colour(first) and not holds_depth(first):
             return f"{topic} is compressed as {first.format!r}, which is not read"

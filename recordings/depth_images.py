@@ -11,7 +11,7 @@ from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.cameras.recorded import CameraTrack, camera_track
 from recordings.depth_topics import DepthTopic
 from recordings.images.compressed_depth import image_size, stored_depth
-from recordings.images.depth_pixels import MetricDepth, stored_pixels
+from recordings.images.depth_pixels import MILLIMETRE_M, MetricDepth, stored_pixels
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
     CameraMessage,
@@ -37,10 +37,17 @@ class DepthImages:
         topic: the topic.
         cameras: a usable message of each camera topic.
         options: what the user says.
+        unit_m: metres for a stored 1 of integers, where the user does not say it.
     """
 
-    def __init__(self, topic: DepthTopic, cameras: dict[str, CameraMessage], options: ReadOptions) -> None:
-        self._metric = MetricDepth(options.depth_scale_m, options.min_depth_m, options.max_depth_m)
+    def __init__(
+        self,
+        topic: DepthTopic,
+        cameras: dict[str, CameraMessage],
+        options: ReadOptions,
+        unit_m: float = MILLIMETRE_M,
+    ) -> None:
+        self._metric = MetricDepth(options.depth_scale_m, options.min_depth_m, options.max_depth_m, unit_m)
         self.size = _size(topic.first)
         self.intrinsics: CameraIntrinsics | None = None
         self.camera_topic: str | None = None

@@ -19,8 +19,10 @@ from recordings.depth_clouds import DepthClouds
 from recordings.depth_images import DepthImages
 from recordings.depth_statistics import DepthStatistics
 from recordings.depth_topics import DepthMessage, DepthTopic, choose_depth_topic
+from recordings.depth_units import recorded_unit_m
 from recordings.errors import RecordingError
 from recordings.images.colour import ColourMessage, is_colour
+from recordings.images.depth_pixels import MILLIMETRE_M
 from recordings.images.mask import read_mask
 from recordings.images.pairing import NearestInTime
 from recordings.mcap_files.bag import Bag
@@ -104,7 +106,8 @@ class McapRecording:
                 self._depth = ColourFrames(topic, cameras, options)
                 self._colour = self._depth.colour
             else:
-                self._depth = DepthImages(topic, cameras, options)
+                unit_m = recorded_unit_m(decoded, topic.name) or MILLIMETRE_M
+                self._depth = DepthImages(topic, cameras, options, unit_m)
                 self._colour = self._colour_beside(self._depth, cameras)
                 if self._colour:
                     decoded.bag.keep_blocks(_KEPT_FOR_COLOUR)

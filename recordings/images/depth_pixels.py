@@ -19,6 +19,8 @@ DEPTH_DTYPES = {"16UC1": np.dtype("u2"), "mono16": np.dtype("u2"), "32FC1": np.d
 MAX_PIXELS = 1 << 25
 """Largest image that memory is taken for: 8192 x 4096, more than any depth camera has."""
 
+MILLIMETRE_M = 0.001
+"""Unit of 16-bit depth by REP 118."""
 _SATURATED = 65535
 _FARTHEST_M = 1000.0
 """No depth camera sees farther: some write the largest float, or such, where they measured nothing."""
@@ -64,16 +66,21 @@ class MetricDepth:
     depths outside the limits.
 
     Args:
-        scale_m: metres for a stored 1; by default 0.001 for integers and 1 for floats.
+        scale_m: metres for a stored 1; by default `unit_m` for integers and 1 for floats.
         min_depth_m: nearer depths count as no return.
         max_depth_m: farther depths count as no return.
+        unit_m: of integers.
     """
 
     def __init__(
-        self, scale_m: float | None = None, min_depth_m: float = 0.0, max_depth_m: float = math.inf
+        self,
+        scale_m: float | None = None,
+        min_depth_m: float = 0.0,
+        max_depth_m: float = math.inf,
+        unit_m: float = MILLIMETRE_M,
     ) -> None:
         # Dividing by 1000 rounds correctly where multiplying by 0.001 does not.
-        self._units_per_m = {"u": np.float32(1 / (scale_m or 0.001)), "f": np.float32(1 / (scale_m or 1.0))}
+        self._units_per_m = {"u": np.float32(1 / (scale_m or unit_m)), "f": np.float32(1 / (scale_m or 1.0))}
         self._min_depth_m, self._max_depth_m = min_depth_m, max_depth_m
         self._is_limited = min_depth_m > 0 or max_depth_m < math.inf
 

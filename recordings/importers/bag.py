@@ -9,6 +9,7 @@ from typing import Any
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
+from recordings.depth_units import is_depth_unit
 from recordings.errors import RecordingError
 from recordings.messages.ros2 import READABLE_TYPES
 from recordings.messages.ros2_standard import cdr_from_ros1, standard_definition
@@ -35,7 +36,7 @@ def import_bag(source: Path, out: Path, progress: Callable[[int, int], None]) ->
     if not source.exists():
         raise RecordingError(f"cannot read {source}: No such file or directory")
     with _opened(source) as (bag, is_ros1):
-        wanted = [c for c in bag.connections if _type(c) in READABLE_TYPES]
+        wanted = [c for c in bag.connections if _is_used(c)]
         if not wanted:
             types = ", ".join(sorted({_type(connection) for connection in bag.connections})) or "nothing"
             raise RecordingError(f"{source} holds no images, point clouds or poses; it holds {types}")
@@ -70,6 +71,12 @@ def _opened(source: Path) -> Iterator[tuple[Any, bool]]:
 def _type(connection: Any) -> str:
     name: str = connection.msgtype
     return _RENAMED.get(name, name)
+
+
+def _is_used(connection: Any) -> bool:
+    """Whether a recording can use a connection's messages; of numbers the unit of depth alone."""
+    kind = _type(connection)
+    return kind in READABLE_TYPES and (kind != "std_msgs/msg/Float32" or is_depth_unit(connection.topic))
 
 
 def _schema(name: str) -> MessageSchema:

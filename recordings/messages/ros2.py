@@ -24,6 +24,7 @@ from recordings.messages.types import (
     DecodedMessage,
     ExtrinsicsMessage,
     ImageMessage,
+    NumberMessage,
     OdometryMessage,
     PointCloudMessage,
     PointField,
@@ -205,6 +206,10 @@ def _extrinsics(message: Any) -> ExtrinsicsMessage:
     return ExtrinsicsMessage(second_from_first=second_from_first)
 
 
+def _number(message: Any) -> NumberMessage:
+    return NumberMessage(value=float(message.data))
+
+
 _CONVERSIONS: dict[str, Callable[[Any], DecodedMessage]] = {
     "sensor_msgs/msg/Image": _image,
     "sensor_msgs/msg/CompressedImage": _compressed_image,
@@ -216,6 +221,7 @@ _CONVERSIONS: dict[str, Callable[[Any], DecodedMessage]] = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose,
     "nav_msgs/msg/Odometry": _odometry,
     "realsense2_camera_msgs/msg/Extrinsics": _extrinsics,
+    "std_msgs/msg/Float32": _number,
 }
 
 READABLE_TYPES = frozenset(_CONVERSIONS)

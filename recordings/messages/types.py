@@ -124,6 +124,13 @@ class PoseMessage:
     frame_from_body: NDArray[np.float64]
 
 
+@dataclass(frozen=True, kw_only=True)
+class NumberMessage:
+    """A number, of which the topic's name alone says what it is."""
+
+    value: float
+
+
 DecodedMessage = (
     ImageMessage
     | CompressedImageMessage
@@ -132,6 +139,7 @@ DecodedMessage = (
     | OdometryMessage
     | PoseMessage
     | ExtrinsicsMessage
+    | NumberMessage
     | tuple[TransformMessage, ...]
 )
 

@@ -12,13 +12,7 @@ from recordings.images.depth_pixels import MetricDepth
 from recordings.options import ReadOptions
 from recordings.reading import open_recording
 from recordings.types import NO_RETURN, Frame
-from tests.recordings.samples import (
-    SECOND_NS,
-    Scribe,
-    camera_info,
-    compressed_image,
-    image,
-)
+from tests.recordings.samples import SECOND_NS, Scribe, camera_info, compressed_image, image, new
 
 K = (35.0, 36.0, 18.5, 15.25)
 STAMP = 5 * SECOND_NS
@@ -263,6 +257,31 @@ def test_images_of_the_wrong_size_throughout_are_one_clear_line(millimetres, rec
             scribe.ros2("/depth/image", image(STAMP + i, "16UC1", millimetres, step=10), STAMP + i)
     with pytest.raises(RecordingError, match=r"/depth/image: no message can be used; the first has 2400"):
         open_recording(recording_path)
+
+
+@pytest.mark.parametrize(
+    ("topic", "unit", "scale_m", "expected_m"),
+    [
+        ("/device_0/sensor_0/option/Depth Units/value", 0.0001, None, 0.0001),
+        ("/device_0/sensor_0/option/Depth_Units/value", 0.00025, None, 0.00025),
+        ("/device_0/sensor_0/option/Depth Units/value", 0.001, None, 0.001),
+        ("/device_0/sensor_0/option/Depth Units/value", 0.0001, 0.002, 0.002),
+        ("/device_0/sensor_0/option/Depth Units/value", float("nan"), None, 0.001),
+        ("/device_0/sensor_0/option/Depth Units/value", 0.0, None, 0.001),
+        ("/device_0/sensor_0/option/Exposure/value", 0.0001, None, 0.001),
+        ("/device_0/sensor_1/option/Depth Units/value", 0.0001, None, 0.001),
+    ],
+)
+def test_the_recorded_unit_of_depth_is_used(topic, unit, scale_m, expected_m, millimetres, recording_path):
+    """Of the sensor's own option, in RealSense's bags; the user's word goes before it."""
+    option = new("std_msgs/msg/Float32", data=unit)
+    with Scribe(recording_path) as scribe:
+        scribe.ros2(topic, option, STAMP)
+        message = image(STAMP, "mono16", millimetres, "0")
+        scribe.ros2("/device_0/sensor_0/Depth_0/image/data", message, STAMP)
+    (frame,) = open_recording(recording_path, ReadOptions(intrinsics=K, depth_scale_m=scale_m))
+    expected = millimetres / np.float32(1 / expected_m)
+    np.testing.assert_array_equal(frame.depth_m, expected.astype(np.float32))
 
 
 @pytest.mark.parametrize("compressed", [False, True])

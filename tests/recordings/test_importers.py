@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from recordings.errors import RecordingError
 from recordings.importers.dataset import ALL_FRAMES
 from recordings.importers.formats import import_recording
+from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
 from recordings.truth import recorded_scene_truth
@@ -262,6 +263,27 @@ def write_ros2(path: Path) -> None:
                 connections[topic] = writer.add_connection(topic, name, typestore=STORE)
             data = bytes(STORE.serialize_cdr(message, name))
             writer.write(connections[topic], stamp + 5, data)
+
+
+def test_the_unit_of_depth_comes_with_a_realsense_bag(tmp_path, recording_path):
+    """Of all numbers in it the one that a recording uses; the others are named as left out."""
+    with Rosbag1Writer(tmp_path / "r.bag") as writer:
+        for option, value in {"Depth Units": 0.0001, "Exposure": 8500.0}.items():
+            topic, name = f"/device_0/sensor_0/option/{option}/value", "std_msgs/msg/Float32"
+            message = ROS1_STORE.types[name](data=value)
+            connection = writer.add_connection(topic, name, typestore=ROS1_STORE)
+            writer.write(connection, 1, bytes(ROS1_STORE.serialize_ros1(message, name)))
+        pixels = np.full((6, 8), 1500, np.uint16)
+        depth = image(SECOND_NS, "mono16", pixels, "0")
+        topic = "/device_0/sensor_0/Depth_0/image/data"
+        connection = writer.add_connection(topic, depth.__msgtype__, typestore=ROS1_STORE)
+        writer.write(connection, SECOND_NS, ros1_bytes(depth))
+    (remark,) = run("bag", tmp_path / "r.bag", recording_path)
+    (frame,) = open_recording(recording_path, ReadOptions(intrinsics=(9.0, 9.0, 3.5, 2.5)))
+
+    assert "Exposure" in remark
+    assert "Depth Units" not in remark
+    np.testing.assert_allclose(frame.depth_m, 0.15)
 
 
 @pytest.mark.parametrize(("name", "write"), [("b.bag", write_ros1), ("b", write_ros2)])
