@@ -164,7 +164,7 @@ class DepthStatistics:
         if self.camera_changes:
             times = ", ".join(f"{seconds:.3f}" for seconds in self.camera_changes[:5])
             found.append(
-                f"the camera's calibration changes {len(self.camera_changes)} times, at {times} s: frames "
+                f"the camera's calibration changes {_times(len(self.camera_changes))}, at {times} s: frames "
                 "are brought to the first one"
             )
         return found
@@ -172,7 +172,7 @@ class DepthStatistics:
     def _step_back(self) -> str:
         """Stamps that step back: of frames that were written late, or by a clock that was set."""
         count, step_s = self.stamp_steps_back, self.largest_step_back_s
-        times = "once" if count == 1 else f"{count} times"
+        times = _times(count)
         far = "" if step_s is None else f" by up to {step_s:.3g} s"
         told = (
             f"the stamps of the depth frames step back {times}{far}, first at {self.first_step_back_s:.3f} s"
@@ -186,6 +186,10 @@ class DepthStatistics:
             f"{told}: a clock was set; frames from before and after may be mixed or left out, read them "
             "apart with --start and --end"
         )
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _of_camera(camera: CameraIntrinsics | None) -> list[str]:

@@ -50,6 +50,7 @@ def _lines(overview: Overview) -> list[str]:
         "",
         _verdict(overview),
     ]
+    lines = [_printable(line) for line in lines]
     hashes = overview.depth.frame_hashes if overview.depth else None
     return lines if hashes is None else [*lines, "", *hashes]
 
@@ -213,9 +214,9 @@ def _topic_lines(overview: Overview) -> list[str]:
     ]
 
 
-def _printable(name: str) -> str:
-    """A name without characters that move the cursor or change colours."""
-    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in name)
+def _printable(line: str) -> str:
+    """A line without characters that move the cursor or change colours, as names in a recording may hold."""
+    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in line)
 
 
 def _verdict(overview: Overview) -> str:

@@ -216,3 +216,14 @@ def test_colour_that_comes_with_no_frame_is_a_warning(late_ns: int, coloured: in
     assert document["coloured_frames"] == coloured
     assert ("/c/image, with" in text.stdout) == (coloured < 4)
     assert any("no frame comes with colour" in one for one in document["warnings"]) == (coloured == 0)
+
+
+def test_names_do_not_steer_the_terminal(tmp_path: Path) -> None:
+    """A topic may hold any characters; they are shown, in every line that names it."""
+    path = tmp_path / "r.mcap"
+    with Scribe(path) as scribe:
+        scribe.ros2("/d/\x1b[31mdepth", image(10**9, "16UC1", np.full((6, 8), 900, np.uint16)), 10**9)
+    result = run("info", path, "--intrinsics", "10,11,3.5,2.5")
+
+    assert result.stdout.count("/d/\\x1b[31mdepth") == 2
+    assert "\x1b" not in result.stdout
