@@ -10,7 +10,8 @@ from recordings.cameras.matching import is_rectified, matching_camera
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.colour_topics import ColourTopic
 from recordings.depth_topics import DepthTopic
-from recordings.images.colour import colour_size, is_colour
+from recordings.first_colour import first_colour
+from recordings.images.colour import colour_size
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import CameraMessage, CompressedImageMessage, DecodedMessage, ImageMessage
 from recordings.options import ReadOptions
@@ -20,8 +21,8 @@ from recordings.types import NO_RETURN, CameraIntrinsics
 def first_colour_topic(decoded: DecodedBag) -> DepthTopic | None:
     """The first topic, by the alphabet, of images in colour; None without any."""
     for topic in decoded.topic_names:
-        first = decoded.first(topic)
-        if isinstance(first, ImageMessage | CompressedImageMessage) and is_colour(first):
+        first = first_colour(decoded, topic)
+        if first is not None:
             return DepthTopic(name=topic, first=first)
     return None
 

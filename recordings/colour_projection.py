@@ -19,13 +19,12 @@ from recordings.cameras.distortion import (
 )
 from recordings.cameras.matching import is_rectified, matching_camera, namespace, shared_namespace
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
-from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour
+from recordings.first_colour import first_colour
+from recordings.images.colour import ColourMessage, colour_size, decode_colour
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
     CameraMessage,
-    CompressedImageMessage,
     ExtrinsicsMessage,
-    ImageMessage,
     UndecodableMessage,
 )
 from recordings.poses.transform_tree import TransformTree, recorded_transforms
@@ -140,8 +139,8 @@ def projected_colour(
     """
     tree: TransformTree | None = None
     for topic in sorted(decoded.topic_names, key=lambda name: (-shared_namespace(depth_topic, name), name)):
-        first = decoded.first(topic)
-        if not (isinstance(first, ImageMessage | CompressedImageMessage) and is_colour(first)):
+        first = first_colour(decoded, topic)
+        if first is None:
             continue
         if first.frame_id == frame_id:  # yet not registered: another camera that carries the wrong name
             continue

@@ -11,6 +11,7 @@ from recordings.cameras.distortion import Undistortion, is_distorted
 from recordings.cameras.matching import is_rectified, matching_camera, possible_cameras
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_images import DepthImages
+from recordings.first_colour import first_colour
 from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour, resampled
 from recordings.images.compressed_depth import holds_depth
 from recordings.images.depth_pixels import DEPTH_DTYPES
@@ -57,13 +58,8 @@ def registered_colour(
         return None
     colour = ColourTopic(name="", camera=depth.intrinsics, undistortion=depth.undistortion)
     for topic in decoded.topic_names:
-        first = decoded.first(topic)
-        if (
-            isinstance(first, ImageMessage | CompressedImageMessage)
-            and is_colour(first)
-            and first.frame_id == frame_id
-            and _sees_the_same(topic, first, colour, cameras)
-        ):
+        first = first_colour(decoded, topic)
+        if first is not None and first.frame_id == frame_id and _sees_the_same(topic, first, colour, cameras):
             return replace(colour, name=topic)
     return None
 
@@ -78,7 +74,8 @@ def unread_images(decoded: DecodedBag) -> str | None:
         read = isinstance(first, ImageMessage) and (is_colour(first) or first.encoding in DEPTH_DTYPES)
         if isinstance(first, ImageMessage) and not read and first.encoding not in _GREY:
             return f"{topic} has the encoding {first.encoding!r}, which is not read"
-        if isinstance(first, CompressedImageMessage) and not is_colour(first) and not holds_depth(first):
+        is_read = first_colour(decoded, topic) is not None
+        if isinstance(first, CompressedImageMessage) and not is_read and not holds_depth(first):
             return f"{topic} is compressed as {first.format!r}, which is not read"
     return None
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from recordings.cameras.matching import base_topic, namespace, shared_namespace
 from recordings.errors import RecordingError
-from recordings.images.colour import is_colour
+from recordings.first_colour import first_colour
 from recordings.images.compressed_depth import holds_depth, image_size
 from recordings.images.depth_pixels import DEPTH_DTYPES, stored_pixels
 from recordings.images.point_clouds import points_of
@@ -77,9 +77,9 @@ def is_aligned_to_colour(decoded: DecodedBag, topic: str) -> bool:
     first = decoded.first(topic)
     frame_id = getattr(first, "frame_id", "")
     return bool(frame_id) and any(
-        is_colour(other) and getattr(other, "frame_id", None) == frame_id
+        other.frame_id == frame_id
         for name in decoded.topic_names
-        if name != topic and (other := decoded.first(name)) is not None
+        if name != topic and (other := first_colour(decoded, name)) is not None
     )
 
 

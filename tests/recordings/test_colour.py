@@ -193,6 +193,22 @@ def test_a_damaged_colour_image_costs_the_colour_only(rgb, recording_path):
     assert recording.damage.lost_messages == 1
 
 
+@pytest.mark.parametrize("size", [0, 100])
+def test_a_first_image_that_is_cut_does_not_decide(size, rgb, recording_path):
+    """Those after it come with their frames; it is counted as lost itself."""
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, "JPEG", quality=95)
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/d/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for i, data in enumerate([buffer.getvalue()[:size], buffer.getvalue()]):
+            stamp = SECOND_NS + i * STEP_NS
+            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
+            scribe.ros2("/c/image", compressed_image(stamp, "rgb8; jpeg compressed bgr8", data), stamp)
+    recording = open_recording(recording_path)
+    assert [frame.rgb is not None for frame in recording] == [False, True]
+    assert recording.damage.lost_messages == 1
+
+
 def test_our_own_colour_comes_back(rgb, camera, recording_path):
     """What the writer registers, the reader attaches."""
     with RecordingWriter(recording_path, camera) as writer:
