@@ -36,6 +36,7 @@ class DepthClouds:
         options: what the user says.
 
     Attributes:
+        is_projected: whether the clouds are no camera's pixels.
         share_in_view: of the first cloud's points, those that its depth image is made from; the others lie
             beside the camera or behind it.
 
@@ -61,6 +62,7 @@ class DepthClouds:
         else:
             recorded = self._recorded_camera(topic, cameras)
             self.intrinsics = _fitting(recorded) if recorded else virtual_camera(self._optical(points))
+        self.is_projected = grid is None
         self.share_in_view = share_in_view(self._optical(points), self.intrinsics) if grid is None else 1.0
 
     @property

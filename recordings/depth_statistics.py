@@ -42,6 +42,7 @@ class DepthStatistics:
         undecodable: messages of the depth topic that hold no depth image.
         camera_changes: times at which the camera's calibration changes, in seconds after the first frame.
         too_far: pixels of floats whose depth is a kilometre or more.
+        fixed_frame: name of the frame of clouds that stand in one in which others move.
         share_in_view: of the points of the first cloud, those that its depth image is made from.
     """
 
@@ -54,6 +55,7 @@ class DepthStatistics:
     undecodable: int = 0
     camera_changes: Sequence[float] = ()
     too_far: int = 0
+    fixed_frame: str | None = None
     share_in_view: float = 1.0
     swapped_is_smoother: int = 0
     _pixels: int = 0
@@ -144,6 +146,11 @@ class DepthStatistics:
             found.append(
                 f"the depths are unusual: {depths[0]:.3g} to {depths[2]:.3g} m, median {depths[1]:.3g} m; if "
                 "the unit is another, give --depth-scale (0.001 for millimetres, 0.0001 for 0.1 mm)"
+            )
+        if self.fixed_frame is not None:
+            found.append(
+                f"the clouds are in the frame {self.fixed_frame!r}, in which others move: they are looked at "
+                "from its origin, where no sensor was; record the clouds of the sensor's own frame"
             )
         if self.share_in_view < _LEAST_IN_VIEW:
             found.append(

@@ -36,6 +36,7 @@ from recordings.messages.types import (
     UndecodableMessage,
 )
 from recordings.options import ReadOptions
+from recordings.poses.transform_tree import recorded_transforms
 from recordings.sensor_profile import SensorProfile, read_sensor_profile
 from recordings.stamps import in_order_of_stamps, selected
 from recordings.types import NO_RETURN, CameraIntrinsics, Damage, Frame
@@ -251,6 +252,8 @@ class McapRecording:
         found = DepthStatistics()
         if isinstance(self._depth, DepthClouds):
             found.share_in_view = self._depth.share_in_view
+            if self._depth.is_projected and recorded_transforms(self.decoded).is_fixed_frame(self.frame_id):
+                found.fixed_frame = self.frame_id
 
         def lose(_: object) -> None:
             found.undecodable += 1

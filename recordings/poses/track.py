@@ -35,6 +35,11 @@ class Track:
         self._matrices.extend(matrix.ravel().tolist())
         self._sorted = None
 
+    @property
+    def moves(self) -> bool:
+        """Whether its samples differ."""
+        return not self._samples()[2]
+
     def at(self, time_ns: int) -> NDArray[np.float64] | None:
         """The transform (4, 4) at a time: constant, or linear in position and turning at constant speed.
 

@@ -28,6 +28,11 @@ class TransformTree:
         """Whether a transform from this frame to another is known."""
         return _plain(frame) in self._parents
 
+    def is_fixed_frame(self, frame: str) -> bool:
+        """Whether a frame is one in which others move and that hangs below none, such as map or odom."""
+        tracks = [track for parent, track in self._parents.values() if parent == _plain(frame)]
+        return not self.has_parent(frame) and any(track.moves for track in tracks)
+
     def way_up(self, frame: str) -> list[Track]:
         """The tracks from a frame to its root; empty where the frame has no parent."""
         way: list[Track] = []

@@ -227,3 +227,16 @@ def test_a_cloud_in_the_frame_of_two_cameras_has_one_of_its_own(depth_m, recordi
     recording = open_recording(recording_path)
     assert recording.camera_topic is None
     assert len(list(recording)) == 1
+
+
+@pytest.mark.parametrize(("frame_id", "told"), [("map", True), ("base", False), ("lidar", False)])
+def test_clouds_in_a_frame_in_which_others_move_are_told(frame_id, told, depth_m, recording_path):
+    """Registered clouds do not show what a sensor saw from where it was."""
+    points = points_of(depth_m).reshape(-1, 3)
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/points", cloud(points, frame_id), STAMP)
+        scribe.ros2("/tf_static", transform(STAMP, "base", "lidar", (0, 0, 1)), STAMP)
+        for i in range(3):
+            scribe.ros2("/tf", transform(STAMP + i, "map", "base", (i, 0, 0)), STAMP + i)
+    warnings = open_recording(recording_path).statistics().warnings((40, 40), None)
+    assert any("'map', in which others move" in one for one in warnings) == told
