@@ -86,17 +86,6 @@ def cloud(points_m: Points, rgb: NDArray[np.uint8] | None, path_m: Points | None
     return _png(figure)
 
 
-def bars(values: Mapping[str, float], x_label: str, limit: float | None = None) -> bytes:
-    """Horizontal bars by name, the first on top."""
-    figure, axes = _new((SIZE_IN[0], 0.7 + 0.28 * max(len(values), 1)))
-    names = list(values)[::-1]
-    axes.barh(names, [values[name] for name in names], color=COLOURS[0], height=0.7)
-    if limit is not None:
-        axes.set_xlim(0, limit)
-    axes.set_xlabel(x_label)
-    return _png(figure)
-
-
 def widest_plane(points_m: Points) -> Points:
     """Two orthonormal directions (2, 3) in which points (N, 3) extend most (principal components)."""
     _, _, directions = np.linalg.svd(points_m - points_m.mean(axis=0), full_matrices=True)

@@ -199,7 +199,6 @@ def _data_over(
         support_m=support_m,
         rest_m=np.where(no_object, window.depth_m, support_m),
         supports=tuple(supports),
-        region=region,
         intrinsics=intrinsics,
         depth_m=depth_m,
         near=foreground,

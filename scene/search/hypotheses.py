@@ -108,12 +108,6 @@ class PosePools:
         near = np.array([one.colour is not None and not one.colour.exact for one in self.objects])
         return np.flatnonzero(near[numbers] & (np.abs(turned - found).max(axis=1) > 1e-4)).tolist()
 
-    def without(self, one: int, places: NDArray[np.bool_]) -> PosePools:
-        """The pools with some poses (K,) of an object left out."""
-        log_alone = np.array(self.layers.log_alone)
-        log_alone[one, : self.absent][places] = -np.inf
-        return replace(self, layers=replace(self.layers, log_alone=jax.device_put(log_alone)))
-
     def _with_layers(
         self,
         depth_m: NDArray[np.float32],

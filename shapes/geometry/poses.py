@@ -22,7 +22,6 @@ from shapes.geometry.vectors import transform
 __all__ = [
     "matrices_of",
     "orthonormalised",
-    "pose_from_matrix",
     "poses_of",
     "wxyz_from_xyzw",
     "xyzw_from_wxyz",
@@ -39,11 +38,6 @@ def wxyz_from_xyzw(xyzw: Array) -> Array:
 def xyzw_from_wxyz(wxyz: Array) -> Array:
     """Quaternions (..., 4) from our order to that of ROS, TUM and SciPy."""
     return wxyz[..., [1, 2, 3, 0]]
-
-
-def pose_from_matrix(matrix: jax.typing.ArrayLike) -> jaxlie.SE3:
-    """Pose of a 4x4 rigid transform (..., 4, 4)."""
-    return jaxlie.SE3.from_matrix(jnp.asarray(matrix))
 
 
 def matrices_of(poses: jax.Array | NDArray[np.floating]) -> NDArray[np.float64]:
