@@ -31,6 +31,7 @@ class PosePools:
         data: the frame.
         objects: what is looked for.
         renderer: of the same objects.
+        noise: of the sensor.
         config: settings.
         pixels: that are compared.
         poses: (N, K, 7) camera_from_box.
@@ -41,6 +42,7 @@ class PosePools:
     data: SceneData
     objects: Sequence[SceneObject]
     renderer: ObjectRenderer
+    noise: DepthNoise
     config: ParseConfig
     pixels: ComparedPixels
     poses: NDArray[np.float32]
@@ -65,6 +67,7 @@ class PosePools:
             data=data,
             objects=objects,
             renderer=renderer,
+            noise=noise,
             config=config,
             pixels=pixels,
             poses=np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), size, 1)),
