@@ -69,6 +69,13 @@ def compose(first: jax.Array, second: jax.Array) -> jax.Array:
     return jnp.concatenate([product[:4] / jnp.linalg.norm(product[:4]), product[4:]])
 
 
+def transform_points(
+    target_from_source: NDArray[np.floating], points: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Points (..., 3) of a source where a rigid transform (4, 4) puts them, on the host."""
+    return points @ target_from_source[:3, :3].T + target_from_source[:3, 3]
+
+
 def transformed(pose: jax.Array, points: jax.Array) -> jax.Array:
     """Points (3, ...) of a source where target_from_source (7,) puts them."""
     motion = jaxlie.SE3(pose)
