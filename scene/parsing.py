@@ -206,7 +206,6 @@ def _hidden(
             Support(world_from_support=world_from_camera @ one.camera_from_table, half_size_m=one.half_size_m)
             for one in carrying(compared.data.supports, objects, start)
         ],
-        compared.camera_from_world[0],
         objects,
         {
             one: PlacedObject(shape=objects[one], world_from_box=world_from_box[one])
