@@ -51,12 +51,16 @@ ALIVE = 30.0
 """Effective number of draws to which a turn is tempered."""
 
 FIRST_SIGMA = np.repeat([0.004, 0.05], 3)
+"""Standard deviations of offsets (metres) and turns (radians) in the first turn, ..."""
 
 LEAST_SIGMA = np.repeat([0.0001, 0.002], 3)
+"""... and those that are added to what draws tell, for few of them may lie in a plane."""
 
 WIDER = 1.15
+"""Factor of fitted standard deviations: proposals should reach beyond what they are fitted to."""
 
 BISECTIONS = 14
+"""Of the power to which weights are tempered: to 0.0001."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
