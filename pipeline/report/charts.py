@@ -49,7 +49,7 @@ def lines(
     return _png(figure)
 
 
-def paths(named: Mapping[str, Points], label: str = "m") -> bytes:
+def paths(named: Mapping[str, Points]) -> bytes:
     """Paths (N, 3) in metres, seen along the direction in which the first of them extends least.
 
     The first, the one to compare with, is grey.
@@ -64,8 +64,8 @@ def paths(named: Mapping[str, Points], label: str = "m") -> bytes:
         axes.plot(*flat[0], "o", color=colour, markersize=4)
     axes.set_aspect("equal", adjustable="datalim")
     axes.xaxis.set_major_locator(MaxNLocator(6))
-    axes.set_xlabel(label)
-    axes.set_ylabel(label)
+    axes.set_xlabel("m")
+    axes.set_ylabel("m")
     if len(named) > 1:
         axes.legend(frameon=False, fontsize=8)
     return _png(figure)
