@@ -38,7 +38,7 @@ def initialise(
     renderer: ObjectRenderer,
     noise: DepthNoise,
     config: ParseConfig,
-    learned: UnknownWeights | None = None,
+    learned: UnknownWeights,
 ) -> Initialisation:
     """Search for the scene in one frame.
 
@@ -49,7 +49,7 @@ def initialise(
         renderer: of the same objects.
         noise: of the sensor.
         config: settings.
-        learned: how well pixels foretell each other; None learns it from this frame.
+        learned: how well pixels foretell each other.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     poses = config.pool * (config.rounds + 1) + 1 + RIVALS
@@ -66,8 +66,8 @@ def initialise(
             if not masks:
                 break
             pools, scene = search_round(round_key, pools, scene, masks, index)
-        pools, scene = compare_refined(last_key, pools, scene, noise)
-        pools, scene = search_missing(again_key, search_round, pools, scene, noise)
+        pools, scene = compare_refined(last_key, pools, scene)
+        pools, scene = search_missing(again_key, search_round, pools, scene)
     others, _ = rivals_of(pools, scene)
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
@@ -81,21 +81,17 @@ def initialise(
 
 
 def compare_refined(
-    key: jax.Array, pools: PosePools, scene: NDArray[np.integer], noise: DepthNoise
+    key: jax.Array, pools: PosePools, scene: NDArray[np.integer]
 ) -> tuple[PosePools, NDArray[np.integer]]:
     """Pools with refined poses of a scene (N,) and its closest alternatives, and the best scene."""
     last = pools.absent - 1 - RIVALS
     pools = pools.with_poses(polished_rivals(pools, scene), last)
     scene = np.where((last <= scene) & (scene < pools.absent), last, scene)
-    return decided(key, pools, best_of(pools, scene), last, noise)
+    return decided(key, pools, best_of(pools, scene), last)
 
 
 def search_missing(
-    key: jax.Array,
-    search_round: SearchRound,
-    pools: PosePools,
-    scene: NDArray[np.integer],
-    noise: DepthNoise,
+    key: jax.Array, search_round: SearchRound, pools: PosePools, scene: NDArray[np.integer]
 ) -> tuple[PosePools, NDArray[np.integer]]:
     """The scene (N,) after further rounds for what it lacks, while these find more."""
     while (scene == pools.absent).any():
@@ -103,7 +99,7 @@ def search_missing(
         unexplained = unexplained_by_others(pools, scene)
         masks = {one: mask for one, mask in unexplained.items() if scene[one] == pools.absent}
         searched = search_round(round_key, pools, scene, masks, pools.config.rounds)
-        more_pools, more = compare_refined(last_key, *searched, noise)
+        more_pools, more = compare_refined(last_key, *searched)
         if (more < pools.absent).sum() <= (scene < pools.absent).sum():
             break
         pools, scene = more_pools, more

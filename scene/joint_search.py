@@ -30,7 +30,7 @@ from scene.presence.pose_priors import Burial
 from scene.presence.size_prior import SizePrior
 from scene.search.importance_sampling import Refinement, refine
 from scene.search.search_result import Initialisation
-from shapes.geometry.poses import matrices_of, poses_of
+from shapes.geometry.poses import matrices_of, poses_of, transform_points
 
 NEW_M = 0.015
 """What is so far from all that other frames show is new, and counts by cells of that edge."""
@@ -178,7 +178,7 @@ def refine_where_found(
 def _foreground(view: SceneData, first_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points (N, 3) in the first camera's frame that may show an object."""
     seen = unproject(np.asarray(view.view.depth_m), view.view.camera)[view.foreground]
-    return seen @ first_from_camera[:3, :3].T + first_from_camera[:3, 3]
+    return transform_points(first_from_camera, seen)
 
 
 def _cells(points_m: NDArray[np.float64]) -> int:
@@ -204,8 +204,7 @@ def _best_of_each(
     found = np.stack([one.found for one in starts])
     log_odds = np.full(found.shape, log_prior_odds(config.presence))
     log_odds += np.where([one.spin_line.any() for one in objects], LOG_SPINS, 0.0)
-    table = compared.data.table
-    burial = Burial.under(table, compared.world_from_camera, objects, config.loose_sigma_m)
+    burial = Burial.under(compared, objects, config.loose_sigma_m)
     if burial is not None:
         by_object = states[:, :7].reshape(len(starts), count, 7).swapaxes(0, 1)
         log_odds += burial.log_prior(np.arange(count), by_object).T

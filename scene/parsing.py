@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import jax
 import numpy as np
@@ -17,12 +16,11 @@ from scene.execution import Progress
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
 from scene.joint_search import JointStart, refine_where_found, search_frames
-from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.mcmc.chain_model import carrying
 from scene.mcmc.colour_turns import SeenColours, with_drawn_turns
-from scene.mcmc.sampling import SampledScenes, sample_posterior
+from scene.mcmc.sampling import sample_posterior
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
@@ -30,7 +28,7 @@ from scene.observation.segmentation import scene_views
 from scene.presence.inference import presence_in_scene
 from scene.result import SceneResult
 from scene.search.search_result import Initialisation
-from scene.summary import summarise
+from scene.summary import Sampled, summarise
 from shapes.depth_noise import with_surface_error
 from shapes.geometry.poses import matrices_of, poses_of
 
@@ -82,36 +80,26 @@ def parse_scene(
     joint = search_frames(
         (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, learned, config
     )
-    compared, start = joint.compared, joint.start
     rng = np.random.default_rng(np.asarray(jax.random.key_data(presence_key)))
     seen_noise = with_surface_error(noise, config.model_error_m)
-    sampled = partial(_sampled, rng, joint, objects, renderer, seen_noise, config, progress)
-    best = sampled(refine_key, chain_key, start)
+    sampler = _Sampler(rng, joint, objects, renderer, seen_noise, config, progress)
+    compared, start = joint.compared, joint.start
+    sampled = sampler.sampled(refine_key, chain_key, start)
     tell("weighing where objects may be out of sight")
-    hidden = _hidden(hidden_key, compared, objects, start, seen_noise, config)
+    hidden = sampler.hidden(hidden_key)
     tell("weighing which objects are there")
     presence = presence_in_scene(
-        rng, compared, joint.searched, objects, start, best.found, best.chains, hidden, config
+        rng, compared, joint.searched, objects, start, sampled.found, sampled.chains, hidden, config
     )
     if (presence.seen & ~start.found).any():
         in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera)
         tell("sampling the scene with what was added")
         refine_key, chain_key = jax.random.split(jax.random.key(int(rng.integers(2**31))))
-        best = sampled(refine_key, chain_key, start)
+        sampled = sampler.sampled(refine_key, chain_key, start)
+    numbers = np.asarray(frame_indices)
     scene = summarise(
-        rng,
-        best.chains,
-        best.found,
-        start,
-        best.visible_fraction,
-        best.colour_nats,
-        hidden,
-        presence,
-        compared.world_from_camera,
-        objects,
-        np.asarray(frame_indices),
-        config,
+        rng, sampled, start, hidden, presence, compared.world_from_camera, objects, numbers, config
     )
     return scene.in_camera(first_camera_from_camera[compared.searched])
 
@@ -120,53 +108,73 @@ def _untold(name: str) -> None:
     """Nobody wants to know."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Sampled:
-    """What chains tell of one scene.
+@dataclass(frozen=True, eq=False)
+class _Sampler:
+    """What is known of a scene after the search; attributes as of `parse_scene`.
 
     Attributes:
-        found: the objects that they looked at.
-        chains: their samples.
-        visible_fraction: (N,) of all objects.
-        colour_nats: (N,).
+        joint: the frames, and the best scene that they show.
+        renderer: of the objects.
+        noise: of the sensor and the surfaces together.
     """
 
-    found: FoundObjects
-    chains: SampledScenes
-    visible_fraction: NDArray[np.float64]
-    colour_nats: NDArray[np.float64]
+    rng: np.random.Generator
+    joint: JointStart
+    objects: Sequence[SceneObject]
+    renderer: ObjectRenderer
+    noise: DepthNoise
+    config: ParseConfig
+    progress: Progress | None
 
+    def sampled(self, refine_key: jax.Array, chain_key: jax.Array, start: Initialisation) -> Sampled:
+        """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
+        compared, found = self.joint.compared, FoundObjects.of(start.found)
+        chosen, mine = found.taken(self.objects), start.of_slots(found)
+        lines = np.stack([one.spin_line for one in chosen])
+        refined = refine_where_found(refine_key, self.joint, self.renderer, found, mine, self.noise, lines)
+        with jax.enable_x64(True):
+            chains = sample_posterior(chain_key, compared, chosen, mine, refined, self.config, self.progress)
+        nats = np.zeros(len(self.objects))
+        if compared.colours is not None:
+            seen = SeenColours(
+                compared.data,
+                compared.colours,
+                self.renderer,
+                self.objects,
+                found.indices,
+                mine.poses[found.present],
+                self.config.colour_weight,
+            )
+            nats[found.indices] = seen.log_factors()
+            turned = with_drawn_turns(self.rng, seen, compared.world_from_camera, chains.samples)
+            chains = replace(chains, samples=turned)
+        visible = found.spread(refined.visible_fraction[None], np.zeros((1, len(self.objects))))[0]
+        return Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
 
-def _sampled(
-    rng: np.random.Generator,
-    joint: JointStart,
-    objects: Sequence[SceneObject],
-    renderer: ObjectRenderer,
-    noise: DepthNoise,
-    config: ParseConfig,
-    progress: Progress | None,
-    refine_key: jax.Array,
-    chain_key: jax.Array,
-    start: Initialisation,
-) -> _Sampled:
-    """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
-    compared, found = joint.compared, FoundObjects.of(start.found)
-    chosen, their_start = found.taken(objects), start.of_slots(found)
-    lines = np.stack([one.spin_line for one in chosen])
-    refined = refine_where_found(refine_key, joint, renderer, found, their_start, noise, lines)
-    with jax.enable_x64(True):
-        chains = sample_posterior(chain_key, compared, chosen, their_start, refined, config, progress)
-    nats = np.zeros(len(objects))
-    if compared.colours is not None:
-        best = their_start.poses[found.present]
-        seen = SeenColours(
-            compared.data, compared.colours, renderer, objects, found.indices, best, config.colour_weight
+    def hidden(self, key: jax.Array) -> HiddenPlaces:
+        """Where objects may be out of sight beside those that the search found."""
+        compared, start = self.joint.compared, self.joint.start
+        world_from_camera = compared.world_from_camera
+        world_from_box = world_from_camera @ matrices_of(start.poses)
+        return hidden_places(
+            np.random.default_rng(np.asarray(jax.random.key_data(key))),
+            compared.views,
+            compared.camera_from_world,
+            [
+                Support(
+                    world_from_support=world_from_camera @ one.camera_from_table,
+                    half_size_m=one.half_size_m,
+                )
+                for one in carrying(compared.data.supports, self.objects, start)
+            ],
+            self.objects,
+            {
+                one: PlacedObject(shape=self.objects[one], world_from_box=world_from_box[one])
+                for one in np.flatnonzero(start.found).tolist()
+            },
+            self.noise,
+            self.config,
         )
-        nats[found.indices] = seen.log_factors()
-        turned = with_drawn_turns(rng, seen, compared.world_from_camera, chains.samples)
-        chains = replace(chains, samples=turned)
-    visible = found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0]
-    return _Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
 
 
 def _views(
@@ -185,33 +193,3 @@ def _views(
         replace(view, rgb=frame.rgb, rgb_known=frame.rgb_known)
         for view, frame in zip(views, frames, strict=True)
     ]
-
-
-def _hidden(
-    key: jax.Array,
-    compared: ComparedFrames,
-    objects: Sequence[SceneObject],
-    start: Initialisation,
-    noise: DepthNoise,
-    config: ParseConfig,
-) -> HiddenPlaces:
-    """Where objects may be out of sight; the scene is in the searched frame's camera."""
-    world_from_camera = compared.world_from_camera
-    world_from_box = world_from_camera @ matrices_of(start.poses)
-    return hidden_places(
-        np.random.default_rng(np.asarray(jax.random.key_data(key))),
-        compared.views,
-        compared.camera_from_world,
-        [
-            Support(world_from_support=world_from_camera @ one.camera_from_table, half_size_m=one.half_size_m)
-            for one in carrying(compared.data.supports, objects, start)
-        ],
-        compared.camera_from_world[0],
-        objects,
-        {
-            one: PlacedObject(shape=objects[one], world_from_box=world_from_box[one])
-            for one in np.flatnonzero(start.found).tolist()
-        },
-        noise,
-        config,
-    )

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.archive import load_fields, save_fields
+from shapes.archive import Archived
 from shapes.geometry.poses import matrices_of, poses_of
-
-FORMAT_VERSION = 7
 
 TABLE = "table"
 
@@ -19,7 +17,7 @@ FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SceneResult:
+class SceneResult(Archived):
     """Posterior over the scene of one recording, in the camera of the first depth frame used.
 
     N objects were looked for; those that were not found stay in the arrays, without a visible fraction. What
@@ -57,6 +55,8 @@ class SceneResult:
             they are certain.
     """
 
+    FORMAT_VERSION: ClassVar[int] = 7
+    TITLE: ClassVar[str] = "scene result"
     names: NDArray[np.str_]
     frames: NDArray[np.int64]
     camera_from_object: NDArray[np.float64]
@@ -143,21 +143,3 @@ class SceneResult:
             sample_poses=poses_of(camera_from_this @ matrices_of(self.sample_poses)),
             hidden_poses=poses_of(camera_from_this @ matrices_of(self.hidden_poses)),
         )
-
-    def save(self, path: str | Path) -> None:
-        """Write an npz file, whole or not at all; equal results give equal bytes.
-
-        Raises:
-            OSError: the folder cannot be written.
-        """
-        save_fields(path, self, format_version=FORMAT_VERSION)
-
-    @classmethod
-    def load(cls, path: str | Path) -> SceneResult:
-        """Read what `save` wrote.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: the file is damaged, or not a scene result of this format.
-        """
-        return cls(**load_fields(path, cls, format_version=FORMAT_VERSION, title="scene result"))

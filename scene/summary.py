@@ -36,13 +36,27 @@ LINKED = 1000
 MEAN_STEPS = 5
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampled:
+    """What chains tell of one scene.
+
+    Attributes:
+        found: the objects that they looked at.
+        chains: their samples.
+        visible_fraction: (N,) of all objects.
+        colour_nats: (N,).
+    """
+
+    found: FoundObjects
+    chains: SampledScenes
+    visible_fraction: NDArray[np.float64]
+    colour_nats: NDArray[np.float64]
+
+
 def summarise(
     rng: np.random.Generator,
-    chains: SampledScenes,
-    chosen: FoundObjects,
+    sampled: Sampled,
     start: Initialisation,
-    visible_fraction: NDArray[np.float64],
-    colour_nats: NDArray[np.float64],
     hidden: HiddenPlaces,
     presence: Presence,
     world_from_camera: NDArray[np.float64],
@@ -54,11 +68,8 @@ def summarise(
 
     Args:
         rng: random numbers.
-        chains: over the chosen objects.
-        chosen: which of all these are.
+        sampled: by chains.
         start: the best scene of all objects.
-        visible_fraction: (N,).
-        colour_nats: (N,).
         hidden: what is known of objects out of sight.
         presence: of all, but for those in `hidden` that were asked for exactly and are not in sight.
         world_from_camera: (4, 4).
@@ -66,7 +77,7 @@ def summarise(
         frames: numbers of the frames used.
         config: settings.
     """
-    samples, count = chains.samples, len(objects)
+    samples, chosen, count = sampled.chains.samples, sampled.found, len(objects)
     kept, runs = samples.log_posterior.shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(kept * runs, *leaf.shape[2:]), samples)
     flat = _of_all(flat, chosen)
@@ -94,8 +105,8 @@ def summarise(
         number_probabilities=presence.number,
         hidden_share=np.where(start.found, 0.0, hidden.share),  # moves may have put it in since
         hidden_poses=poses_of(np.linalg.inv(world_from_camera) @ hidden.poses @ box_from_object[:, None]),
-        visible_fraction=visible_fraction,
-        colour_nats=colour_nats,
+        visible_fraction=sampled.visible_fraction,
+        colour_nats=sampled.colour_nats,
         mode_poses=np.stack([one.centres for one in modes]) @ box_from_object[:, None],
         mode_probabilities=np.stack([one.shares for one in modes]),
         sample_modes=np.stack([one.labels for one in modes], axis=1),
@@ -106,7 +117,7 @@ def summarise(
         sample_log_posteriors=flat.log_posterior,
         chain=np.tile(np.arange(runs, dtype=np.int32), kept),
         acceptance=np.asarray(np.mean(flat.accepted), np.float64),
-        log_estimate_variance=np.asarray(chains.log_estimate_variance),
+        log_estimate_variance=np.asarray(sampled.chains.log_estimate_variance),
     )
 
 

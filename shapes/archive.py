@@ -7,16 +7,13 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 
 LARGEST_BYTES = 4 << 30
 """An archive whose arrays claim more than this is refused before memory is taken."""
@@ -71,41 +68,43 @@ def load_arrays(path: str | Path, *, largest_bytes: int = LARGEST_BYTES) -> dict
         raise ValueError(f"{path} is not a readable npz file: {error}") from error
 
 
-def save_fields(path: str | Path, value: DataclassInstance, *, format_version: int) -> None:
-    """Write a value whose fields are all arrays, as `load_fields` reads it.
+@dataclass(frozen=True, eq=False)
+class Archived:
+    """A value whose fields are all arrays, kept in a file under their names."""
 
-    Raises:
-        OSError: the folder cannot be written.
-    """
-    arrays = {field.name: getattr(value, field.name) for field in fields(value)}
-    save_arrays(path, {"format_version": format_version, **arrays})
+    FORMAT_VERSION: ClassVar[int]
+    """Of the file."""
+    TITLE: ClassVar[str]
+    """What messages call the value."""
+    OLDER_FORMATS: ClassVar[Mapping[int, Mapping[str, str]]] = MappingProxyType({})
+    """Those that are read, and what is called otherwise today."""
 
+    def save(self, path: str | Path) -> None:
+        """Write an npz file, whole or not at all; equal values give equal bytes.
 
-def load_fields(
-    path: str | Path,
-    kind: type[DataclassInstance],
-    *,
-    format_version: int,
-    title: str,
-    older: Mapping[int, Mapping[str, str]] | None = None,
-) -> dict[str, NDArray]:
-    """The fields of a value that `save_fields` wrote; `title` is what messages call it.
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        save_arrays(path, {"format_version": self.FORMAT_VERSION, **arrays})
 
-    Of `older` formats it says which of their names are called what today.
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read what `save` wrote.
 
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, of another format, or lacks a field.
-    """
-    arrays = load_arrays(path)
-    renamed = {format_version: {}, **(older or {})}.get(np.asarray(arrays.pop("format_version", 0)).item())
-    if renamed is None:
-        raise ValueError(f"{path} is not a {title} of format {format_version}")
-    arrays = {renamed.get(name, name): array for name, array in arrays.items()}
-    differing = {field.name for field in fields(kind)} ^ set(arrays)
-    if differing:
-        raise ValueError(f"{path} is not a {title}: {', '.join(sorted(differing))}")
-    return arrays
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file is damaged, of another format, or lacks a field.
+        """
+        arrays = load_arrays(path)
+        version = np.asarray(arrays.pop("format_version", 0)).item()
+        renamed = {cls.FORMAT_VERSION: {}, **cls.OLDER_FORMATS}.get(version)
+        if renamed is None:
+            raise ValueError(f"{path} is not a {cls.TITLE} of format {cls.FORMAT_VERSION}")
+        arrays = {renamed.get(name, name): array for name, array in arrays.items()}
+        if differing := {field.name for field in fields(cls)} ^ set(arrays):
+            raise ValueError(f"{path} is not a {cls.TITLE}: {', '.join(sorted(differing))}")
+        return cls(**arrays)
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:

@@ -7,8 +7,6 @@ one more start of the search, scored like every other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,40 +15,28 @@ from recordings.types import CameraIntrinsics, Frame
 POINT_STRIDE_PX = 4
 """Points enough for KISS-ICP's voxels: 19,200 of a 640 x 480 image."""
 
+VOXEL_M, MAX_RANGE_M = 0.05, 10.0
+"""Side of the map's voxels; farther points are left out."""
 
-@dataclass(frozen=True, kw_only=True)
-class OdometrySettings:
-    """KISS-ICP's own parameters, in metres.
-
-    Attributes:
-        voxel_m: side of the map's voxels.
-        max_range_m: farther points are left out.
-        initial_threshold_m: correspondence distance before any motion was seen.
-        least_motion_m: motion under which the threshold does not adapt.
-    """
-
-    voxel_m: float = 0.05
-    max_range_m: float = 10.0
-    initial_threshold_m: float = 0.2
-    least_motion_m: float = 0.01
+INITIAL_THRESHOLD_M, LEAST_MOTION_M = 0.2, 0.01
+"""Correspondence distance before any motion was seen; motion under which it does not adapt."""
 
 
 class KissOdometry:
     """KISS-ICP's state over one recording."""
 
-    def __init__(self, intrinsics: CameraIntrinsics, settings: OdometrySettings | None = None) -> None:
+    def __init__(self, intrinsics: CameraIntrinsics, voxel_m: float = VOXEL_M) -> None:
         """Before the first frame; threads are one, so that equal frames give equal poses."""
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
 
-        settings = settings or OdometrySettings()
         config = KISSConfig()
         config.data.deskew = False
-        config.data.max_range = settings.max_range_m
+        config.data.max_range = MAX_RANGE_M
         config.data.min_range = 0.1
-        config.mapping.voxel_size = settings.voxel_m
-        config.adaptive_threshold.initial_threshold = settings.initial_threshold_m
-        config.adaptive_threshold.min_motion_th = settings.least_motion_m
+        config.mapping.voxel_size = voxel_m
+        config.adaptive_threshold.initial_threshold = INITIAL_THRESHOLD_M
+        config.adaptive_threshold.min_motion_th = LEAST_MOTION_M
         config.registration.max_num_threads = 1
         self._intrinsics = intrinsics
         self._icp = KissICP(config)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,22 +12,16 @@ from numpy.typing import NDArray
 from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, DistortionField
 from recordings.sensor_profile import SensorProfile
 from recordings.types import CameraIntrinsics
-from shapes.archive import load_fields, save_fields
+from shapes.archive import Archived
 from shapes.geometry.pose_sets import cluster
 from shapes.geometry.poses import matrices_of
-
-FORMAT_VERSION = 5
-"""Of the file."""
-
-OLDER_FORMATS = {4: {"ess": "hypotheses"}}
-"""Those that are read, and what is called otherwise today."""
 
 COMPARED_FRAMES = 2000
 """50 MB while paths are told apart."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SlamResult:
+class SlamResult(Archived):
     """Posterior over the camera's trajectory. The reference frame is the first frame's camera.
 
     Attributes:
@@ -50,6 +45,9 @@ class SlamResult:
         camera: (6,) width, height, fx, fy, cx, cy of the images that the field is of, pixels.
     """
 
+    FORMAT_VERSION: ClassVar[int] = 5
+    TITLE: ClassVar[str] = "SLAM result"
+    OLDER_FORMATS: ClassVar[Mapping[int, Mapping[str, str]]] = {4: {"ess": "hypotheses"}}
     times_ns: NDArray[np.int64]
     draws: NDArray[np.float32]
     log_weights: NDArray[np.float64]
@@ -115,24 +113,3 @@ class SlamResult:
         compared = matrices_of(self.draws[:, found[:: -(-len(found) // COMPARED_FRAMES)]])
         shares = np.bincount(cluster(compared, weights), weights).astype(np.float64)
         return np.sort(shares)[::-1]
-
-    def save(self, path: str | Path) -> None:
-        """Write an npz file, whole or not at all; equal results give equal bytes.
-
-        Raises:
-            OSError: the folder cannot be written.
-        """
-        save_fields(path, self, format_version=FORMAT_VERSION)
-
-    @classmethod
-    def load(cls, path: str | Path) -> SlamResult:
-        """Read what `save` wrote.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: the file is damaged, or not a SLAM result of this format.
-        """
-        fields = load_fields(
-            path, cls, format_version=FORMAT_VERSION, title="SLAM result", older=OLDER_FORMATS
-        )
-        return cls(**fields)

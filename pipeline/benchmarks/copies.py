@@ -92,7 +92,7 @@ def table_of_copies(shapes: MeshSource, number: int, seed: int) -> tuple[PoseIma
     meshes |= {name: shapes.meshes[name] for name in others}
     scene = TableScene(objects=len(meshes), room=RoomConfig(kind="none"))
     film = film_table(meshes, scene, seed + number)
-    return filmed_image(ImageKey("table", 0, number), film, shapes), shape, count
+    return filmed_image(ImageKey("table", 0, number), film, shapes.meshes), shape, count
 
 
 def copies_figures(rows: Sequence[CopiesRow]) -> dict[str, Any]:

@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from pipeline.benchmarks.slam_cases import Case, Row, filmed
 from pipeline.synthesis.colours import muted_colour
+from pipeline.synthesis.paths import level_rotations
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.scenarios import CameraConfig
 from pipeline.synthesis.sensor import DepthSensor
 from pipeline.synthesis.solids import block, surface_of, union
 from pipeline.synthesis.world import Part
-from recordings.truth import SceneTruth
-from recordings.types import Trajectory
 
 LENGTH_M = 20.0
 """Once round, its corners not cut."""
@@ -61,15 +60,12 @@ def corridor(length_m: float, number: int, *, returns: bool, distortion_per_m: f
     walked = length_m + OVERRUN_M if returns else OPEN_SHARE * length_m
     poses = _path(side, np.arange(0.0, walked, STEP_M))
     camera = CameraConfig(width=160, height=120, fx=80.0 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2)))
-    recording = SyntheticRecording(
-        _parts(side, rng),
-        SceneTruth(objects=(), support_plane=None),
-        Trajectory(times_ns=STEP_NS * np.arange(len(poses)), reference_from_camera=poses),
-        camera.intrinsics,
-        DepthSensor(distortion_per_m=distortion_per_m),
-        number,
+    sensor = DepthSensor(distortion_per_m=distortion_per_m)
+    return filmed(
+        SyntheticRecording.of_surroundings(
+            _parts(side, rng), poses, camera.intrinsics, sensor, number, STEP_NS
+        )
     )
-    return filmed(recording)
 
 
 def _path(side_m: float, walked_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,16 +81,7 @@ def _path(side_m: float, walked_m: NDArray[np.float64]) -> NDArray[np.float64]:
     cosine, sine = np.cos(number * np.pi / 2), np.sin(number * np.pi / 2)
     poses = np.tile(np.eye(4), (len(walked_m), 1, 1))
     poses[:, 0, 3], poses[:, 1, 3], poses[:, 2, 3] = cosine * x - sine * y, sine * x + cosine * y, EYE_M
-    forward = np.stack(
-        [
-            np.cos(heading) * np.cos(PITCH_RAD),
-            np.sin(heading) * np.cos(PITCH_RAD),
-            0 * heading - np.sin(PITCH_RAD),
-        ],
-        axis=1,
-    )
-    right = np.stack([np.sin(heading), -np.cos(heading), 0 * heading], axis=1)
-    poses[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], axis=2)
+    poses[:, :3, :3] = level_rotations(heading, PITCH_RAD)
     return poses
 
 

@@ -1,20 +1,17 @@
 """The special configuration: cubes of 1 m in (1.5 m)^3, where chains change the graph all the time."""
 
-from collections.abc import Callable
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from scene.mcmc.edges import EdgeMove
-from scene.mcmc.involution import Move
-from scene.mcmc.kernel import Kernel, run_block, scene_kernel
+from scene.mcmc.kernel import Kernel, scene_kernel
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
 from scene.model.posterior import ChainState, Likelihood, NoData, SceneModel, start_chain
 from scene.model.prior import POSE_UNIFORMS, PosePrior, StructurePrior, WeightedTrees, sample_pose
-from scene.model.scene_graph import Bodies, SceneGraph, all_trees, floating_scene, tree_code
+from scene.model.scene_graph import Bodies, SceneGraph, floating_scene, tree_code
 
 
 def cube_model(
@@ -46,13 +43,12 @@ def cube_model(
 
 def cube_kernel(
     count: int,
-    structure: Move | None = None,
     *,
     prior_share: float = 0.6,
     candidates: int = 2,
     repeats: int = 4,
 ) -> Kernel:
-    """The production kernel, or another move of the graph, with walks as wide as the cubes."""
+    """The production kernel, with walks as wide as the cubes."""
     centres = jnp.tile(jnp.array([1.0, 0, 0, 0, 0, 0, 0]), (count, 1, 1))
     covariances = jnp.tile(jnp.diag(jnp.array([0.3, 0.3, 0.3, 0.8, 0.8, 0.8]) ** 2), (count, 1, 1, 1))
     mixture = PoseMixture.build(jnp.zeros((count, 1)), centres, covariances)
@@ -66,7 +62,7 @@ def cube_kernel(
         symmetries=Symmetries.none(count),
         candidates=candidates,
         repeats=repeats,
-        structure=structure or EdgeMove(),
+        structure=EdgeMove(),
     )
 
 
@@ -95,24 +91,3 @@ def start_chains(key: jax.Array, model: SceneModel, chains: int) -> ChainState:
 def code_of(state: ChainState) -> jax.Array:
     """The tree of a state."""
     return tree_code(state.scene.parents)
-
-
-def tree_frequencies(
-    key: jax.Array,
-    model: SceneModel,
-    kernel: Kernel,
-    *,
-    chains: int,
-    sweeps: int,
-    burn_in: int,
-    record: Callable[[ChainState], jax.Array] = code_of,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Share of sweeps (chains, T) that end in each of the trees (T, C), for each chain."""
-    movable = np.asarray(model.bodies.movable)
-    trees = all_trees(int(movable.sum()), table=not movable.all())
-    start_key, run_key = jax.random.split(key)
-    states = start_chains(start_key, model, chains)
-    _, codes, _ = run_block(run_key, states, model, kernel, sweeps, record)
-    codes = np.asarray(codes)[burn_in:]
-    tree_codes = np.asarray(jax.vmap(tree_code)(jnp.asarray(trees)))
-    return np.stack([(codes == code).mean(axis=0) for code in tree_codes], axis=1), trees

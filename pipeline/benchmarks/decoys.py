@@ -57,7 +57,7 @@ class DecoyRow:
 def judge_decoy(shapes: MeshSource, number: int, seed: int) -> DecoyRow | None:
     """The table of a number; None where too little is seen of what is asked for, or of the decoy."""
     table = film_decoy(shapes.meshes, number, seed)
-    image = filmed_image(ImageKey("decoy", 0, number), table.recording, shapes)
+    image = filmed_image(ImageKey("decoy", 0, number), table.recording, shapes.meshes)
     if any((one.visible_fraction or 0) < VISIBLE for one in image.objects):
         return None
     sought = sought_shape(shapes, table.shape, 0, seed)

@@ -9,13 +9,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.synthesis.colours import muted_colour
 from pipeline.synthesis.furniture import wall_piece
+from pipeline.synthesis.paths import level_rotations
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.scenarios import CameraConfig
 from pipeline.synthesis.sensor import DepthSensor
 from pipeline.synthesis.solids import block, surface_of, union
 from pipeline.synthesis.world import Part
-from recordings.truth import SceneTruth
-from recordings.types import Trajectory
 
 COLUMNS, ROWS = 5, 4
 """Of rooms; as many rows as are even, so that a round of all rooms closes."""
@@ -31,7 +30,6 @@ TURN_RAD, WALK_M = np.radians(1.0), 0.025
 """From frame to frame."""
 SMOOTHED_FRAMES = 10.0
 """Of the path: nobody stops at once."""
-FRAME_NS = 33_333_333
 FIELD_OF_VIEW_DEG = 70.0
 
 
@@ -39,13 +37,9 @@ def flat_film(frames: int, number: int) -> SyntheticRecording:
     """So many frames of 160 x 120, once through all rooms of the flat of that number, back to the first."""
     rng = np.random.default_rng([number, 77_005])
     camera = CameraConfig(width=160, height=120, fx=80.0 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2)))
-    return SyntheticRecording(
-        _parts(rng),
-        SceneTruth(objects=(), support_plane=None),
-        Trajectory(times_ns=FRAME_NS * np.arange(frames), reference_from_camera=_path(frames, rng)),
-        camera.intrinsics,
-        DepthSensor(),
-        number,
+    parts = _parts(rng)
+    return SyntheticRecording.of_surroundings(
+        parts, _path(frames, rng), camera.intrinsics, DepthSensor(), number
     )
 
 
@@ -85,10 +79,8 @@ def _path(frames: int, rng: np.random.Generator) -> NDArray[np.float64]:
     sway, nod = (np.sin(times / period + rng.uniform(0, 6)) for period in (170.0, 230.0))
     yaw, place = (gaussian_filter1d(one, SMOOTHED_FRAMES, axis=0, mode="nearest") for one in (yaw, place))
     pitch = np.radians(18.0) + np.radians(14.0) * nod
-    forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)], axis=1)
-    right = np.stack([np.sin(yaw), -np.cos(yaw), 0 * yaw], axis=1)
     poses = np.tile(np.eye(4), (len(yaw), 1, 1))
-    poses[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], axis=2)
+    poses[:, :3, :3] = level_rotations(yaw, pitch)
     poses[:, :2, 3], poses[:, 2, 3] = place, EYE_M + EYE_SWAY_M * sway
     return poses
 

@@ -5,28 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
 
-from pipeline.benchmarks.presence_figures import VISIBLE
+from pipeline.benchmarks.pose_images import ImageKey, PoseImage
+from pipeline.benchmarks.pose_methods import Parse
+from pipeline.benchmarks.pose_sources import filmed_image
+from pipeline.benchmarks.presence_figures import RIGHT_M, VISIBLE
 from pipeline.evaluation.intervals import wilson_interval
 from pipeline.meshes import vertex_rgb
-from pipeline.seeds import stage_key
 from pipeline.synthesis.filming import film_table
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paint import painted
 from pipeline.synthesis.paths import PathConfig
-from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import TableScene
-from pipeline.timing import timed
 from recordings.truth import TrueObject
-from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.objects.scene_object import SceneObject, scene_object
-from scene.parsing import parse_scene
 from scene.result import SceneResult
 
 PATTERN = {
@@ -44,8 +42,7 @@ INSIDE = 0.8
 """Of two that fit into each other, the smaller one's size."""
 PAIRS = 3
 """On a table."""
-NEAR_M = 0.01
-COLOURS = ("off", "add")
+COLOURS: tuple[Literal["off", "add"], ...] = ("off", "add")
 
 
 @dataclass(frozen=True)
@@ -128,12 +125,13 @@ def judge_table(number: int, seed: int) -> list[PairRow]:
     """What each parse says of the pairs of one table; those of which too little is seen are left out."""
     rng = np.random.default_rng([seed + number, 5])
     pairs = [_pair(shape, rng) for shape in rng.permutation(sorted(PATTERN)).tolist()[:PAIRS]]
-    film = _film([there for there, _ in pairs], seed + number)
+    image = _image([there for there, _ in pairs], number, seed)
     asked = [one.sought for pair in pairs for one in sorted(pair, key=lambda one: one.name)]
-    truth = {one.shape: one for one in film.truth.objects if (one.visible_fraction or 0) >= VISIBLE}
+    truth = {one.shape: one for one in image.objects if (one.visible_fraction or 0) >= VISIBLE}
     rows = []
     for parse in COLOURS:
-        scene, seconds = _parsed(film, asked, parse, seed)
+        config = ParseConfig(colour=parse, presence=0.5)
+        scene, timing = Parse(title=parse, config=config, seed=seed).parsed_objects(image, asked)
         presence = dict(zip(scene.names.tolist(), scene.presence.tolist(), strict=True))
         rows += [
             PairRow(
@@ -143,8 +141,8 @@ def judge_table(number: int, seed: int) -> list[PairRow]:
                 parse=parse,
                 presence=presence[there.name],
                 other=presence[other.name],
-                seconds=seconds,
-                **_apart(scene, film, truth[there.name]),
+                seconds=timing.seconds,
+                **_apart(scene, image, truth[there.name]),
             )
             for there, other in pairs
             if there.name in truth
@@ -163,30 +161,19 @@ def _kind(one: Variant) -> str:
     return "label" if PATTERN[one.shape] == "label" else "colour"
 
 
-def _film(there: Sequence[Variant], seed: int) -> SyntheticRecording:
+def _image(there: Sequence[Variant], number: int, seed: int) -> PoseImage:
     path = PathConfig(kind="handheld", frames=1, radius_m=0.8, elevations_deg=(40.0,))
     scene = TableScene(objects=len(there), room=RoomConfig(kind="none"), path=path)
-    return film_table({one.name: one.mesh for one in there}, scene, seed)
+    meshes = {one.name: one.mesh for one in there}
+    return filmed_image(ImageKey("table", 0, number), film_table(meshes, scene, seed + number), meshes)
 
 
-def _parsed(
-    film: SyntheticRecording, asked: Sequence[SceneObject], parse: str, seed: int
-) -> tuple[SceneResult, float]:
-    config = ParseConfig(colour="add" if parse == "add" else "off", presence=0.5)
-    key, poses = stage_key(seed, "parse"), np.eye(4)[None]
-    with timed() as timing:
-        scene = parse_scene(
-            key, [film.frame(0)], [0], poses, film.intrinsics, DepthNoise(), list(asked), config
-        )
-    return scene, timing.seconds
-
-
-def _apart(scene: SceneResult, film: SyntheticRecording, true: TrueObject) -> dict[str, float]:
+def _apart(scene: SceneResult, image: PoseImage, true: TrueObject) -> dict[str, float]:
     """Distance and rotation between where a thing was found and where it is."""
     found = dict(scene.found_poses)
     if true.shape not in found:
         return {"distance_m": float("inf"), "turn_rad": float(np.pi)}
-    pose = np.linalg.inv(film.trajectory.reference_from_camera[0]) @ true.world_from_object
+    pose = image.camera_from_world @ true.world_from_object
     between = np.linalg.inv(pose) @ found[true.shape]
     cosine = np.clip((np.trace(between[:3, :3]) - 1) / 2, -1, 1)
     return {"distance_m": float(np.linalg.norm(between[:3, 3])), "turn_rad": float(np.arccos(cosine))}
@@ -199,7 +186,7 @@ def lookalike_figures(rows: Sequence[PairRow]) -> dict[str, Any]:
         for parse in COLOURS:
             mine = [one for one in rows if (one.kind, one.parse) == (kind, parse)]
             right = [one for one in mine if one.name_right]
-            near = [one for one in right if one.distance_m < NEAR_M]
+            near = [one for one in right if one.distance_m < RIGHT_M]
             turns = [one.turn_rad for one in near if one.shape.startswith("can")]
             groups.append(
                 {

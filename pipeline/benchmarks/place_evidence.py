@@ -27,7 +27,7 @@ from scene.observation.segmentation import scene_data
 from scene.presence.births import born_near, distinct, solids_near
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.inference import MOST_SOLIDS
-from scene.presence.pose_priors import Burial, PosePriors
+from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import drawn_ensemble
 from scene.presence.size_prior import SizePrior
 from scene.presence.solid_proposals import proposed_solids
@@ -110,12 +110,9 @@ class PlaceEvidence:
     def _priors(self, count: int, camera_from_box: NDArray[np.float64]) -> PosePriors:
         """Of scenes with one of the places at most."""
         supports, objects = self.compared.data.supports[:1], [self.one] * count
-        table, world_from_camera = self.compared.data.table, self.compared.world_from_camera
-        space = prior_space(table, self._in_world(camera_from_box)[:, 4:])
-        sizes = SizePrior.of(objects, self.config.model_error_m)
+        space = prior_space(self.compared.data.table, self._in_world(camera_from_box)[:, 4:])
         prior = pose_prior(supports, space, self.config)
-        burial = Burial.under(table, world_from_camera, objects, self.config.loose_sigma_m)
-        return PosePriors.over(prior, sizes, supports, world_from_camera, 1, burial, self.config)
+        return PosePriors.over(prior, self.compared, supports, objects, 1, self.config)
 
     def _in_world(self, camera_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
         return poses_of(self.compared.world_from_camera @ camera_from_box)

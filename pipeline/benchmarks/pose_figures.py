@@ -12,13 +12,11 @@ import numpy as np
 from pipeline.benchmarks.paired_intervals import compared
 from pipeline.benchmarks.pose_images import ImageKey
 from pipeline.benchmarks.pose_rows import Judged
-from pipeline.benchmarks.presence_figures import VISIBLE, Reported, presence_figures
+from pipeline.benchmarks.presence_figures import RIGHT_M, VISIBLE, Reported, presence_figures
 from pipeline.evaluation.intervals import wilson_interval
 from pipeline.evaluation.object_poses import error_figures
 from pipeline.evaluation.trajectory_errors import LEVELS
 
-RIGHT_M = 0.01
-"""Errors under this count as right."""
 BIN_EDGES = (0.0, 0.05, 0.15, 0.25, 0.5, 0.75, 1.0)
 """Between the bins of the visible fraction."""
 TABLE_KIND = "table"

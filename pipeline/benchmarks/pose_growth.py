@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.benchmarks.pose_methods import Parse
 from pipeline.benchmarks.pose_sources import Tables
 from pipeline.benchmarks.poses import judgements
+from pipeline.benchmarks.presence_figures import RIGHT_M
 from pipeline.mesh_source import MeshSource
 
 GROWTH_TABLES = 3
@@ -31,5 +32,5 @@ def growth(shapes: MeshSource, method: Parse, most: int) -> Iterator[dict[str, A
             "objects": count,
             "seconds": float(np.median(seconds)),
             "compile_s": compile_s,
-            "under_1cm": float(np.mean(np.array(errors) < 0.01)) if errors else None,
+            "under_1cm": float(np.mean(np.array(errors) < RIGHT_M)) if errors else None,
         }

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.benchmarks.pose_rows import Judged
+from pipeline.benchmarks.presence_figures import RIGHT_M
 
 
 def image_line(found: Sequence[tuple[str, Sequence[Judged], float]]) -> str:
     """Of each method how many of an image's objects are right, in how many seconds."""
     cells, name = [], ""
     for method, rows, seconds in found:
-        right = sum(one.error_m < 0.01 for one in rows)
+        right = sum(one.error_m < RIGHT_M for one in rows)
         cells.append(f"{method} {right}/{len(rows)} in {seconds:.1f} s")
         name = str(rows[0].image) if rows else name
     return f"{name}: {'; '.join(cells)}" if name else "an image of which nothing is known"

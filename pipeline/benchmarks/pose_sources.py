@@ -5,12 +5,14 @@ A source is a few numbers and paths, so that any process makes or reads the same
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import trimesh
 
 from pipeline.benchmarks.bop_targets import bop_images, target_counts
 from pipeline.benchmarks.pose_images import ImageKey, PoseImage
@@ -75,7 +77,9 @@ class Tables:
         """The table of a number, the same at each call."""
         stacked_share = STACKED_SHARE if self.objects >= 1 / STACKED_SHARE else 0.0
         scene = TableScene(objects=self.objects, stacked_share=stacked_share, room=RoomConfig(kind="none"))
-        return filmed_image(key, film_table(self.shapes.meshes, scene, self.seed + key.im_id), self.shapes)
+        return filmed_image(
+            key, film_table(self.shapes.meshes, scene, self.seed + key.im_id), self.shapes.meshes
+        )
 
     def about(self) -> dict[str, Any]:
         """Objects, their number, and the seed."""
@@ -104,7 +108,7 @@ class ChallengingImages:
 
     def image(self, key: ImageKey) -> PoseImage:
         """The image of that kind and number."""
-        image = filmed_image(key, self.made_of.image(key.kind, key.im_id).recording, self.shapes)
+        image = filmed_image(key, self.made_of.image(key.kind, key.im_id).recording, self.shapes.meshes)
         sensor, usual = self.made_of.scene.sensor.noise, DepthNoise()
         told = replace(usual, sigma_base_m=sensor.sigma_base_m, sigma_growth_per_m=sensor.sigma_growth_per_m)
         return replace(image, noise=told)
@@ -140,7 +144,7 @@ class Worlds:
         """The world of a number."""
         others = self.others.meshes if self.others else {}
         world = film_world(self.shapes.meshes, others, self.scene, self.seed + key.im_id)
-        return replace(filmed_image(key, world.recording, self.shapes), absent=world.absent)
+        return replace(filmed_image(key, world.recording, self.shapes.meshes), absent=world.absent)
 
     def about(self) -> dict[str, Any]:
         """Objects, others, settings and the seed."""
@@ -196,7 +200,9 @@ def _images(root: Path, split: str) -> dict[tuple[int, int], Annotated]:
     return bop_images(root, split)
 
 
-def filmed_image(key: ImageKey, recording: SyntheticRecording, shapes: MeshSource) -> PoseImage:
+def filmed_image(
+    key: ImageKey, recording: SyntheticRecording, meshes: Mapping[str, trimesh.Trimesh]
+) -> PoseImage:
     """The first frame of a film."""
     return PoseImage(
         key=key,
@@ -204,7 +210,7 @@ def filmed_image(key: ImageKey, recording: SyntheticRecording, shapes: MeshSourc
         intrinsics=recording.intrinsics,
         truth=recording.truth,
         camera_from_world=np.linalg.inv(recording.trajectory.reference_from_camera[0]),
-        meshes=shapes.meshes,
+        meshes=meshes,
     )
 
 

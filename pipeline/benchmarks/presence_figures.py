@@ -11,6 +11,7 @@ import numpy as np
 BOUNDS = (0.05, 0.5, 0.9, 0.98)
 """Between the bins of presence."""
 RIGHT_M = 0.01
+"""Errors under this count as right."""
 VISIBLE = 0.25
 """Whether an object is there is not asked where less of it is seen."""
 

@@ -34,6 +34,8 @@ FIRST_TUNING_ROOM = 5_000
 LOST_M = np.inf
 NEAR_M = 0.02
 """What a user is not misled by."""
+MODE_REACH = 0.05, 0.05
+"""Metres and radians from the truth within which a path stays that is the true mode's."""
 
 Report = Callable[[int, int | None], None]
 Errors = dict[str, float]
@@ -99,9 +101,9 @@ def _told(result: SlamResult, case: Case) -> float:
     return float(((away < NEAR_M) | result.lost[1:] | (squared <= edge)).mean())
 
 
-def _holds_truth(result: SlamResult, case: Case, shift_m: float = 0.05, angle_rad: float = 0.05) -> bool:
+def _holds_truth(result: SlamResult, case: Case) -> bool:
     """Whether the path of some particle stays by the truth: a symmetric mode that was kept."""
-    near = within_reach(case.poses, result.trajectories, shift_m, angle_rad)
+    near = within_reach(case.poses, result.trajectories, *MODE_REACH)
     return bool(near.all(axis=1).any())
 
 

@@ -23,8 +23,7 @@ from recordings.importers.formats import import_recording
 from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
 from recordings.reading import open_recording
-from recordings.truth import SceneTruth
-from recordings.types import CameraIntrinsics, Frame, Trajectory
+from recordings.types import CameraIntrinsics, Frame
 from shapes.geometry.poses import orthonormalised
 from slam.config import SlamConfig
 
@@ -179,15 +178,8 @@ def _orbit(
         kind=kind, width_m=ROOM_M, depth_m=ROOM_M, size_spread=SIZE_SPREAD, off_centre_m=OFF_CENTRE_M
     )
     camera = CameraConfig(fx=160.0 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2)))
-    recording = SyntheticRecording(
-        room_parts(room, RADIUS_M, rng),
-        SceneTruth(objects=(), support_plane=None),
-        Trajectory(times_ns=33_333_333 * np.arange(frames), reference_from_camera=poses),
-        camera.intrinsics,
-        DepthSensor(),
-        number,
-    )
-    return filmed(recording)
+    parts = room_parts(room, RADIUS_M, rng)
+    return filmed(SyntheticRecording.of_surroundings(parts, poses, camera.intrinsics, DepthSensor(), number))
 
 
 def short_walk(number: int, distortion_per_m: float = 0.0) -> Case:
@@ -213,15 +205,8 @@ def filmed_in_furnished_room(
 ) -> Case:
     """What a camera of 160x120 at (T, 4, 4) sees of a room with things in it, drawn by `rng`."""
     room = RoomConfig(kind="furnished", width_m=ROOM_M, depth_m=ROOM_M)
-    recording = SyntheticRecording(
-        room_parts(room, radius_m, rng),
-        SceneTruth(objects=(), support_plane=None),
-        Trajectory(times_ns=33_333_333 * np.arange(len(poses)), reference_from_camera=poses),
-        CameraConfig(width=160, height=120).intrinsics,
-        sensor,
-        number,
-    )
-    return filmed(recording)
+    parts, camera = room_parts(room, radius_m, rng), CameraConfig(width=160, height=120)
+    return filmed(SyntheticRecording.of_surroundings(parts, poses, camera.intrinsics, sensor, number))
 
 
 def _object_views(count: int, number: int) -> Case:

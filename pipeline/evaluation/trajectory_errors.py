@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,13 +116,11 @@ def level_of(squared_distance: float, degrees_of_freedom: float) -> float:
     return float(stats.f.cdf(ratio, 6, degrees_of_freedom))
 
 
-def coverage(
-    squared: NDArray[np.float64], degrees_of_freedom: float, levels: Sequence[float] = LEVELS
-) -> dict[float, float]:
-    """Share of distances squared (T,) inside the regions of each nominal level."""
+def coverage(squared: NDArray[np.float64], degrees_of_freedom: float) -> dict[float, float]:
+    """Share of distances squared (T,) inside the regions of each of `LEVELS`."""
     return {
         level: float((squared <= largest_squared_distance(level, degrees_of_freedom)).mean())
-        for level in levels
+        for level in LEVELS
     }
 
 

@@ -14,6 +14,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, CameraIntrinsics
+from shapes.geometry.poses import transform_points
 from shapes.voxel_grid import VoxelGrid
 
 
@@ -43,7 +44,7 @@ def space_carving(margin_pitches: float, votes: int) -> VoxelMap:
 
     def build(views: PosedViews, grid: VoxelGrid) -> NDArray[np.float64]:
         seen_past = np.zeros(len(grid), np.int64)
-        centres = grid.centres_m @ grid.reference_from_grid[:3, :3].T + grid.reference_from_grid[:3, 3]
+        centres = transform_points(grid.reference_from_grid, grid.centres_m)
         size = (views.intrinsics.height, views.intrinsics.width)
         for depth, pose in zip(views.depths_m, views.reference_from_camera, strict=True):
             x, y, z = ((centres - pose[:3, 3]) @ pose[:3, :3]).T

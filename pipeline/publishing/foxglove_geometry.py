@@ -43,10 +43,10 @@ def set_pose(message: Any, pose: NDArray[np.float64]) -> None:
     set_quaternion(message.orientation, quaternions(pose))
 
 
-def set_colour(message: Any, rgb: ArrayLike, alpha: float = 1.0) -> None:
-    """Fill a message that has r, g, b and a, from (3,) of 0 to 255."""
+def set_colour(message: Any, rgb: ArrayLike) -> None:
+    """Fill a message that has r, g, b and a with an opaque colour, from (3,) of 0 to 255."""
     message.r, message.g, message.b = (float(channel) / 255 for channel in np.asarray(rgb))
-    message.a = alpha
+    message.a = 1.0
 
 
 def frame_transform(parent: str, child: str, parent_from_child: NDArray[np.floating]) -> FrameTransform:

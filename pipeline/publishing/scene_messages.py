@@ -30,6 +30,7 @@ from pipeline.publishing.values import RunValues
 from pipeline.surfaces import Surfaces
 from recordings.message_schemas import json_schema
 from scene.result import SceneResult
+from shapes.geometry.poses import transform_points
 
 LETTER_M = 0.02
 """Height of a label's letters, which can be read from two metres."""
@@ -100,7 +101,7 @@ def surface_points(values: RunValues, scene: SceneResult, surfaces: Surfaces) ->
         mesh = trimesh.Trimesh(surface.vertices_m, surface.faces, process=False)
         drawn = np.asarray(trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=0)[0])
         pose = values.reference_from_parsed @ scene.camera_from_object[one]
-        points.append(drawn @ pose[:3, :3].T + pose[:3, 3])
+        points.append(transform_points(pose, drawn))
         colours.append(np.tile(np.array(colour, np.uint8), (len(drawn), 1)))
     return point_cloud(REFERENCE, np.concatenate(points), np.concatenate(colours))
 

@@ -49,7 +49,7 @@ def lines(
     return _png(figure)
 
 
-def paths(named: Mapping[str, Points], label: str = "m") -> bytes:
+def paths(named: Mapping[str, Points]) -> bytes:
     """Paths (N, 3) in metres, seen along the direction in which the first of them extends least.
 
     The first, the one to compare with, is grey.
@@ -64,8 +64,8 @@ def paths(named: Mapping[str, Points], label: str = "m") -> bytes:
         axes.plot(*flat[0], "o", color=colour, markersize=4)
     axes.set_aspect("equal", adjustable="datalim")
     axes.xaxis.set_major_locator(MaxNLocator(6))
-    axes.set_xlabel(label)
-    axes.set_ylabel(label)
+    axes.set_xlabel("m")
+    axes.set_ylabel("m")
     if len(named) > 1:
         axes.legend(frameon=False, fontsize=8)
     return _png(figure)
@@ -83,17 +83,6 @@ def cloud(points_m: Points, rgb: NDArray[np.uint8] | None, path_m: Points | None
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x, m")
     axes.set_ylabel("z, m")
-    return _png(figure)
-
-
-def bars(values: Mapping[str, float], x_label: str, limit: float | None = None) -> bytes:
-    """Horizontal bars by name, the first on top."""
-    figure, axes = _new((SIZE_IN[0], 0.7 + 0.28 * max(len(values), 1)))
-    names = list(values)[::-1]
-    axes.barh(names, [values[name] for name in names], color=COLOURS[0], height=0.7)
-    if limit is not None:
-        axes.set_xlim(0, limit)
-    axes.set_xlabel(x_label)
     return _png(figure)
 
 

@@ -17,6 +17,7 @@ from pipeline.report.pictures import depth_pixels
 from pipeline.session import Session
 from pipeline.stages.learn import posed_frames
 from recordings.types import CameraIntrinsics, Frame
+from shapes.geometry.poses import transform_points
 from shapes.learning.config import LearnConfig
 from shapes.learning.distillation import select_views
 from shapes.learning.region import object_grid
@@ -75,7 +76,7 @@ def drawn(
     canvas = ImageDraw.Draw(image)
     corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
     points = corners * np.asarray(grid.shape) * grid.pitch_m
-    x, y, z = (points @ camera_from_grid[:3, :3].T + camera_from_grid[:3, 3]).T
+    x, y, z = transform_points(camera_from_grid, points).T
     z = np.maximum(z, NEAREST_M)
     seen = np.stack([intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy], axis=1)
     for one in range(8):

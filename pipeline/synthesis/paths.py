@@ -147,6 +147,16 @@ def _on_sphere(
     return centre_m + np.stack(np.broadcast_arrays(*offsets), axis=-1) * np.asarray(radius_m)[..., None]
 
 
+def level_rotations(
+    yaw_rad: NDArray[np.float64], pitch_rad: NDArray[np.float64] | float
+) -> NDArray[np.float64]:
+    """Rotations world_from_camera (T, 3, 3), z up, of cameras that look so far down and do not roll."""
+    ahead = np.cos(yaw_rad) * np.cos(pitch_rad), np.sin(yaw_rad) * np.cos(pitch_rad), -np.sin(pitch_rad)
+    forward = np.stack(np.broadcast_arrays(*ahead), axis=1)
+    right = np.stack([np.sin(yaw_rad), -np.cos(yaw_rad), 0 * yaw_rad], axis=1)
+    return np.stack([right, np.cross(forward, right), forward], axis=2)
+
+
 def _looking_at(positions_m: NDArray[np.float64], targets_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Upright cameras (T, 4, 4) at positions (T, 3) that look at targets: z forward, y down."""
     forward = targets_m - positions_m

@@ -16,6 +16,9 @@ from recordings.types import CameraIntrinsics, Damage, Frame, Trajectory
 CAMERA = (1 << 32) - 1
 """In place of a frame's number where what all frames share is drawn."""
 
+FRAME_NS = 33_333_333
+"""From frame to frame, at 30 a second."""
+
 
 class SyntheticRecording:
     """Frames of a synthetic world (the `Recording` protocol), drawn anew and alike at each iteration.
@@ -50,6 +53,20 @@ class SyntheticRecording:
         camera_key = jax.random.fold_in(self._key, CAMERA)
         self._depth_scale = sensor.drawn_scale(camera_key)
         self.disparity_per_m = sensor.drawn_distortion(jax.random.fold_in(camera_key, 1))
+
+    @classmethod
+    def of_surroundings(
+        cls,
+        parts: Sequence[Part],
+        poses: NDArray[np.float64],
+        intrinsics: CameraIntrinsics,
+        sensor: DepthSensor,
+        seed: int,
+        frame_ns: int = FRAME_NS,
+    ) -> SyntheticRecording:
+        """Seen from world_from_camera (T, 4, 4), none of the parts being an object of interest."""
+        trajectory = Trajectory(times_ns=frame_ns * np.arange(len(poses)), reference_from_camera=poses)
+        return cls(parts, SceneTruth(objects=(), support_plane=None), trajectory, intrinsics, sensor, seed)
 
     def __len__(self) -> int:
         """Number of frames."""

@@ -13,6 +13,7 @@ from pipeline.views.scene_view import found_places_m, graph_bounds
 from pipeline.views.timelines import ELAPSED
 from pipeline.views.trajectory_view import PLOTS
 from pipeline.views.truth_view import ERROR_PLOT
+from shapes.geometry.poses import transform_points
 from shapes.prior import ShapePrior
 
 BACKGROUND = (18, 20, 26)
@@ -117,7 +118,7 @@ def room_eye(values: RunValues) -> Eye | None:
     if values.scene is not None and values.surfaces is not None and values.scene.found.any():
         first_camera = values.reference_from_parsed
         corners = found_places_m(values.scene, values.surfaces, first_camera[:3, :3].T @ values.up)
-        focus = corners @ first_camera[:3, :3].T + first_camera[:3, 3]
+        focus = transform_points(first_camera, corners)
         cloud = cloud if len(cloud) else _inside(focus)
         wanted = np.concatenate([focus, path])
     elif values.shapes:
@@ -137,7 +138,7 @@ def _posed_box(values: RunValues, name: str) -> NDArray[np.float64]:
     """Corners (8, 3) of a learned shape's box in the reference frame."""
     shape = values.shapes[name]
     corners = np.stack(np.meshgrid(*_box_m(shape).T), axis=-1).reshape(-1, 3)
-    return corners @ shape.reference_from_grid[:3, :3].T + shape.reference_from_grid[:3, 3]
+    return transform_points(shape.reference_from_grid, corners)
 
 
 def _box_m(shape: ShapePrior) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from pipeline.room import RoomView
 from pipeline.views.rendered_depth import difference_rgb, rendered_views_mm
 from pipeline.views.timelines import set_times
 from pipeline.views.trajectory_view import THIN_WIDTH
+from shapes.geometry.poses import transform_points
 from shapes.prior import ShapePrior
 
 SPACING_NEIGHBOURS = 4
@@ -135,7 +136,7 @@ def _radii_m(values: RunValues, room: RoomView) -> NDArray[np.float32]:
             posed = values.reference_from_parsed @ pose
             one = values.surfaces.by_name[name]
             close_m = trimesh.remesh.subdivide_to_size(one.vertices_m, one.faces, BESIDE_OBJECTS_M)[0]
-            surface = close_m @ posed[:3, :3].T + posed[:3, 3]
+            surface = transform_points(posed, close_m)
             beside = KDTree(surface).query(room.points_m, distance_upper_bound=BESIDE_OBJECTS_M)[0]
             radii[np.isfinite(beside)] = RADIUS_AT_OBJECTS_M
     return radii

@@ -21,7 +21,7 @@ from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.views.labels import Flag
 from pipeline.views.trajectory_view import ENLARGED, THIN_WIDTH, quaternions_xyzw
 from scene.result import SceneResult
-from shapes.geometry.poses import matrices_of
+from shapes.geometry.poses import matrices_of, transform_points
 
 LETTER_PX, LINE_PX, PAD_PX = 8, 28, 12
 """Of the graph's nodes: width of a letter, height, and what their boxes add to the width."""
@@ -104,7 +104,7 @@ def found_places_m(scene: SceneResult, surfaces: Surfaces, up: NDArray[np.float6
         surface = surfaces.by_name[name]
         box = np.stack([surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)])
         eight = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
-        corners.append(eight @ pose[:3, :3].T + pose[:3, 3])
+        corners.append(transform_points(pose, eight))
         corners.append(corners[-1].mean(axis=0, keepdims=True) + ABOVE * surface.radius_m * up)
     return np.concatenate(corners)
 

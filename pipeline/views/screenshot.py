@@ -82,21 +82,21 @@ def shown(rrds: Sequence[Path], size: tuple[int, int], frame: int | None) -> Ite
         yield viewer
 
 
-def settled_picture(viewer: ViewerClient, view: str | None = None) -> bytes:
-    """A PNG of the whole window, or of a view, once images have arrived and pop-ups are gone."""
+def settled_picture(viewer: ViewerClient) -> bytes:
+    """A PNG of the whole window once images have arrived and pop-ups are gone."""
     deadline = time.monotonic() + SETTLE_S
-    before, image, paints = b"", _painted(viewer, view), 1
+    before, image, paints = b"", _painted(viewer), 1
     while (paints < FADING_PAINTS or image != before) and time.monotonic() < deadline:
-        before, image, paints = image, _painted(viewer, view), paints + 1
+        before, image, paints = image, _painted(viewer), paints + 1
     return image
 
 
-def _painted(viewer: ViewerClient, view: str | None) -> bytes:
+def _painted(viewer: ViewerClient) -> bytes:
     """A picture as it is now; the viewer gives up after 15 s, a busy machine may need longer."""
     deadline = time.monotonic() + PAINT_S
     while True:
         try:
-            return viewer.take_screenshot(view)
+            return viewer.take_screenshot()
         except TimeoutError as error:
             if time.monotonic() > deadline:
                 raise PipelineError(f"Rerun's viewer painted no picture in {PAINT_S:.0f} s") from error

@@ -133,19 +133,6 @@ class Segments:
     variance: NDArray[np.floating] | None
     unresolved: NDArray[np.floating] | None
 
-    @classmethod
-    def whole(
-        cls,
-        start: NDArray[np.int64],
-        colour: NDArray[np.floating],
-        lit: NDArray[np.floating],
-        is_known: NDArray[np.bool_],
-    ) -> Segments:
-        """Objects that fill all of their pixels."""
-        return cls(
-            start, colour, lit, is_known, np.ones((len(colour), 1)), np.zeros(colour.shape), None, None
-        )
-
     @property
     def owner(self) -> NDArray[np.int64]:
         """Object (P,) of each pixel."""

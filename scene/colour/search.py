@@ -303,16 +303,9 @@ class Searcher:
         """The same under another lamp."""
         return Searcher(replace(self.world, light=light), self.lattice.under(light))
 
-    def find(
-        self, image: NDArray[np.floating], table_colour: NDArray[np.floating] | None = None
-    ) -> FoundScene:
-        """The most probable scene of an image (H, W, C) in 0..1.
-
-        Args:
-            image: linear in light.
-            table_colour: (C,) of the empty table; None takes the image's median.
-        """
-        table = _Table(self.world, self.lattice, colour_image(self.world, image, table_colour))
+    def find(self, image: NDArray[np.floating]) -> FoundScene:
+        """The most probable scene of an image (H, W, C) in 0..1, linear in light, its median the table."""
+        table = _Table(self.world, self.lattice, colour_image(self.world, image))
         (best,) = table.weigh([(Scene.empty(), np.zeros((0, 3, 3)))])
         while (more := max([best, *table.added(best)], key=_evidence)) is not best:
             best = table.settled(more)
@@ -328,21 +321,20 @@ class Searcher:
 
 
 def find_under_any_lamp(
-    searcher: Searcher, image: NDArray[np.floating], table_colour: NDArray[np.floating] | None = None
+    searcher: Searcher, image: NDArray[np.floating]
 ) -> tuple[Searcher, FoundScene, LampShares]:
     """What is found under the searcher's lamp tells the lamp; the search is made again under the best one.
 
     Args:
         searcher: of any lamp.
         image: as `Searcher.find` takes it.
-        table_colour: likewise.
     """
-    found = searcher.find(image, table_colour)
+    found = searcher.find(image)
     if not len(found.best.scene):
         return searcher, found, LampShares.known(searcher.world.light)
-    view = colour_image(searcher.world, image, table_colour)
+    view = colour_image(searcher.world, image)
     lamps = LampShares.of(searcher.world, view, found.best.scene)
     if lamps.most_probable != searcher.world.light:
         searcher = searcher.under(lamps.most_probable)
-        found = searcher.find(image, table_colour)
+        found = searcher.find(image)
     return searcher, found, lamps

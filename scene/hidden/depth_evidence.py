@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics, DepthNoise
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.objects.scene_object import SceneObject
+from scene.observation.depth_view import unproject
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
+from shapes.geometry.poses import transform_points
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import ObjectLibrary, join
 from shapes.rendering.ray_casting import PosedObjects
@@ -52,7 +54,7 @@ class SeenImage:
 
     def middle_seen(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether world points (n, 3) project into the image."""
-        in_camera_m = points_m @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
+        in_camera_m = transform_points(self.camera_from_world, points_m)
         return project_into(self.camera, self.observed_m.shape, in_camera_m)
 
 
@@ -125,14 +127,9 @@ class DepthImages:
         """Measured points (P, 3) in the world, before what is known, that it does not explain."""
         points = []
         for image in self.images:
-            depth_m = image.observed_m
-            rows, columns = np.nonzero(np.asarray(_is_unexplained(self.noise, depth_m, image.rest_m)))
-            z_m = depth_m[rows, columns]
-            x_m = (columns - float(image.camera.cx)) / float(image.camera.fx) * z_m
-            y_m = (rows - float(image.camera.cy)) / float(image.camera.fy) * z_m
-            world_from_camera = np.linalg.inv(image.camera_from_world)
-            in_camera_m = np.stack([x_m, y_m, z_m], axis=1)
-            points.append(in_camera_m @ world_from_camera[:3, :3].T + world_from_camera[:3, 3])
+            unexplained = np.asarray(_is_unexplained(self.noise, image.observed_m, image.rest_m))
+            in_camera_m = unproject(image.observed_m, image.camera)[unexplained]
+            points.append(transform_points(np.linalg.inv(image.camera_from_world), in_camera_m))
         return np.concatenate(points)
 
     def log_ratios_behind(

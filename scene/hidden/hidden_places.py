@@ -77,7 +77,6 @@ def hidden_places(
     views: Sequence[SceneData],
     camera_from_world: NDArray[np.float64],
     supports: Sequence[Support],
-    first_from_world: NDArray[np.float64],
     objects: Sequence[SceneObject],
     placed: Mapping[int, PlacedObject],
     noise: DepthNoise,
@@ -88,9 +87,8 @@ def hidden_places(
     Args:
         rng: random numbers.
         views: one a frame.
-        camera_from_world: (F, 4, 4).
+        camera_from_world: (F, 4, 4); the region is told in the first camera.
         supports: on which objects can stand.
-        first_from_world: (4, 4) to the camera that the region is told in.
         objects: all N.
         placed: those found, in the world, by number.
         noise: of the sensor and the surfaces together.
@@ -104,7 +102,6 @@ def hidden_places(
         views=views,
         camera_from_world=camera_from_world,
         supports=tuple(supports),
-        first_from_world=first_from_world,
         noise=noise,
         config=config,
     )
@@ -144,7 +141,6 @@ class _Surroundings:
     views: Sequence[SceneData]
     camera_from_world: NDArray[np.float64]
     supports: tuple[Support, ...]
-    first_from_world: NDArray[np.float64]
     noise: DepthNoise
     config: ParseConfig
 
@@ -161,7 +157,7 @@ class _Surroundings:
         if self.supports:
             return RestingPoses(supports=self.supports, others=tuple(known), in_sight=images.seen), images
         low_m, high_m = np.array(self.config.region[:3]), np.array(self.config.region[3:])
-        world_from_first = np.asarray(np.linalg.inv(self.first_from_world), np.float64)
+        world_from_first = np.asarray(np.linalg.inv(self.camera_from_world[0]), np.float64)
         return EulerUniformPoses(low_m=low_m, high_m=high_m, world_from_cuboid=world_from_first), images
 
 

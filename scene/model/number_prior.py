@@ -27,28 +27,6 @@ class NumberPrior(Protocol):
 
 
 @dataclass(frozen=True)
-class FixedNumber:
-    """So many objects are there.
-
-    Attributes:
-        number: N_0.
-
-    Raises:
-        ValueError: there are fewer slots.
-    """
-
-    number: int
-
-    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
-        """Every set of that size."""
-        if not 0 <= self.number <= slots:
-            raise ValueError(f"{self.number} objects do not fit in {slots} slots")
-        table = np.full(slots + 1, -np.inf)
-        table[self.number] = -_log_sets(slots)[self.number]
-        return table
-
-
-@dataclass(frozen=True)
 class BinomialNumber:
     """Every slot holds its object independently (eq. 3 with one probability, eq. 4).
 
@@ -65,27 +43,6 @@ class BinomialNumber:
         """p^n (1 - p)^(slots - n)."""
         there = np.arange(slots + 1)
         return xlogy(there, self.presence) + xlog1py(slots - there, -self.presence)
-
-
-@dataclass(frozen=True)
-class PoissonNumber:
-    """N is Poisson, cut where the slots end.
-
-    Attributes:
-        mean: lambda.
-    """
-
-    mean: float
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.mean) and self.mean > 0):
-            raise ValueError(f"the mean number of objects must be positive, got {self.mean}")
-
-    def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
-        """lambda^n / n! over the number of sets, normalised."""
-        there = np.arange(slots + 1)
-        log_number = xlogy(there, self.mean) - gammaln(there + 1)
-        return log_number - np.logaddexp.reduce(log_number) - _log_sets(slots)
 
 
 @dataclass(frozen=True)

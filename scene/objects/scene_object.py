@@ -19,7 +19,8 @@ SURFACE_POINTS = 256
 DENSE_POINTS = 2**15
 """By which a turned surface is laid on itself: 1.7 mm apart on 0.1 square metres, a pitcher."""
 
-MOST_RESTS = 12
+MOST_RESTS, SLACK_M = 12, 0.003
+"""Ways in which an object can lie; corners so near to the support carry it, for surfaces are noisy."""
 
 LIBRARY_VOXELS = 2**18
 """Enough for a pitch of 1 to 3 mm on objects that fit in a hand."""
@@ -126,10 +127,10 @@ def scene_object(
     )
 
 
-def stable_rests(vertices_m: NDArray[np.float64], slack_m: float = 0.003) -> NDArray[np.float64]:
+def stable_rests(vertices_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Directions (R, 3) that can point down: the convex hull stands on a facet under its centre of mass.
 
-    Facets within `slack_m` of the supporting plane count as one, for rounded and noisy surfaces. Rests
+    Facets within `SLACK_M` of the supporting plane count as one, for rounded and noisy surfaces. Rests
     are at least 20 degrees apart, the steadiest first.
     """
     hull = ConvexHull(vertices_m)
@@ -139,7 +140,7 @@ def stable_rests(vertices_m: NDArray[np.float64], slack_m: float = 0.003) -> NDA
     rests: list[tuple[float, NDArray[np.float64]]] = []
     for down in _apart(normals, 6.0, 200):
         heights = corners @ down
-        area = _support_area(corners[heights > heights.max() - slack_m], down, centre)
+        area = _support_area(corners[heights > heights.max() - SLACK_M], down, centre)
         if area > 0:
             rests.append((area / (heights.max() - centre @ down), down))
     rests.sort(key=lambda rest: -rest[0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from scene.objects.symmetry import SPINS, leaves_alike, spins_freely, turns_about
@@ -44,7 +44,7 @@ class SurfaceColour:
     """Colours along a surface, in the box frame.
 
     Attributes:
-        values: (X, Y, Z, 3) float32 as `log_colour`; zero away from the surface.
+        values: (X, Y, Z, 3) float32 as `components_of_light`; zero away from the surface.
         origin_m: (3,) corner of voxel (0, 0, 0).
         pitch_m: edge of a voxel.
         is_known: False where the whole surface has one colour that nobody knows.
@@ -81,18 +81,8 @@ class SurfaceColour:
         return np.stack(chosen)
 
 
-def log_colour(rgb: ArrayLike, gamma: float) -> NDArray[np.float64]:
-    """Log light (..., 3) in `COMPONENTS` of stored colours (..., 3) in 0..255.
-
-    Args:
-        rgb: stored.
-        gamma: exponent by which stored values become light.
-    """
-    return components_of_light((np.asarray(rgb, np.float64) / 255) ** gamma)
-
-
 def components_of_light(light: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The same of light (..., 3) in 0..1."""
+    """Log light (..., 3) in `COMPONENTS` of light (..., 3) in 0..1."""
     return np.log(light + DARK) @ COMPONENTS.T
 
 

@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from shapes.geometry.poses import transform_points
+
 SPIN_SHARE = 0.7
 """Share of the points at the sides that are round, where an object has such a line."""
 
@@ -216,7 +218,7 @@ def spins_freely(points: NDArray[np.float64], line: NDArray[np.float64]) -> bool
 
 def leaves_alike(tree: KDTree, points: NDArray[np.float64], turn: NDArray[np.float64]) -> bool:
     """Whether a turn (4, 4) leaves the surface of points (P, 3), and of a tree of them, as it is."""
-    turned = points[:TESTED] @ turn[:3, :3].T + turn[:3, 3]
+    turned = transform_points(turn, points[:TESTED])
     return bool((tree.query(turned)[0] < NEAR_M).mean() >= ALIKE)
 
 

@@ -26,7 +26,6 @@ class SceneData:
         support_m: the window's depth of the nearest support; +inf beside all.
         rest_m: the same, but what was seen where no object may be.
         supports: planes on which objects can stand, that which carries most first.
-        region: least and greatest x, y, z, in the first frame's camera, where objects are; empty: anywhere.
         intrinsics: of the image.
         depth_m: the whole image.
         near: (H, W) bool, the image's pixels that may show an object.
@@ -41,7 +40,6 @@ class SceneData:
     support_m: NDArray[np.float32]
     rest_m: NDArray[np.float32]
     supports: tuple[SupportPlane, ...]
-    region: tuple[float, ...]
     intrinsics: CameraIntrinsics
     depth_m: NDArray[np.float32]
     near: NDArray[np.bool_]

@@ -23,6 +23,7 @@ from scene.observation.detection import SupportPlane, as_seen, given_support, jo
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import PixelWindow, window_of
 from scene.observation.standing import HIGHEST_M, LOWEST_M, MARGIN_M, Pieces, is_over, pieces_on
+from shapes.geometry.poses import transform_points
 
 VIEW_WIDTH = 320
 
@@ -98,7 +99,7 @@ def scene_views(
         else:
             own = _supports_of(image, seed, _seen_from(pose, support), region if number == 0 else ())
             others = [_in_camera(one, pose) for one in own]
-        supports = joined(supports, others, image.near_m @ pose[:3, :3].T + pose[:3, 3])
+        supports = joined(supports, others, transform_points(pose, image.near_m))
     views = []
     for number, (image, pose) in enumerate(zip(images, first_camera_from_camera, strict=True)):
         mine = [_in_camera(one, np.linalg.inv(pose)) for one in supports]
@@ -178,7 +179,7 @@ def _data_over(
     factor = max(1, round(intrinsics.width / VIEW_WIDTH))
     foreground = _near(depth_m)
     if region:
-        foreground &= _within(region, points @ first_from_camera[:3, :3].T + first_from_camera[:3, 3])
+        foreground &= _within(region, transform_points(first_from_camera, points))
     compact = np.ones(view.depth_m.shape, bool)
     if supports:
         surface = _surface_of_any(supports, view)
@@ -199,7 +200,6 @@ def _data_over(
         support_m=support_m,
         rest_m=np.where(no_object, window.depth_m, support_m),
         supports=tuple(supports),
-        region=region,
         intrinsics=intrinsics,
         depth_m=depth_m,
         near=foreground,

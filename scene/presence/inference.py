@@ -18,9 +18,8 @@ from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
 from scene.presence.births import born_near, distinct, sites_of, solids_near
 from scene.presence.depth_candidates import PresenceFrames
-from scene.presence.pose_priors import Burial, PosePriors
+from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import Presence, presence_posterior
-from scene.presence.size_prior import SizePrior
 from scene.presence.solid_proposals import proposed_solids
 from scene.presence.solids import SolidFits
 from scene.search.search_result import Initialisation
@@ -61,15 +60,11 @@ def presence_in_scene(
         config: settings.
     """
     draws = ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects)
-    sizes = SizePrior.of(objects, config.model_error_m)
-    frames = PresenceFrames(compared=compared, renderer=draws, log_half=sizes.log_half)
-    world_from_camera = compared.world_from_camera
     supports = carrying(compared.data.supports, objects, start)
-    burial = Burial.under(compared.data.table, world_from_camera, objects, config.loose_sigma_m)
-    given = sizes, supports, world_from_camera, len(objects), burial
-    priors = PosePriors.over(chains.model.prior, *given, config)
+    priors = PosePriors.over(chains.model.prior, compared, supports, objects, len(objects), config)
+    frames = PresenceFrames(compared=compared, renderer=draws, log_half=priors.sizes.log_half)
     every = [sites_of(start, one, PROPOSED_SITES) for one in range(len(objects))]
-    sites = [poses_of(world_from_camera @ matrices_of(one)) for one in every]
+    sites = [poses_of(compared.world_from_camera @ matrices_of(one)) for one in every]
     for slot, one in enumerate(found.indices):
         sites[one] = distinct(chains.samples.poses[-1, :, slot])
     lines = np.stack([one.spin_line for one in objects])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scene.config import ParseConfig
 from scene.execution import FAST_COMPILE
+from scene.likelihood.compared_frames import ComparedFrames
 from scene.mcmc.chain_model import half_sizes, slabs_under
 from scene.model.contact import TOP_FACE
 from scene.model.number_prior import UncertainBinomialNumber
@@ -50,17 +51,12 @@ class Burial:
     sigma_m: float
 
     @classmethod
-    def under(
-        cls,
-        table: SupportPlane | None,
-        world_from_camera: NDArray[np.float64],
-        objects: Sequence[SceneObject],
-        sigma_m: float,
-    ) -> Burial | None:
-        """Under the table that a camera (4, 4) sees; None without one."""
+    def under(cls, compared: ComparedFrames, objects: Sequence[SceneObject], sigma_m: float) -> Burial | None:
+        """Under the table that the searched frame shows; None without one."""
+        table = compared.data.table
         if table is None:
             return None
-        camera_from_world = np.linalg.inv(world_from_camera).astype(np.float64)
+        camera_from_world = np.linalg.inv(compared.world_from_camera).astype(np.float64)
         return cls(table=table, camera_from_world=camera_from_world, objects=objects, sigma_m=sigma_m)
 
     def log_prior(self, owners: NDArray[np.integer], poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -97,23 +93,22 @@ class PosePriors:
     def over(
         cls,
         prior: PosePrior,
-        sizes: SizePrior,
+        compared: ComparedFrames,
         supports: Sequence[SupportPlane],
-        world_from_camera: NDArray[np.float64],
+        objects: Sequence[SceneObject],
         most: int,
-        burial: Burial | None,
         config: ParseConfig,
     ) -> PosePriors:
-        """The priors of scenes of so many objects at most, on supports as a camera (4, 4) sees them."""
+        """The priors of scenes of so many of the objects at most, on supports in the searched frame."""
         return cls(
             prior=jax.device_get(prior),
-            sizes=sizes,
-            supports=slabs_under(supports, world_from_camera),
+            sizes=SizePrior.of(objects, config.model_error_m),
+            supports=slabs_under(supports, compared.world_from_camera),
             slab_half_m=half_sizes(supports),
             floating_weight=config.floating_weight if supports else 1.0,
             log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(most),
             grafts=config.graph == "infer",
-            burial=burial,
+            burial=Burial.under(compared, objects, config.loose_sigma_m),
         )
 
     def of(

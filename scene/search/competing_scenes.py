@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import DepthNoise
 from scene.copies import copies_among
 from scene.execution import map_parallel
 from scene.objects.scene_object import SceneObject
@@ -74,7 +73,7 @@ def polished_rivals(pools: PosePools, scene: NDArray[np.integer]) -> NDArray[np.
 
 
 def decided(
-    key: jax.Array, pools: PosePools, scene: NDArray[np.integer], first: int, noise: DepthNoise
+    key: jax.Array, pools: PosePools, scene: NDArray[np.integer], first: int
 ) -> tuple[PosePools, NDArray[np.integer]]:
     """The best of a scene and those that are about as good: they are refined to tell.
 
@@ -85,18 +84,14 @@ def decided(
         pools: of poses.
         scene: (N,) the best one.
         first: place of 1 + RIVALS poses that make room for the refined ones.
-        noise: of the sensor.
     """
     others, log_odds = rivals_of(pools, scene)
     close = [one for one in _closest(log_odds)[:RIVALS] if abs(log_odds[one]) < UNDECIDED]
     if not close:
         return pools, scene
-    noise = with_surface_error(noise, pools.config.search_error_m)
     scenes = list({one.tobytes(): one for one in [scene, *others[close]]}.values())
-    best = _refined(key, pools, scene, pools.placed(scene), scene < pools.absent, noise)
-    refined = np.stack(
-        [best] + [_refined_beside(key, pools, scene, best, one, noise) for one in scenes[1:]], 1
-    )
+    best = _refined(key, pools, scene, pools.placed(scene), scene < pools.absent)
+    refined = np.stack([best] + [_refined_beside(key, pools, scene, best, one) for one in scenes[1:]], 1)
     pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)
     scenes = [np.where(one < pools.absent, first + place, pools.absent) for place, one in enumerate(scenes)]
     log_densities = [float(_log_density(pools.layers, one)) for one in scenes]
@@ -110,12 +105,11 @@ def _refined_beside(
     best: NDArray[np.integer],
     best_poses: NDArray[np.float32],
     scene: NDArray[np.integer],
-    noise: DepthNoise,
 ) -> NDArray[np.float32]:
     """Poses (N, 7) of a scene, refined where it differs from the best scene, whose own are refined."""
     differs = scene != best
     poses = np.where(differs[:, None], pools.placed(scene), best_poses)
-    return _refined(key, pools, scene, poses, differs & (scene < pools.absent), noise)
+    return _refined(key, pools, scene, poses, differs & (scene < pools.absent))
 
 
 def _refined(
@@ -124,7 +118,6 @@ def _refined(
     scene: NDArray[np.integer],
     poses: NDArray[np.float32],
     moving: NDArray[np.bool_],
-    noise: DepthNoise,
 ) -> NDArray[np.float32]:
     """Poses (N, 7) of what a scene holds, those of the `moving` ones refined from given ones."""
     if not moving.any():
@@ -138,7 +131,7 @@ def _refined(
         log_gains=np.zeros((found.slots, 1)),
         log_alone=np.zeros((found.slots, 1)),
     )
-    lines = np.zeros((found.slots, 2, 3))
+    lines, noise = np.zeros((found.slots, 2, 3)), with_surface_error(pools.noise, pools.config.search_error_m)
     moves = found.present & moving[found.placed]
     refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, lines, moves)
     poses = poses.copy()

@@ -31,6 +31,7 @@ class PosePools:
         data: the frame.
         objects: what is looked for.
         renderer: of the same objects.
+        noise: of the sensor.
         config: settings.
         pixels: that are compared.
         poses: (N, K, 7) camera_from_box.
@@ -41,6 +42,7 @@ class PosePools:
     data: SceneData
     objects: Sequence[SceneObject]
     renderer: ObjectRenderer
+    noise: DepthNoise
     config: ParseConfig
     pixels: ComparedPixels
     poses: NDArray[np.float32]
@@ -65,6 +67,7 @@ class PosePools:
             data=data,
             objects=objects,
             renderer=renderer,
+            noise=noise,
             config=config,
             pixels=pixels,
             poses=np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), size, 1)),
@@ -107,12 +110,6 @@ class PosePools:
         """Which poses (n, 7) were turned to others that show another depth."""
         near = np.array([one.colour is not None and not one.colour.exact for one in self.objects])
         return np.flatnonzero(near[numbers] & (np.abs(turned - found).max(axis=1) > 1e-4)).tolist()
-
-    def without(self, one: int, places: NDArray[np.bool_]) -> PosePools:
-        """The pools with some poses (K,) of an object left out."""
-        log_alone = np.array(self.layers.log_alone)
-        log_alone[one, : self.absent][places] = -np.inf
-        return replace(self, layers=replace(self.layers, log_alone=jax.device_put(log_alone)))
 
     def _with_layers(
         self,

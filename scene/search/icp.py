@@ -20,6 +20,7 @@ DAMPING = (0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4)
 """Of the normal equations, in weights and weights m^2: what nothing constrains stays."""
 
 NORMAL_STEPS = 511
+"""Of a normal's component, kept in ten bits with its sign."""
 
 Vector = Any
 """Components x, y, z: three arrays of one shape."""

@@ -51,12 +51,16 @@ ALIVE = 30.0
 """Effective number of draws to which a turn is tempered."""
 
 FIRST_SIGMA = np.repeat([0.004, 0.05], 3)
+"""Standard deviations of offsets (metres) and turns (radians) in the first turn, ..."""
 
 LEAST_SIGMA = np.repeat([0.0001, 0.002], 3)
+"""... and those that are added to what draws tell, for few of them may lie in a plane."""
 
 WIDER = 1.15
+"""Factor of fitted standard deviations: proposals should reach beyond what they are fitted to."""
 
 BISECTIONS = 14
+"""Of the power to which weights are tempered: to 0.0001."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,18 +118,70 @@ class _Fits:
 
     def at(self, places: Any) -> _Fits:
         """Some of them."""
-        return _Fits(
-            owners=self.owners[places],
-            means=self.means[places],
-            factors=self.factors[places],
-            log_masses=self.log_masses[places],
-        )
+        return _Fits(**{name: leaf[places] for name, leaf in vars(self).items()})
 
     def behind(self) -> NDArray[np.float64]:
         """(J,) nats by which each is lighter than its owner's heaviest."""
         heaviest = np.full(self.owners.max() + 1, -np.inf)
         np.maximum.at(heaviest, self.owners, self.log_masses)
         return heaviest[self.owners] - self.log_masses
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """The frame on which N objects are refined.
+
+    Attributes:
+        data: the frame.
+        renderer: of these objects and others.
+        numbers: (N,) of the objects among the renderer's.
+        noise: of the sensor and the surfaces together.
+    """
+
+    data: SceneData
+    renderer: ObjectRenderer
+    numbers: NDArray[np.integer]
+    noise: DepthNoise
+
+    def without_each(
+        self, poses: NDArray[np.float64], found: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """Depth (N, H, W) of the scene without each object, and the share (N,) of each that is not hidden."""
+        depth = self.renderer.layers(self.numbers, poses, self.data.window)
+        depth = np.where(found[:, None, None], depth, np.float32(np.inf))
+        others = [np.delete(depth, one, axis=0).min(axis=0, initial=np.inf) for one in range(len(poses))]
+        rest_m = np.minimum(np.stack(others), self.data.rest_m)
+        covers = np.isfinite(depth)
+        shown = covers & (depth <= rest_m)
+        return rest_m.astype(np.float32), shown.sum(axis=(1, 2)) / np.maximum(covers.sum(axis=(1, 2)), 1)
+
+    def log_ratio(
+        self, owners: NDArray[np.intp], poses: NDArray[np.float64], rest_m: NDArray[np.float32]
+    ) -> NDArray[np.float64]:
+        """Log likelihood ratio (J, S) of the image with the owner (J,) at poses (J, S, 7) and without it."""
+        count, draws = poses.shape[:2]
+        places = np.repeat(owners.astype(np.int32), draws)
+        objects = np.asarray(self.numbers, np.int32)[places]
+        flat = poses.reshape(-1, 7).astype(np.float32)
+        window = self.data.window
+        evidence, posed = _posed_before_rests(
+            self.renderer, self.noise, window.camera, window.depth_m, rest_m, places, objects, flat
+        )
+        ratio = log_likelihood_ratio(self.renderer.library, self.noise, evidence, posed)
+        return ratio.astype(np.float64).reshape(count, draws)
+
+    def better_spins(self, start: Initialisation, lines: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Poses (M, 7) of each object that look better than the best scene's, spun about its line."""
+        spins = [np.zeros((0, 7)) for _ in lines]
+        lined = np.flatnonzero(lines[:, 0].any(axis=1) & start.found)
+        if not len(lined):
+            return spins
+        owners = np.resize(lined, TOGETHER * -(-len(lined) // TOGETHER))
+        poses = symmetric_restarts(start.poses[owners], lines[owners], DRAWS)
+        log_ratio = self.log_ratio(owners, poses, self.without_each(start.poses, start.found)[0])
+        for row, one in enumerate(lined.tolist()):
+            spins[one] = poses[row, better_restarts(log_ratio[row])]
+        return spins
 
 
 def refine(
@@ -153,49 +209,27 @@ def refine(
     count = len(start.poses)
     moving = start.found if moving is None else moving
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    spins = _better_spins(data, renderer, numbers, start, noise, lines)
-    fits = _first(start, spins)
+    frame = _Frame(data, renderer, numbers, noise)
+    fits = _first(start, frame.better_spins(start, lines))
     visible = np.zeros(count)
     for turn in range(TURNS):
         heaviest = np.array([_heaviest(fits, one) for one in range(count)])
-        rest_m, visible = _without_each(data, renderer, numbers, fits.means[heaviest], start.found)
+        rest_m, visible = frame.without_each(fits.means[heaviest], start.found)
         parts = []
         active = np.flatnonzero(moving[fits.owners])
-        for places in _batches(len(active), TOGETHER):
+        for places in _batches(len(active)):
             batch = fits.at(active[places])
             normal = rng.standard_normal((len(places), DRAWS, 6))
             normal[:, 0] = 0.0
             tangents = np.einsum("nij,nsj->nsi", batch.factors, normal)
             poses = np.asarray(_moved(batch.means, tangents), np.float64)
-            log_ratio = _log_ratio(data, renderer, numbers, batch.owners, poses, rest_m, noise)
+            log_ratio = frame.log_ratio(batch.owners, poses, rest_m)
             log_weights = PIXEL_WEIGHT * log_ratio + 0.5 * (normal**2).sum(axis=-1)
             parts.append(_fitted(batch, tangents, log_weights))
         fits = _put(fits, active, parts)
         if turn == 0:
             fits = fits.at(fits.behind() < HOPELESS)
     return _kept(fits, visible)
-
-
-def _better_spins(
-    data: SceneData,
-    renderer: ObjectRenderer,
-    numbers: NDArray[np.integer],
-    start: Initialisation,
-    noise: DepthNoise,
-    lines: NDArray[np.float64],
-) -> list[NDArray[np.float64]]:
-    """Poses (M, 7) of each object that look better than the best scene's, spun about its line."""
-    spins = [np.zeros((0, 7)) for _ in lines]
-    lined = np.flatnonzero(lines[:, 0].any(axis=1) & start.found)
-    if not len(lined):
-        return spins
-    owners = np.resize(lined, TOGETHER * -(-len(lined) // TOGETHER))
-    poses = symmetric_restarts(start.poses[owners], lines[owners], DRAWS)
-    rest_m, _ = _without_each(data, renderer, numbers, start.poses, start.found)
-    log_ratio = _log_ratio(data, renderer, numbers, owners, poses, rest_m, noise)
-    for row, one in enumerate(lined.tolist()):
-        spins[one] = poses[row, better_restarts(log_ratio[row])]
-    return spins
 
 
 def _first(start: Initialisation, spins: list[NDArray[np.float64]]) -> _Fits:
@@ -233,9 +267,9 @@ def _heaviest(fits: _Fits, one: int) -> int:
     return int(np.argmax(np.where(fits.owners == one, fits.log_masses, -np.inf)))
 
 
-def _batches(count: int, together: int) -> list[NDArray[np.intp]]:
-    """Places in equal batches, the last one filled up with the last place."""
-    return [np.minimum(first + np.arange(together), count - 1) for first in range(0, count, together)]
+def _batches(count: int) -> list[NDArray[np.intp]]:
+    """Places in batches of `TOGETHER`, the last one filled up with the last place."""
+    return [np.minimum(first + np.arange(TOGETHER), count - 1) for first in range(0, count, TOGETHER)]
 
 
 def _put(fits: _Fits, places: NDArray[np.intp], parts: list[_Fits]) -> _Fits:
@@ -300,44 +334,6 @@ def tempered(log_weights: NDArray[np.float64], least: float) -> NDArray[np.float
         middle = (low + high) / 2
         low, high = (middle, high) if alive(middle) >= least else (low, middle)
     return softmax(low * log_weights)
-
-
-def _without_each(
-    data: SceneData,
-    renderer: ObjectRenderer,
-    numbers: NDArray[np.integer],
-    poses: NDArray[np.float64],
-    found: NDArray[np.bool_],
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Depth (N, H, W) of the scene without each object, and the share (N,) of each that it does not hide."""
-    count = len(poses)
-    depth = renderer.layers(numbers, poses, data.window)
-    depth = np.where(found[:, None, None], depth, np.float32(np.inf))
-    others = [np.delete(depth, one, axis=0).min(axis=0, initial=np.inf) for one in range(count)]
-    rest_m = np.minimum(np.stack(others), data.rest_m)
-    covers = np.isfinite(depth)
-    shown = covers & (depth <= rest_m)
-    return rest_m.astype(np.float32), shown.sum(axis=(1, 2)) / np.maximum(covers.sum(axis=(1, 2)), 1)
-
-
-def _log_ratio(
-    data: SceneData,
-    renderer: ObjectRenderer,
-    numbers: NDArray[np.integer],
-    owners: NDArray[np.intp],
-    poses: NDArray[np.float64],
-    rest_m: NDArray[np.float32],
-    noise: DepthNoise,
-) -> NDArray[np.float64]:
-    """Log likelihood ratio (J, S) of the image with the owner (J,) at poses (J, S, 7) and without it."""
-    count, draws = poses.shape[:2]
-    places = np.repeat(owners.astype(np.int32), draws)
-    objects = np.asarray(numbers, np.int32)[places]
-    flat = poses.reshape(-1, 7).astype(np.float32)
-    camera, observed_m = data.window.camera, data.window.depth_m
-    evidence, posed = _posed_before_rests(renderer, noise, camera, observed_m, rest_m, places, objects, flat)
-    ratio = log_likelihood_ratio(renderer.library, noise, evidence, posed)
-    return ratio.astype(np.float64).reshape(count, draws)
 
 
 @jax.jit

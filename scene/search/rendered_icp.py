@@ -20,8 +20,10 @@ from scene.search.icp import ViewTable, align, look_up, rotated
 from shapes.geometry.camera import Camera
 
 ROUNDS, ITERATIONS = 4, 6
+"""Renderings of the scene, and iterations of ICP after each. Search effort."""
 
 FIRST_M, LAST_M = 0.006, 0.002
+"""Scales of the residuals in a round, first and last."""
 
 SELF_OCCLUSION_M = 0.008
 """A surface point that lies further behind what is rendered round its pixel is hidden."""

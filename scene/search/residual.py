@@ -13,6 +13,7 @@ from scene.search.hypotheses import PosePools
 from scene.search.search_round import log_gains
 
 UNEXPLAINED_M = 0.012
+"""Gap between a pixel's depth and all other objects' from which on it is unexplained."""
 
 AGREE_M, FITTING = 0.006, 0.85
 """Objects that fit what is seen of them less well are sought again, and explain nothing to the others: they

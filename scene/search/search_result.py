@@ -76,34 +76,22 @@ class Initialisation:
         if len(atoms) == len(starts):
             poses, log_weights = (_rows(atoms, name, rows) for name in ("poses", "log_weights"))
             of_atoms = replace(atoms[0], poses=poses, log_weights=log_weights)
-        poses, found, rivals, pools, log_gains, log_alone = (
-            _rows(starts, name, rows) for name in _OF_OBJECTS
-        )
-        return cls(
-            poses=poses,
-            found=found,
-            rivals=rivals,
-            pools=pools,
-            log_gains=log_gains,
-            log_alone=log_alone,
-            atoms=of_atoms,
-        )
+        return cls(**{name: _rows(starts, name, rows) for name in _OF_OBJECTS}, atoms=of_atoms)
 
     def of_slots(self, found: FoundObjects) -> Initialisation:
         """The best scene and its pools of some objects alone, in their slots."""
-        return Initialisation(
+        rows, atoms = found.placed, self.atoms
+        if atoms is not None:
+            atoms = replace(atoms, poses=atoms.poses[rows], log_weights=atoms.log_weights[rows])
+        return replace(
+            self,
             poses=found.poses(self.poses),
             found=found.present,
-            rivals=self.rivals[found.placed],
-            pools=self.pools[found.placed],
-            log_gains=self.log_gains[found.placed],
-            log_alone=self.log_alone[found.placed],
-            atoms=self.atoms
-            and replace(
-                self.atoms,
-                poses=self.atoms.poses[found.placed],
-                log_weights=self.atoms.log_weights[found.placed],
-            ),
+            rivals=self.rivals[rows],
+            pools=self.pools[rows],
+            log_gains=self.log_gains[rows],
+            log_alone=self.log_alone[rows],
+            atoms=atoms,
         )
 
 

@@ -36,15 +36,19 @@ ATOMS = 32
 """Of an object, that chains are offered."""
 
 ANCHORS, CENTRES = 192, 8
+"""Points on which visible ones of an object are put, and places for its middle. Search effort."""
 
 ANCHOR_SPACING_M = 0.012
+"""Edge of the cells of which each has one anchor at most."""
 
 CLUSTER_SCALES_M = (0.01, 0.02, 0.04)
+"""Of neighbourhoods: close things come apart at the least, sparse ones hang together at the greatest."""
 
 FEWEST_PIXELS = 10
 """Of a mask; else an object is sought on the whole foreground."""
 
 HOT, COLD, SWEEPS = 150.0, 2.0, 12
+"""First and last temperature of annealing, in nats, and its sweeps. Search effort."""
 
 PARTICLES, GROUPS = 4, 2
 """Annealed together, and how many groups of them."""

@@ -24,7 +24,7 @@ from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import PooledView, unproject
 from scene.observation.detection import SupportPlane
 from scene.search.support_table import SupportTable
-from shapes.geometry.poses import matrices_of
+from shapes.geometry.poses import matrices_of, transform_points
 
 UNKNOWN_CARRIER = 0.1
 """Odds of resting on something that is seen but not known against resting on what is. Chosen on five
@@ -126,7 +126,7 @@ def _undersides(objects: Sequence[SceneObject], table_from_box: NDArray[np.float
 def _heights(table: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heights (...) of points (..., 3) of the table's frame over it; 0 beside and below it."""
     beside = (np.abs(points_m[..., :2]) > table.half_size_m).any(axis=-1)
-    in_camera = points_m @ table.camera_from_table[:3, :3].T + table.camera_from_table[:3, 3]
+    in_camera = transform_points(table.camera_from_table, points_m)
     return np.where(beside, 0.0, np.maximum(table.heights(in_camera), 0.0))
 
 
@@ -221,7 +221,7 @@ def gaps_to_seen(
     heights_m = table.in_table_frame(unproject(depth_m, view.camera))[..., 2]
     down_m = STEP_M * (np.arange(STEPS) + 0.5)
     below_m = undersides_m[:, :, None] - down_m[:, None] * np.array([0.0, 0.0, 1.0])
-    in_camera = below_m @ table.camera_from_table[:3, :3].T + table.camera_from_table[:3, 3]
+    in_camera = transform_points(table.camera_from_table, below_m)
     rows, columns, inside = view.pixels(in_camera)
     seen_m, gaps_m = depth_m[rows, columns], undersides_m[:, :1, None, 2] - heights_m[rows, columns]
     told = inside & (below_m[..., 2] > 0) & (seen_m != NO_RETURN)

@@ -17,6 +17,7 @@ from scene.observation.depth_view import PooledView
 from scene.search.icp import Vector, ViewTable, align, dot, faces_camera, look_up, rotated
 
 TOLERANCE_M = 0.012
+"""Gap in depth at which the agreement of a point has fallen to about half; at twice that there is none."""
 
 COARSE = 0.15
 """Tolerance over an object's radius while orientations are tens of degrees off."""
@@ -32,6 +33,7 @@ HIDDEN = 0.4
 one point is seen would be as good as one that is seen whole."""
 
 FEW_POINTS = 16
+"""Of the surface, by which most hypotheses are told apart. Search effort."""
 
 TURNED_TOGETHER = 8
 """Orientations whose positions get their first sight in one kernel: starting it costs as much as one's."""
@@ -43,6 +45,7 @@ PER_ANCHOR, PER_CENTRE = 14, 32
 """Hypotheses that every place may put forward: a large face elsewhere must not crowd the right ones out."""
 
 SAME_PLACE_M = 0.015
+"""Poses nearer than this, and turned by less than the angle below, are one."""
 
 SAME_ANGLE_COSINE = 0.94
 """Cosine of 20 degrees."""
@@ -51,16 +54,22 @@ NEIGHBOURHOOD_M, CROWDING = 0.05, 0.04
 """Each chosen pose lowers the scores round it, for the pool to spread."""
 
 CANDIDATES = 128
+"""Poses of an object and round that are refined. Search effort."""
 
 ICP_MIDDLE_M, ICP_LAST_M = 0.01, 0.003
+"""Scales of residuals at the end of the coarse ICP and of the fine one."""
 
 COARSE_POINTS = 128
+"""Of the surface in the coarse ICP. Search effort."""
 
 SLIDING_ROUNDS = 2
+"""Of slides, ICP after each."""
 
 SLIDES_M = (-0.06, -0.04, -0.025, -0.015, -0.008, 0.008, 0.015, 0.025, 0.04, 0.06)
+"""Along each axis of the object's box."""
 
 COARSE_ITERATIONS, SETTLING_ITERATIONS, FINE_ITERATIONS = 7, 3, 10
+"""Of ICP: before slides, after each, and at last with all points. Search effort."""
 
 _CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
 """Which visible points are put on observed ones: places in the outline's bounding rectangle."""

@@ -51,14 +51,12 @@ class NoiseEstimate:
         noise: of the sensor density; that of missing returns where nothing is, is the usual one.
         correlation: of residuals.
         windows: smooth windows that told of it.
-        log_sigma_sd: by how much they differ in log sigma.
         depths_m: the nearest and farthest of them; 0 without any.
     """
 
     noise: DepthNoise
     correlation: ResidualCorrelation
     windows: float
-    log_sigma_sd: float
     depths_m: tuple[float, float]
 
 
@@ -71,28 +69,27 @@ def estimate_noise(windows: WindowResiduals, usual: DepthNoise | None = None) ->
     """
     usual = usual or DepthNoise()
     log_sigma = 0.5 * np.log(np.maximum(windows.square_m2, LEAST_SIGMA_M**2))
-    smooth, noise, spread = _mixture(log_sigma, windows.depth_m, usual)
+    smooth, noise = _mixture(log_sigma, windows.depth_m, usual)
     correlation, noise = _correlated(windows, smooth, noise)
     told = windows.depth_m[smooth > ASSURED]
     return NoiseEstimate(
         noise=replace(noise, **_rates(windows, smooth, usual)),
         correlation=correlation,
         windows=float(smooth.sum()),
-        log_sigma_sd=spread,
         depths_m=(float(told.min()), float(told.max())) if len(told) else (0.0, 0.0),
     )
 
 
 def _mixture(
     log_sigma: NDArray[np.float64], depth_m: NDArray[np.float64], usual: DepthNoise
-) -> tuple[NDArray[np.float64], DepthNoise, float]:
-    """Probability (n,) that windows are smooth, the noise of those, and the spread of their log sigmas.
+) -> tuple[NDArray[np.float64], DepthNoise]:
+    """Probability (n,) that windows are smooth, and the noise of those.
 
     Begins with the quarter of the windows that is calmest beside the usual sensor: bumps and edges only add.
     """
     smooth = np.ones(len(log_sigma))
     if not len(log_sigma):
-        return smooth, usual, LEAST_SPREAD
+        return smooth, usual
     beside = log_sigma - np.log(standard_deviation(usual, depth_m))
     noise, spread, share = _scaled(usual, float(np.exp(np.quantile(beside, 0.25)))), 0.3, 0.5
     for _ in range(ITERATIONS):
@@ -104,7 +101,7 @@ def _mixture(
         squares = (smooth * error**2).sum() + SPREAD_WINDOWS * USUAL_SPREAD**2
         spread = max(float(np.sqrt(squares / (smooth.sum() + SPREAD_WINDOWS))), LEAST_SPREAD)
         share = float(np.clip(smooth.mean(), 0.01, 0.99))
-    return smooth, noise, spread
+    return smooth, noise
 
 
 def _fitted(

@@ -22,7 +22,6 @@ from shapes.geometry.vectors import transform
 __all__ = [
     "matrices_of",
     "orthonormalised",
-    "pose_from_matrix",
     "poses_of",
     "wxyz_from_xyzw",
     "xyzw_from_wxyz",
@@ -39,11 +38,6 @@ def wxyz_from_xyzw(xyzw: Array) -> Array:
 def xyzw_from_wxyz(wxyz: Array) -> Array:
     """Quaternions (..., 4) from our order to that of ROS, TUM and SciPy."""
     return wxyz[..., [1, 2, 3, 0]]
-
-
-def pose_from_matrix(matrix: jax.typing.ArrayLike) -> jaxlie.SE3:
-    """Pose of a 4x4 rigid transform (..., 4, 4)."""
-    return jaxlie.SE3.from_matrix(jnp.asarray(matrix))
 
 
 def matrices_of(poses: jax.Array | NDArray[np.floating]) -> NDArray[np.float64]:
@@ -73,6 +67,13 @@ def compose(first: jax.Array, second: jax.Array) -> jax.Array:
     """The pose a_from_c of a_from_b and b_from_c."""
     product = (jaxlie.SE3(first) @ jaxlie.SE3(second)).wxyz_xyz
     return jnp.concatenate([product[:4] / jnp.linalg.norm(product[:4]), product[4:]])
+
+
+def transform_points(
+    target_from_source: NDArray[np.floating], points: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Points (..., 3) of a source where a rigid transform (4, 4) puts them, on the host."""
+    return points @ target_from_source[:3, :3].T + target_from_source[:3, 3]
 
 
 def transformed(pose: jax.Array, points: jax.Array) -> jax.Array:

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.archive import load_fields, save_fields
+from shapes.archive import Archived
 from shapes.learning.occupancy import Occupancy
 from shapes.surfels import Surfels
 
-FORMAT_VERSION = 2
 MASKS = ("phi", "seen", "hidden")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LearnCheckpoint:
+class LearnCheckpoint(Archived):
     """What the first D of the drawn trajectories say of all N voxels of the grid; fields as of `Occupancy`.
 
     Attributes:
@@ -30,6 +29,8 @@ class LearnCheckpoint:
         surfel_normal: (S, 3).
     """
 
+    FORMAT_VERSION: ClassVar[int] = 2
+    TITLE: ClassVar[str] = "checkpoint of learning"
     phi: NDArray[np.float64]
     seen: NDArray[np.bool_]
     hidden: NDArray[np.bool_]
@@ -62,21 +63,3 @@ class LearnCheckpoint:
             )
             for one in range(len(self.phi))
         ]
-
-    def save(self, path: Path) -> None:
-        """Write it, whole or not at all.
-
-        Raises:
-            OSError: the folder cannot be written.
-        """
-        save_fields(path, self, format_version=FORMAT_VERSION)
-
-    @classmethod
-    def load(cls, path: Path) -> LearnCheckpoint:
-        """Read what `save` wrote.
-
-        Raises:
-            FileNotFoundError: there is none.
-            ValueError: the file is damaged.
-        """
-        return cls(**load_fields(path, cls, format_version=FORMAT_VERSION, title="checkpoint of learning"))

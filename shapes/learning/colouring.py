@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from recordings.types import NO_RETURN, CameraIntrinsics, Frame
+from shapes.geometry.poses import transform_points
 from shapes.voxel_grid import VoxelGrid
 
 AT_SURFACE_PITCHES = 1.5
@@ -66,7 +67,7 @@ def voxel_colours(
 ) -> NDArray[np.uint8] | None:
     """Colour (I, J, K, 3) of the nearest occupied voxel that was seen in colour; None if there is none."""
     surface = np.flatnonzero(occupied.ravel())
-    points = grid.centres_m[surface] @ grid.reference_from_grid[:3, :3].T + grid.reference_from_grid[:3, 3]
+    points = transform_points(grid.reference_from_grid, grid.centres_m[surface])
     sums = ColourSums(points, at_surface_m=AT_SURFACE_PITCHES * grid.pitch_m)
     for frame, pose in zip(frames, reference_from_camera, strict=True):
         sums.add(frame, intrinsics, pose)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from shapes.geometry.camera import Camera
+from shapes.geometry.poses import transform_points
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
 from shapes.learning.local_planes import LocalPlanes, local_planes
@@ -260,7 +261,7 @@ def _image_box(
     extent = np.asarray(grid.shape) * grid.pitch_m
     corners = np.stack(np.meshgrid(*([0.0, side] for side in extent)), axis=-1).reshape(-1, 3)
     camera_from_grid = np.linalg.inv(reference_from_camera) @ grid.reference_from_grid
-    x, y, z = (corners @ camera_from_grid[:3, :3].T + camera_from_grid[:3, 3]).T
+    x, y, z = transform_points(camera_from_grid, corners).T
     size = np.asarray([intrinsics.width, intrinsics.height])
     if z.max() <= 0:
         return None

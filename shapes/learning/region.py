@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from recordings.types import NO_RETURN, CameraIntrinsics
+from shapes.geometry.poses import transform_points
 from shapes.learning.config import LearnConfig
 from shapes.learning.support_plane import INLIER_M, Plane, fit_plane, planes_below
 from shapes.voxel_grid import VoxelGrid
@@ -261,7 +262,7 @@ def _cloud(
     thinned = depth_m[::stride, ::stride]
     rows, columns = np.nonzero(thinned != NO_RETURN)
     points = intrinsics.rays(stride * columns, stride * rows) * thinned[rows, columns, None]
-    return points @ pose[:3, :3].T + pose[:3, 3]
+    return transform_points(pose, points)
 
 
 def _averaged(points_m: NDArray[np.float64]) -> NDArray[np.float64]:

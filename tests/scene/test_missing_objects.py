@@ -135,8 +135,8 @@ def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Arr
 
     with jax.enable_x64(False):
         both = pools(seed, [moved(0, 0, 0.05), on_the_drum()], can_beside=can_beside)
-        before, scene = compare_refined(key, both, np.array([FIRST, FIRST]), NOISE)
-        after, found = search_missing(key, cast("SearchRound", search_round), before, scene, NOISE)
+        before, scene = compare_refined(key, both, np.array([FIRST, FIRST]))
+        after, found = search_missing(key, cast("SearchRound", search_round), before, scene)
 
     assert (scene < before.absent).tolist() == [False, True]
     assert asked[0] == {CAN: True}

@@ -76,7 +76,7 @@ def test_a_page_escapes_what_it_is_told_and_loads_nothing() -> None:
     page = Page("<b>")
     page.chapter("a & b")
     page.table(["", "<i>"], [["x", "1 < 2"]])
-    page.pictures({'"caption"': charts.bars({"a": 1.0}, "share")})
+    page.pictures({'"caption"': charts.lines(np.arange(2.0), {"a": np.arange(2.0)}, "frame", "share")})
     reader = read(page.html())
     assert {"<b>", "a & b", "<i>", "1 < 2", '"caption"'} <= set(reader.texts)
     assert [address.split(",")[0] for address in reader.loaded] == ["data:image/png;base64"]

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import logsumexp
 
@@ -48,15 +49,24 @@ def test_what_was_clipped_counts_for_all_beyond(rendered: float) -> None:
     assert inside + ends == pytest.approx(1 + 0.1 * 2 / 256, abs=1e-6)
 
 
+def whole(
+    start: NDArray[np.int64],
+    colour: NDArray[np.floating],
+    lit: NDArray[np.floating],
+    is_known: NDArray[np.bool_],
+) -> Segments:
+    """Objects that fill all of their pixels."""
+    share, base = np.ones((len(colour), 1)), np.zeros(colour.shape)
+    return Segments(start, colour, lit, is_known, share, base, None, None)
+
+
 def test_clipped_pixels_bound_the_albedo(seed: int) -> None:
     """Evidence with pixels over 1 is that of the sum over 20,000 albedos."""
     noise = ColourNoise()
     rng = np.random.default_rng(seed)
     shade = rng.uniform(0.6, 1.0, 40)
     colour = 1.1 * shade[:, None] + noise.sigma * rng.standard_normal((40, 1))
-    segments = Segments.whole(
-        np.array([0, 40]), np.where(colour > 1, np.inf, colour), shade[:, None], UNKNOWN
-    )
+    segments = whole(np.array([0, 40]), np.where(colour > 1, np.inf, colour), shade[:, None], UNKNOWN)
     grid = np.linspace(noise.albedo_mean - 2.4, noise.albedo_mean + 2.4, 20_001)
     logs = log_density(segments.colour, shade[:, None] * grid, noise).sum(axis=0)
     logs += stats.norm.logpdf(grid, noise.albedo_mean, noise.albedo_sd)
@@ -84,7 +94,7 @@ def pixels(rng: np.random.Generator, counts: list[int], noise: ColourNoise) -> S
     albedo = np.clip(rng.normal(0.5, 0.3, (len(counts), 3)), 0.02, 1)
     rendered = shade[:, None] * np.repeat(albedo, counts, axis=0)
     is_known = np.zeros(len(counts), np.bool_)
-    return Segments.whole(start, sample(rng, rendered, noise), shade[:, None], is_known)
+    return whole(start, sample(rng, rendered, noise), shade[:, None], is_known)
 
 
 @pytest.mark.parametrize("outlier", [0.01, 0.05, 0.2])
@@ -163,7 +173,7 @@ def test_gains_of_known_colours_are_integrated_out_exactly(seed: int) -> None:
     lit = rng.uniform(0.02, 1, (start[-1], 3))
     gain = np.exp(rng.normal(0, noise.gain_sd, (len(counts), 3)))
     colour = sample(rng, lit * np.repeat(gain, counts, axis=0), noise)
-    segments = Segments.whole(start, colour, lit, np.ones(len(counts), np.bool_))
+    segments = whole(start, colour, lit, np.ones(len(counts), np.bool_))
     grid = np.linspace(-8 * noise.gain_sd, 8 * noise.gain_sd, 20_001)
     expected = []
     for first, last in pairwise(start):
@@ -180,7 +190,7 @@ def test_the_fitted_albedo_is_that_of_most_pixels(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shade = rng.uniform(0.4, 1, 300)
     colour = sample(rng, shade[:, None] * np.array([0.2, 0.5, 0.9]), noise)
-    segments = Segments.whole(np.array([0, 300]), colour, shade[:, None], UNKNOWN)
+    segments = whole(np.array([0, 300]), colour, shade[:, None], UNKNOWN)
     found = fit(segments, noise)
 
     assert (np.abs(found.factor - [0.2, 0.5, 0.9]) * np.sqrt(found.precision) < 5).all()
@@ -193,7 +203,7 @@ def test_objects_without_pixels_have_no_evidence() -> None:
     """Zero, between others too."""
     noise = ColourNoise()
     start = np.array([0, 0, 2, 2])
-    segments = Segments.whole(start, np.full((2, 3), 0.4), np.ones((2, 1)), np.zeros(3, np.bool_))
+    segments = whole(start, np.full((2, 3), 0.4), np.ones((2, 1)), np.zeros(3, np.bool_))
 
     assert albedo_evidence(segments, noise)[[0, 2]] == pytest.approx([0, 0], abs=1e-6)
     assert laplace_evidence(segments, noise)[0][[0, 2]].tolist() == [0, 0]

@@ -99,7 +99,6 @@ def _places(placed: dict[int, PlacedObject], seed: int) -> HiddenPlaces:
         scene_views([depth_m], np.eye(4)[None], camera, 0, (), ()),
         CAMERA_FROM_TABLE[None],
         [TABLE],
-        CAMERA_FROM_TABLE,
         [box("screen", SCREEN_M), box("cube", CUBE_M)],
         placed,
         DepthNoise(outlier_probability=0.1),

@@ -9,7 +9,7 @@ import pytest
 
 from recordings.types import CameraIntrinsics
 from scene.likelihood.colour_density import GAIN_SD, WRONG, ColourDensity, log_unknown, window_colours
-from scene.objects.surface_colour import COMPONENTS, DARK, log_colour
+from scene.objects.surface_colour import COMPONENTS, DARK, components_of_light
 from scene.observation.pixel_window import window_of
 
 GAIN = jnp.asarray(GAIN_SD)
@@ -152,7 +152,7 @@ def test_gain_of_the_light_is_added(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rgb = rng.integers(120, 200, (5, 3))
     light = (rgb / 255) ** 2.2
-    moved = np.log(light * [1.2, 0.9, 0.8] + DARK) @ COMPONENTS.T - log_colour(rgb, 2.2)
+    moved = np.log(light * [1.2, 0.9, 0.8] + DARK) @ COMPONENTS.T - components_of_light((rgb / 255) ** 2.2)
     assert moved == pytest.approx(np.tile(np.log([1.2, 0.9, 0.8]) @ COMPONENTS.T, (5, 1)), abs=0.02)
 
 
@@ -169,4 +169,4 @@ def test_clipped_pixels_are_not_known() -> None:
     assert not known[40, 40]
     assert not known[41, 40]
     assert known[42, 40]
-    assert colours[42, 42] == pytest.approx(log_colour(np.full(3, 100), 2.2), abs=1e-6)
+    assert colours[42, 42] == pytest.approx(components_of_light((np.full(3, 100) / 255) ** 2.2), abs=1e-6)

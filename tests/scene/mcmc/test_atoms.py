@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains, tree_frequencies
+from pipeline.benchmarks.cubes import cube_kernel, cube_model, start_chains
 from scene.masks.convolution import FlatGrid, scores_in
 from scene.masks.grid import FREE, STEPS, EvidenceGrid
 from scene.masks.proposal import log_boltzmann
@@ -30,6 +30,7 @@ from scene.mcmc.walks import WalkMove
 from scene.model.posterior import ChainState, SceneModel
 from scene.model.scene_graph import ROOT
 from shapes.geometry.rotation_densities import uniform_rotation
+from tests.scene.mcmc.tree_frequencies import tree_frequencies
 from tests.statistical import assert_frequencies, assert_mean
 
 HERE = jnp.array([1.0, 0, 0, 0, 0, 0, 0])

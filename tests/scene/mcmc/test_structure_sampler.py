@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pipeline.benchmarks.cubes import code_of, cube_kernel, cube_model, start_chains, tree_frequencies
+from pipeline.benchmarks.cubes import code_of, cube_kernel, cube_model, start_chains
 from pipeline.benchmarks.enumerated_target import GraphTable
 from scene.mcmc import edges
 from scene.mcmc.kernel import run_block
 from scene.model.posterior import SceneModel
 from scene.model.prior import WeightedTrees
 from scene.model.scene_graph import ROOT, all_trees, tree_code
+from tests.scene.mcmc.tree_frequencies import tree_frequencies
 from tests.statistical import assert_mean
 
 CHAINS = 256

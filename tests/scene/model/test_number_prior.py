@@ -7,24 +7,19 @@ from scipy.special import comb
 
 from scene.model.number_prior import (
     BinomialNumber,
-    FixedNumber,
     NumberBesideOthers,
     NumberPrior,
-    PoissonNumber,
     UncertainBinomialNumber,
 )
 
 SLOTS = 5
 COUNTS = np.arange(SLOTS + 1)
-POISSON = stats.poisson.pmf(COUNTS, 1.7)
 
 
 @pytest.mark.parametrize(
     ("prior", "expected"),
     [
-        (FixedNumber(2), np.eye(SLOTS + 1)[2]),
         (BinomialNumber(0.3), stats.binom.pmf(COUNTS, SLOTS, 0.3)),
-        (PoissonNumber(1.7), POISSON / POISSON.sum()),
         (UncertainBinomialNumber(0.9), stats.betabinom.pmf(COUNTS, SLOTS, 21.6, 2.4)),
     ],
 )
@@ -40,14 +35,6 @@ def test_a_presence_lies_between_0_and_1(presence: float) -> None:
     """Else the message tells what was given."""
     with pytest.raises(ValueError, match=f"between 0 and 1, got {presence}"):
         BinomialNumber(presence)
-
-
-def test_numbers_that_cannot_be_are_refused() -> None:
-    """More objects than slots, and a mean of nothing."""
-    with pytest.raises(ValueError, match="6 objects do not fit in 5 slots"):
-        FixedNumber(6).log_set_probabilities(SLOTS)
-    with pytest.raises(ValueError, match="positive, got 0"):
-        PoissonNumber(0)
 
 
 def test_slots_beside_others_have_the_law_given_that_these_are_taken() -> None:

@@ -10,7 +10,7 @@ from pipeline.meshes import vertex_rgb
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paint import painted
 from scene.objects.scene_object import SceneObject, scene_object
-from scene.objects.surface_colour import SPINS, log_colour
+from scene.objects.surface_colour import SPINS, components_of_light
 
 
 @cache
@@ -51,7 +51,7 @@ def test_colours_are_those_beside() -> None:
     cell = ((in_box - one.colour.origin_m) / one.colour.pitch_m).astype(int)
     shown = one.colour.values[tuple(cell.T)]
     rgb = painted_rgb[mesh.faces[places][:, 0]]
-    assert np.abs(shown - log_colour(rgb, 2.2))[far].max() < 0.1
+    assert np.abs(shown - components_of_light((rgb / 255) ** 2.2))[far].max() < 0.1
     assert far.sum() > 300
 
 

@@ -51,7 +51,7 @@ def test_the_right_object_wins_although_the_search_placed_it_worse(key: jax.Arra
         pools = pools.with_poses(np.repeat(searched, 2 + RIVALS, axis=1), 0)
         absent = pools.absent
         of_search = best_of(pools, np.array([absent, 0]))
-        pools, scene = decided(key, pools, of_search, 1, noise)
+        pools, scene = decided(key, pools, of_search, 1)
 
     assert of_search[0] == absent
     assert scene[0] < absent

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from shapes.geometry.poses import orthonormalised, pose_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
+from shapes.geometry.poses import orthonormalised, poses_of, wxyz_from_xyzw, xyzw_from_wxyz
 
 
 def test_quaternion_orders_agree_with_scipy(seed: int) -> None:
@@ -11,7 +11,7 @@ def test_quaternion_orders_agree_with_scipy(seed: int) -> None:
     matrix = np.eye(4)
     matrix[:3, :3] = rotation.as_matrix()
 
-    wxyz = np.asarray(pose_from_matrix(matrix).rotation().wxyz)
+    wxyz = poses_of(matrix)[:4]
 
     expected = wxyz_from_xyzw(rotation.as_quat())
     assert abs(wxyz @ expected) == pytest.approx(1.0, abs=1e-6)
