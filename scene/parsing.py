@@ -16,7 +16,7 @@ from scene.config import ParseConfig
 from scene.execution import Progress
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
-from scene.joint_search import JointStart, refine_where_found, search_frames
+from scene.joint_search import JointStart, search_frames, visible_fractions
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
@@ -28,6 +28,7 @@ from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_views
 from scene.presence.inference import presence_in_scene
+from scene.refinement import refine_poses
 from scene.result import SceneResult
 from scene.search.search_result import Initialisation
 from scene.summary import summarise
@@ -66,8 +67,8 @@ def parse_scene(
     Raises:
         ValueError: the frames show nothing to parse, or the profile does not know such pixels.
     """
-    keys = jax.random.split(key, 7)
-    support_key, search_key, refine_key, chain_key, again_key, hidden_key, presence_key = keys
+    keys = jax.random.split(key, 6)
+    support_key, search_key, chain_key, again_key, hidden_key, presence_key = keys
     seed = int(jax.random.randint(support_key, (), 0, 2**31 - 1))
     views = _views(frames, first_camera_from_camera, intrinsics, seed, config)
     renderer = ObjectRenderer.of(objects)
@@ -85,8 +86,8 @@ def parse_scene(
     compared, start = joint.compared, joint.start
     rng = np.random.default_rng(np.asarray(jax.random.key_data(presence_key)))
     seen_noise = with_surface_error(noise, config.model_error_m)
-    sampled = partial(_sampled, rng, joint, objects, renderer, seen_noise, config, progress)
-    best = sampled(refine_key, chain_key, start)
+    sampled = partial(_sampled, rng, joint, objects, renderer, config, progress)
+    best = sampled(chain_key, start)
     tell("weighing where objects may be out of sight")
     hidden = _hidden(hidden_key, compared, objects, start, seen_noise, config)
     tell("weighing which objects are there")
@@ -97,8 +98,7 @@ def parse_scene(
         in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera)
         tell("sampling the scene with what was added")
-        refine_key, chain_key = jax.random.split(jax.random.key(int(rng.integers(2**31))))
-        best = sampled(refine_key, chain_key, start)
+        best = sampled(jax.random.key(int(rng.integers(2**31))), start)
     scene = summarise(
         rng,
         best.chains,
@@ -142,20 +142,19 @@ def _sampled(
     joint: JointStart,
     objects: Sequence[SceneObject],
     renderer: ObjectRenderer,
-    noise: DepthNoise,
     config: ParseConfig,
     progress: Progress | None,
-    refine_key: jax.Array,
     chain_key: jax.Array,
     start: Initialisation,
 ) -> _Sampled:
     """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
     compared, found = joint.compared, FoundObjects.of(start.found)
     chosen, their_start = found.taken(objects), start.of_slots(found)
-    lines = np.stack([one.spin_line for one in chosen])
-    refined = refine_where_found(refine_key, joint, renderer, found, their_start, noise, lines)
+    particles = refine_poses(rng, compared, objects, renderer, start, config)
     with jax.enable_x64(True):
-        chains = sample_posterior(chain_key, compared, chosen, their_start, refined, config, progress)
+        chains = sample_posterior(
+            chain_key, compared, chosen, their_start, particles[found.placed], config, progress
+        )
     nats = np.zeros(len(objects))
     if compared.colours is not None:
         best = their_start.poses[found.present]
@@ -165,7 +164,7 @@ def _sampled(
         nats[found.indices] = seen.log_factors()
         turned = with_drawn_turns(rng, seen, compared.world_from_camera, chains.samples)
         chains = replace(chains, samples=turned)
-    visible = found.spread(refined.visible_fraction[None], np.zeros((1, len(objects))))[0]
+    visible = visible_fractions(joint, renderer, start.found, particles[:, 0])
     return _Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
 
 

@@ -220,6 +220,9 @@ def leaves_alike(tree: KDTree, points: NDArray[np.float64], turn: NDArray[np.flo
     return bool((tree.query(turned)[0] < NEAR_M).mean() >= ALIKE)
 
 
+LOOKED = 12
+"""Spins about the line of what is round but for a handle, from which its pose is refined."""
+
 MOST = 2
 """Turns of an object that are looked at."""
 
@@ -247,6 +250,27 @@ def symmetric_restarts(
             for pose, line, before, after in zip(poses, lines, placed, turned, strict=True)
         ]
     )
+
+
+def turns_alike(
+    lines: NDArray[np.float64], orders: NDArray[np.integer], spun: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Turns (T, 4, 4) after which an object looks nearly the same, the first of which leaves it as it is.
+
+    All parts of turns about all its lines, after one another, and spins.
+
+    Args:
+        lines: (3, 2, 3), of `symmetry_lines`.
+        orders: (3,), likewise.
+        spun: (2, 3) the line about which it is round but for what tells the spin; zeros without one.
+    """
+    turns = np.eye(4)[None]
+    for line, order in zip(lines[orders > 0], orders[orders > 0], strict=True):
+        parts = turns_about(line, 2 * np.pi * np.arange(order) / order)
+        turns = (turns[:, None] @ parts[None]).reshape(-1, 4, 4)
+    if not spun[0].any():
+        return turns
+    return np.concatenate([turns, turns_about(spun, 2 * np.pi * np.arange(1, LOOKED) / LOOKED)])
 
 
 def better_restarts(log_densities: NDArray[np.floating]) -> list[int]:

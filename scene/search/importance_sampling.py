@@ -158,7 +158,7 @@ def refine(
     visible = np.zeros(count)
     for turn in range(TURNS):
         heaviest = np.array([_heaviest(fits, one) for one in range(count)])
-        rest_m, visible = _without_each(data, renderer, numbers, fits.means[heaviest], start.found)
+        rest_m, visible = without_each(data, renderer, numbers, fits.means[heaviest], start.found)
         parts = []
         active = np.flatnonzero(moving[fits.owners])
         for places in _batches(len(active), TOGETHER):
@@ -191,7 +191,7 @@ def _better_spins(
         return spins
     owners = np.resize(lined, TOGETHER * -(-len(lined) // TOGETHER))
     poses = symmetric_restarts(start.poses[owners], lines[owners], DRAWS)
-    rest_m, _ = _without_each(data, renderer, numbers, start.poses, start.found)
+    rest_m, _ = without_each(data, renderer, numbers, start.poses, start.found)
     log_ratio = _log_ratio(data, renderer, numbers, owners, poses, rest_m, noise)
     for row, one in enumerate(lined.tolist()):
         spins[one] = poses[row, better_restarts(log_ratio[row])]
@@ -227,6 +227,15 @@ def apart(pose: NDArray[np.float64], others: NDArray[np.float64], share: float) 
     angle = 2 * np.arccos(np.minimum(np.abs(others[:, :4] @ pose[:4]), 1.0))
     offset = np.linalg.norm(others[:, 4:] - pose[4:], axis=1)
     return (angle > share * APART_RAD) | (offset > share * APART_M)
+
+
+def distinct(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Those of poses (S, 7) that are apart from all before."""
+    sites = poses[:1]
+    for pose in poses[1:]:
+        if apart(pose, sites, 0.5).all():
+            sites = np.append(sites, pose[None], axis=0)
+    return sites
 
 
 def _heaviest(fits: _Fits, one: int) -> int:
@@ -302,7 +311,7 @@ def tempered(log_weights: NDArray[np.float64], least: float) -> NDArray[np.float
     return softmax(low * log_weights)
 
 
-def _without_each(
+def without_each(
     data: SceneData,
     renderer: ObjectRenderer,
     numbers: NDArray[np.integer],
