@@ -22,13 +22,12 @@ from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.model.presence import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
-from scene.objects.slots import FoundObjects
 from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import Burial
 from scene.presence.size_prior import SizePrior
-from scene.search.importance_sampling import Refinement, refine
+from scene.search.importance_sampling import without_each
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of, transform_points
 
@@ -136,43 +135,27 @@ def worth_searching(
     return chosen
 
 
-def refine_where_found(
-    key: jax.Array,
+def visible_fractions(
     joint: JointStart,
     renderer: ObjectRenderer,
-    found: FoundObjects,
-    start: Initialisation,
-    noise: DepthNoise,
-    lines: NDArray[np.float64],
-) -> Refinement:
-    """`refine` of each object in the frame in which it was found, all in the searched one's camera.
+    found: NDArray[np.bool_],
+    world_from_box: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Shares (N,) of the pixels of each object `found` (N,) that nothing hides, in the frame of its search.
 
     Args:
-        key: random key.
         joint: the frames.
         renderer: of all objects.
-        found: which of them take part.
-        start: their best scene, of their slots.
-        noise: of the sensor and the surfaces together.
-        lines: (slots, 2, 3) about which they are round.
+        found: which are in the scene.
+        world_from_box: (N, 7) their poses.
     """
-    compared, frames = joint.compared, joint.frames[found.placed]
-    refined = refine(key, compared.data, renderer, found.placed, start, noise, lines)
-    for frame in np.unique(frames[found.present & (frames != compared.searched)]).tolist():
-        mine = found.present & (frames == frame)
-        searched_from_this = compared.searched_from(frame)
-        there = refine(
-            jax.random.fold_in(key, frame),
-            compared.views[frame],
-            renderer,
-            found.placed,
-            start.seen_from(np.asarray(np.linalg.inv(searched_from_this), np.float64)),
-            noise,
-            lines,
-            mine,
-        )
-        refined = refined.with_rows(mine, there.seen_from(searched_from_this))
-    return refined
+    shares, numbers = np.zeros(len(found)), np.arange(len(found))
+    for frame in np.unique(joint.frames[found]).tolist():
+        in_camera = poses_of(joint.compared.camera_from_world[frame] @ matrices_of(world_from_box))
+        _, visible = without_each(joint.compared.views[frame], renderer, numbers, in_camera, found)
+        mine = found & (joint.frames == frame)
+        shares[mine] = visible[mine]
+    return shares
 
 
 def _foreground(view: SceneData, first_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from scene.config import ParseConfig
 from scene.execution import Progress
 from scene.hidden.hidden_places import HiddenPlaces, hidden_places
 from scene.hidden.pose_priors import PlacedObject, Support
-from scene.joint_search import JointStart, refine_where_found, search_frames
+from scene.joint_search import JointStart, search_frames, visible_fractions
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.mcmc.chain_model import carrying
@@ -26,6 +26,7 @@ from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_views
 from scene.presence.inference import presence_in_scene
+from scene.refinement import refine_poses
 from scene.result import SceneResult
 from scene.search.search_result import Initialisation
 from scene.summary import Sampled, summarise
@@ -64,8 +65,8 @@ def parse_scene(
     Raises:
         ValueError: the frames show nothing to parse, or the profile does not know such pixels.
     """
-    keys = jax.random.split(key, 7)
-    support_key, search_key, refine_key, chain_key, again_key, hidden_key, presence_key = keys
+    keys = jax.random.split(key, 6)
+    support_key, search_key, chain_key, again_key, hidden_key, presence_key = keys
     seed = int(jax.random.randint(support_key, (), 0, 2**31 - 1))
     views = _views(frames, first_camera_from_camera, intrinsics, seed, config)
     renderer = ObjectRenderer.of(objects)
@@ -84,7 +85,7 @@ def parse_scene(
     seen_noise = with_surface_error(noise, config.model_error_m)
     sampler = _Sampler(rng, joint, objects, renderer, seen_noise, config, progress)
     compared, start = joint.compared, joint.start
-    sampled = sampler.sampled(refine_key, chain_key, start)
+    sampled = sampler.sampled(chain_key, start)
     tell("weighing where objects may be out of sight")
     hidden = sampler.hidden(hidden_key)
     tell("weighing which objects are there")
@@ -95,8 +96,7 @@ def parse_scene(
         in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera)
         tell("sampling the scene with what was added")
-        refine_key, chain_key = jax.random.split(jax.random.key(int(rng.integers(2**31))))
-        sampled = sampler.sampled(refine_key, chain_key, start)
+        sampled = sampler.sampled(jax.random.key(int(rng.integers(2**31))), start)
     numbers = np.asarray(frame_indices)
     scene = summarise(
         rng, sampled, start, hidden, presence, compared.world_from_camera, objects, numbers, config
@@ -126,14 +126,14 @@ class _Sampler:
     config: ParseConfig
     progress: Progress | None
 
-    def sampled(self, refine_key: jax.Array, chain_key: jax.Array, start: Initialisation) -> Sampled:
+    def sampled(self, key: jax.Array, start: Initialisation) -> Sampled:
         """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
         compared, found = self.joint.compared, FoundObjects.of(start.found)
         chosen, mine = found.taken(self.objects), start.of_slots(found)
-        lines = np.stack([one.spin_line for one in chosen])
-        refined = refine_where_found(refine_key, self.joint, self.renderer, found, mine, self.noise, lines)
+        particles = refine_poses(self.rng, compared, self.objects, self.renderer, start, self.config)
+        poses = particles[found.placed]
         with jax.enable_x64(True):
-            chains = sample_posterior(chain_key, compared, chosen, mine, refined, self.config, self.progress)
+            chains = sample_posterior(key, compared, chosen, mine, poses, self.config, self.progress)
         nats = np.zeros(len(self.objects))
         if compared.colours is not None:
             seen = SeenColours(
@@ -148,7 +148,7 @@ class _Sampler:
             nats[found.indices] = seen.log_factors()
             turned = with_drawn_turns(self.rng, seen, compared.world_from_camera, chains.samples)
             chains = replace(chains, samples=turned)
-        visible = found.spread(refined.visible_fraction[None], np.zeros((1, len(self.objects))))[0]
+        visible = visible_fractions(self.joint, self.renderer, start.found, particles[:, 0])
         return Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
 
     def hidden(self, key: jax.Array) -> HiddenPlaces:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,7 +44,8 @@ def view_stage(session: Session, scene: Committed[SceneResult]) -> Committed[Roo
     def compute() -> RoomView:
         recording, frame = session.recording, int(scene.value.frames[0])
         seen = itertools.islice(recording, frame, frame + 1)
-        return view_room(seen, recording.intrinsics, np.eye(4)[None], **_camera_frame(recording))
+        view = view_room(seen, recording.intrinsics, np.eye(4)[None], **_camera_frame(recording))
+        return replace(view, frames=np.array([frame], np.int32))  # as the recording numbers it
 
     return session.stage("room", RoomView.load, compute, {}, uses=[scene], sources=SOURCES)
 

@@ -13,10 +13,9 @@ import jax.numpy as jnp
 import jaxlie
 
 from scene.execution import FAST_COMPILE
-from scene.mcmc.mixture_init import own_components, spin
+from scene.mcmc.mixture_init import MODES, own_components, spin
 from scene.mcmc.pose_mixture import PoseMixture, place_of
 from scene.mcmc.symmetry_arrays import SpinLines
-from scene.search.importance_sampling import MODES
 
 NEAR_M, NEAR_RAD = 0.005, 0.35
 """What counts as one unit of distance from a mode; a state belongs to the nearest."""

@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from scene.execution import FAST_COMPILE
 from scene.mcmc.pose_mixture import PoseMixture, place_of
 from scene.mcmc.symmetry_arrays import SpinLines
-from scene.search.importance_sampling import MODES, Refinement
+from scene.search.importance_sampling import distinct
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import compose
+
+MODES = 6
+"""Of an object, to which proposals are fitted."""
 
 OTHERS, OTHERS_SHARE = 7, 0.15
 
@@ -28,8 +31,8 @@ ATOMS_SHARE, ATOM_RAD = 0.1, 0.08
 WIDE, WIDE_SHARE = 2.0, 0.25
 """Own components that are wider, for the tails."""
 
-TRUST = 0.5
-"""Exponent of the modes' masses, which are good to some nats only. Of a proposal: chosen by hand."""
+MODE_SIGMA = np.repeat([0.0005, 0.005], 3)
+"""Standard deviations before any state has told more: what a recording's pixels tell of a pose."""
 
 SPIN_RAD, WIDE_SPIN_RAD = 0.65, 1.0
 """Standard deviations of the spin of round objects: the components join up to a circle."""
@@ -90,17 +93,9 @@ def _round_the_circle(mean: jax.Array, covariance: jax.Array, line: SpinLines) -
     return jax.vmap(component)(turns, is_wide)
 
 
-def of_points(covariances: jax.Array, poses: jax.Array, point_m: jax.Array) -> jax.Array:
-    """Covariances (..., 6, 6) at poses with offsets of a point (3,), of those with offsets of the middle."""
-    turns = jaxlie.SO3(poses[..., :4]).as_matrix()
-    lever = -turns @ jnp.cross(point_m, jnp.eye(3)).T  # a turn t moves the point by R (t x p)
-    change = jnp.broadcast_to(jnp.eye(6), covariances.shape).at[..., :3, 3:].set(lever)
-    return change @ covariances @ jnp.swapaxes(change, -1, -2)
-
-
 def pose_proposals(
     start: Initialisation,
-    refined: Refinement,
+    particles: NDArray[np.float64],
     world_from_camera: jax.Array,
     lines: SpinLines,
 ) -> PoseMixture:
@@ -108,7 +103,7 @@ def pose_proposals(
 
     Args:
         start: with the pools.
-        refined: Gaussians on their modes.
+        particles: (N, P, 7) world_from_box, the densest first: modes are those that are apart.
         world_from_camera: (7,).
         lines: about which bodies (C,) are round.
     """
@@ -118,14 +113,15 @@ def pose_proposals(
     others = np.take_along_axis(start.pools, best[..., None], axis=1)
     log_others = np.take_along_axis(gains, best, axis=1)
     log_others = log_others - np.logaddexp.reduce(log_others, axis=1, keepdims=True)
+    means, log_weights = np.zeros((count, MODES, 7)), np.full((count, MODES), -np.inf)
+    for one, poses in enumerate(particles):
+        modes = distinct(poses)[:MODES]
+        means[one], log_weights[one, : len(modes)] = np.resize(modes, (MODES, 7)), -np.log(len(modes))
 
     def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.concatenate([values, np.repeat(values[:1], len(lines.free) - count, axis=0)])
 
-    log_weights = TRUST * refined.log_masses
-    log_weights = log_weights - np.logaddexp.reduce(log_weights, axis=1, keepdims=True)
-    every = (log_weights, refined.means, refined.covariances, others, log_others)
-    mixture = _in_world(world_from_camera, *map(filled, every), lines)
+    mixture = _in_world(world_from_camera, *map(filled, (log_weights, means, others, log_others)), lines)
     if start.atoms is None:
         return mixture
     atoms = filled(start.atoms.poses), filled(start.atoms.log_weights)
@@ -172,17 +168,14 @@ def _in_world(
     world_from_camera: jax.Array,
     log_weights: jax.Array,
     means: jax.Array,
-    covariances: jax.Array,
     others: jax.Array,
     log_others: jax.Array,
     lines: SpinLines,
 ) -> PoseMixture:
-    """The mixture from modes (C, M), (C, M, 7), (C, M, 6, 6), offsets in the camera, and others (C, K, 7)."""
-    turn = jnp.eye(6).at[:3, :3].set(jaxlie.SO3(world_from_camera[:4]).as_matrix())
-    moved = jax.vmap(jax.vmap(lambda pose: compose(world_from_camera, pose)))
-    means, others = moved(means), moved(others)
-    covariances = jax.vmap(of_points)(turn @ covariances @ turn.T, means, lines.points_m)
-    log_own, centres, covariances = jax.vmap(own_components)(log_weights, means, covariances, lines)
+    """The mixture from modes (C, M), (C, M, 7) in the world and others (C, K), (C, K, 7) in the camera."""
+    others = jax.vmap(jax.vmap(lambda pose: compose(world_from_camera, pose)))(others)
+    first = jnp.broadcast_to(jnp.diag(jnp.asarray(MODE_SIGMA**2)), (*log_weights.shape, 6, 6))
+    log_own, centres, covariances = jax.vmap(own_components)(log_weights, means, first, lines)
     narrow = jnp.broadcast_to(jnp.diag(jnp.asarray(OTHER_SIGMA**2)), (*log_others.shape, 6, 6))
     return PoseMixture.build(
         jnp.concatenate([jnp.log1p(-OTHERS_SHARE) + log_own, jnp.log(OTHERS_SHARE) + log_others], axis=1),

@@ -10,9 +10,10 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from scene.config import ParseConfig
-from scene.execution import FAST_COMPILE, compile_in_background
+from scene.execution import FAST_COMPILE
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.depth_images import DepthLikelihood, log_estimates
 from scene.likelihood.object_renderer import ObjectRenderer
@@ -20,17 +21,15 @@ from scene.likelihood.point_clouds import CloudLikelihood
 from scene.mcmc.chain_model import carrying, prior_space, scene_model, slabs_under
 from scene.mcmc.edges import EdgeMove
 from scene.mcmc.kernel import Kernel, run_block, scene_kernel
-from scene.mcmc.mixture_adaptation import adapt_mixture, modes_of
+from scene.mcmc.mixture_adaptation import adapt_mixture
 from scene.mcmc.mixture_init import pose_proposals
-from scene.mcmc.pose_mixture import PoseMixture
 from scene.mcmc.samples import Samples
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
 from scene.model.posterior import ChainState, SceneModel, start_chain
 from scene.model.scene_graph import SceneGraph, floating_scene
 from scene.objects.scene_object import SceneObject
-from scene.search.importance_sampling import Refinement
 from scene.search.search_result import Initialisation
-from shapes.geometry.poses import compose, pose_of
+from shapes.geometry.poses import pose_of
 
 WALK_M, WALK_RAD = 0.004, 0.05
 
@@ -70,7 +69,7 @@ def sample_posterior(
     compared: ComparedFrames,
     objects: Sequence[SceneObject],
     start: Initialisation,
-    refined: Refinement,
+    particles: NDArray[np.float64],
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> SampledScenes:
@@ -81,14 +80,13 @@ def sample_posterior(
         compared: the frames.
         objects: that a scene may hold.
         start: the best scene of these objects, in the searched frame's camera.
-        refined: Gaussians on their poses.
+        particles: (N, P, 7) world_from_box, the densest first, of their poses given the others.
         config: settings.
         progress: called with blocks of moves done and in all.
     """
     likelihood = _likelihood(compared, objects, config)
     world_from_camera = compared.world_from_camera
-    starts = refined.means[start.found, :, 4:].reshape(-1, 3)
-    starts = starts @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
+    starts = particles[start.found, :, 4:].reshape(-1, 3)
     supports = carrying(compared.data.supports, objects, start)
     space = prior_space(compared.data.table, starts)
     model = scene_model(supports, objects, likelihood, space, config)
@@ -97,7 +95,7 @@ def sample_posterior(
     bodies = len(model.bodies.movable)
     lines = SpinLines.of(objects, bodies - len(objects))
     kernel = scene_kernel(
-        pose_proposals(start, refined, world, lines),
+        pose_proposals(start, particles, world, lines),
         prior_share=PRIOR_SHARE,
         translation_m=jax.device_put(np.full(bodies, WALK_M)),
         rotation_rad=jax.device_put(np.full(bodies, WALK_RAD)),
@@ -106,7 +104,7 @@ def sample_posterior(
         structure=EdgeMove() if config.graph == "infer" else None,
         repeats=max(len(objects) - 1, 1),
     )
-    return _sample(key, model, kernel, lines, start, world, slabs, config, progress)
+    return _sample(key, model, kernel, lines, start.found, particles, slabs, config, progress)
 
 
 def _likelihood(
@@ -136,21 +134,21 @@ def _sample(
     model: SceneModel,
     kernel: Kernel,
     lines: SpinLines,
-    start: Initialisation,
-    world: jax.Array,
+    found: NDArray[np.bool_],
+    particles: NDArray[np.float64],
     slabs: jax.Array,
     config: ParseConfig,
     progress: Callable[[int, int], None] | None,
 ) -> SampledScenes:
-    """Chains from the best scene found; the first third of their sweeps teaches the proposals.
+    """Chains from particles of every object; these and the first third of their sweeps teach the proposals.
 
     Then the variance of the log likelihood's estimate tells whether all shapes are drawn anew for a new pose,
     or a share of them.
     """
-    start_key, run_key, variance_key = jax.random.split(key, 3)
+    start_key, order_key, run_key, variance_key = jax.random.split(key, 4)
     keys = jax.random.split(start_key, config.chains)
-    states = _start(keys, model, kernel.mixture, lines, start.poses, start.found, world, slabs)
-    if not start.found.any():
+    states = _start(keys, model, jnp.asarray(particles), jnp.asarray(found), slabs)
+    if not found.any():
         nothing = jnp.zeros_like(states.log_prior)
         recorded = _samples(_scene_and_value(states), nothing)
         return SampledScenes(jax.tree.map(lambda leaf: leaf[None], recorded), 0.0, model)
@@ -162,23 +160,25 @@ def _sample(
     count = -(-config.sweeps // blocks)
     kept: list[Samples] = []
     variance = 0.0
-    with compile_in_background(partial(_compile_taught, kernel, lines, count * config.chains)):
-        for block in range(blocks):
-            block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
-            groups, samples = _advanced(block_keys, groups, model, kernel, count)
-            if block < BURN_IN_BLOCKS:
-                kernel = _taught(kernel, lines, samples)
-            else:
-                kept.append(samples)
-            if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
-                likelihood = model.likelihood
-                assert isinstance(likelihood, DepthLikelihood)
-                spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
-                variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
-                share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
-                model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
-            if progress:
-                progress(block + 1, blocks)
+    order = np.resize(jax.random.permutation(order_key, particles.shape[1]), count * config.chains)
+    resting = np.repeat(np.asarray(slabs)[:, None], len(order), axis=1)
+    kernel = _taught(kernel, lines, np.concatenate([particles[:, order], resting]).swapaxes(0, 1))
+    for block in range(blocks):
+        block_keys = jax.random.split(jax.random.fold_in(run_key, block), len(groups))
+        groups, samples = _advanced(block_keys, groups, model, kernel, count)
+        if block < BURN_IN_BLOCKS:
+            kernel = _taught(kernel, lines, samples.poses)
+        else:
+            kept.append(samples)
+        if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
+            likelihood = model.likelihood
+            assert isinstance(likelihood, DepthLikelihood)
+            spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
+            variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
+            share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
+            model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
+        if progress:
+            progress(block + 1, blocks)
     return SampledScenes(Samples.joined(kept), variance, model)
 
 
@@ -197,52 +197,32 @@ def _advanced(
     return list(states), jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *samples)
 
 
-def _compile_taught(kernel: Kernel, lines: SpinLines, states: int) -> None:
-    """What `_taught` runs on so many states, beside `run_block`, which takes longer to compile."""
-    mixture = kernel.mixture
-    with jax.enable_x64(True):  # of this thread
-        adapt_mixture.lower(mixture, lines, np.zeros((states, len(lines.free), 7))).compile()
-
-
-def _taught(kernel: Kernel, lines: SpinLines, states: Samples) -> Kernel:
-    """The kernel with proposals fitted to the states that its chains went through."""
-    states = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), states)
-    return kernel.with_mixture(adapt_mixture(kernel.mixture, lines, states.poses))
+def _taught(kernel: Kernel, lines: SpinLines, poses: NDArray[np.float64]) -> Kernel:
+    """The kernel with proposals fitted to poses (..., C, 7) that bodies were at."""
+    states = poses.reshape(-1, *poses.shape[-2:])
+    return kernel.with_mixture(adapt_mixture(kernel.mixture, lines, states))
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
 def _start(
-    keys: jax.Array,
-    model: SceneModel,
-    mixture: PoseMixture,
-    lines: SpinLines,
-    poses: jax.Array,
-    found: jax.Array,
-    world: jax.Array,
-    slabs: jax.Array,
+    keys: jax.Array, model: SceneModel, particles: jax.Array, found: jax.Array, slabs: jax.Array
 ) -> ChainState:
-    """The states of chains, everything floating, that start apart: every object in one of its modes.
+    """The states of chains, everything floating, each object at one of its particles.
 
     Args:
         keys: (B,).
         model: the target.
-        mixture: of the proposals.
-        lines: about which bodies are round.
-        poses: (N, 7) camera_from_box of the best scene, where those stay that were not found.
+        particles: (N, P, 7) world_from_box.
         found: (N,).
-        world: (7,) world_from_camera.
         slabs: (S, 7) poses of the supports.
     """
-    poses = jax.vmap(lambda pose: compose(world, pose))(poses)
-    log_weights = jnp.log(jax.vmap(modes_of)(mixture.log_weights, lines))[: len(poses)]
+    present = jnp.concatenate([found, jnp.ones(len(slabs), bool)])
 
     def start(key: jax.Array) -> ChainState:
-        mode_key, chain_key = jax.random.split(key)
-        modes = jax.random.categorical(mode_key, log_weights)
-        starts = jnp.take_along_axis(mixture.centres[: len(poses)], modes[:, None, None], axis=1)[:, 0]
-        placed = jnp.concatenate([jnp.where(found[:, None], starts, poses), slabs])
-        scene = floating_scene(placed, jnp.concatenate([found, jnp.ones(len(slabs), bool)]))
-        return start_chain(chain_key, model, scene)
+        particle_key, chain_key = jax.random.split(key)
+        chosen = jax.random.randint(particle_key, found.shape, 0, particles.shape[1])
+        poses = jnp.take_along_axis(particles, chosen[:, None, None], axis=1)[:, 0]
+        return start_chain(chain_key, model, floating_scene(jnp.concatenate([poses, slabs]), present))
 
     return jax.vmap(start)(keys)
 

@@ -13,8 +13,8 @@ out what the rotation does not repeat.
 
 **Free.** A shape spins freely where every spin about its line leaves it as it is: a can, no mug.
 
-**Restarts.** A mug whose handle was taken to be hidden may show it: a narrow mode that a coarse grid of
-rotations misses. Poses rotated about the continuous line are compared and the better ones kept.
+**Alike.** A mug whose handle was taken to be hidden may show it: a narrow mode that a coarse grid of
+rotations misses. Refinement begins at all turns after which an object looks nearly the same.
 """
 
 from __future__ import annotations
@@ -222,45 +222,26 @@ def leaves_alike(tree: KDTree, points: NDArray[np.float64], turn: NDArray[np.flo
     return bool((tree.query(turned)[0] < NEAR_M).mean() >= ALIKE)
 
 
-MOST = 2
-"""Turns of an object that are looked at."""
-
-APART = 2 * np.pi / 36
-"""Radians between them, and between them and none."""
+LOOKED = 12
+"""Spins about the line of what is round but for a handle, among what it looks like."""
 
 
-def symmetric_restarts(
-    poses: NDArray[np.float64], lines: NDArray[np.float64], count: int
+def turns_alike(
+    lines: NDArray[np.float64], orders: NDArray[np.integer], spun: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Poses (N, count, 7) once round the lines (N, 2, 3) of their box frames, from poses (N, 7) on."""
-    angles = 2 * np.pi * np.arange(count) / count
-    spins = [Rotation.from_rotvec(angles[:, None] * line[0]) for line in lines]
-    placed = [Rotation.from_quat(pose[[1, 2, 3, 0]]) for pose in poses]
-    turned = [before * spin for before, spin in zip(placed, spins, strict=True)]
-    return np.stack(
-        [
-            np.concatenate(
-                [
-                    after.as_quat()[:, [3, 0, 1, 2]],
-                    pose[4:] + before.apply(line[1]) - after.apply(line[1]),
-                ],
-                axis=1,
-            )
-            for pose, line, before, after in zip(poses, lines, placed, turned, strict=True)
-        ]
-    )
+    """Turns (T, 4, 4) after which an object looks nearly the same, the first of which leaves it as it is.
 
+    All parts of turns about all its lines, after one another, and spins.
 
-def better_restarts(log_densities: NDArray[np.floating]) -> list[int]:
-    """Places of the highest peaks of S equal steps round a circle that are higher than the first step's."""
-    count = len(log_densities)
-    least = APART * count / (2 * np.pi)
-    highest = (log_densities >= np.roll(log_densities, 1)) & (log_densities >= np.roll(log_densities, -1))
-    chosen = [0]
-    for place in np.argsort(-np.where(highest, log_densities, -np.inf)).tolist():
-        if not highest[place] or log_densities[place] <= log_densities[0] or len(chosen) > MOST:
-            break
-        steps = np.abs(place - np.array(chosen))
-        if np.minimum(steps, count - steps).min() >= least:
-            chosen.append(place)
-    return chosen[1:]
+    Args:
+        lines: (3, 2, 3), of `symmetry_lines`.
+        orders: (3,), likewise.
+        spun: (2, 3) the line about which it is round but for what tells the spin; zeros without one.
+    """
+    turns = np.eye(4)[None]
+    for line, order in zip(lines[orders > 0], orders[orders > 0], strict=True):
+        parts = turns_about(line, 2 * np.pi * np.arange(order) / order)
+        turns = (turns[:, None] @ parts[None]).reshape(-1, 4, 4)
+    if not spun[0].any():
+        return turns
+    return np.concatenate([turns, turns_about(spun, 2 * np.pi * np.arange(1, LOOKED) / LOOKED)])

@@ -26,7 +26,7 @@ from scene.presence.solids import (
     tied,
 )
 from scene.presence.state_mixture import StateMixture
-from scene.search.importance_sampling import LEAST_SIGMA, apart
+from scene.search.importance_sampling import LEAST_SIGMA, distinct
 from scene.search.search_result import Initialisation
 
 LEAST_DENSITY = 1e-30
@@ -70,15 +70,6 @@ def sites_of(start: Initialisation, one: int, most: int) -> NDArray[np.float64]:
     pool = start.pools[one]
     ranked = pool[np.argsort(-start.log_alone[one, : len(pool)], kind="stable")]
     return distinct(np.concatenate([start.rivals[one][None], ranked]))[:most]
-
-
-def distinct(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Those of poses (S, 7) that are apart from all before."""
-    sites = poses[:1]
-    for pose in poses[1:]:
-        if apart(pose, sites, 0.5).all():
-            sites = np.append(sites, pose[None], axis=0)
-    return sites
 
 
 def born_near(

@@ -16,12 +16,13 @@ from scene.mcmc.sampling import SampledScenes
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
-from scene.presence.births import born_near, distinct, sites_of, solids_near
+from scene.presence.births import born_near, sites_of, solids_near
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import Presence, presence_posterior
 from scene.presence.solid_proposals import proposed_solids
 from scene.presence.solids import SolidFits
+from scene.search.importance_sampling import distinct
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
 

@@ -17,7 +17,6 @@ from scene.search.hypotheses import PosePools
 from scene.search.importance_sampling import refine
 from scene.search.rendered_icp import refine_in_render
 from scene.search.scene_edits import best_scene, rivals
-from scene.search.search_result import Initialisation
 from shapes.depth_noise import with_surface_error
 
 _log_density = jax.jit(log_density_of_choice)
@@ -123,19 +122,13 @@ def _refined(
     if not moving.any():
         return poses
     found = FoundObjects.of(scene < pools.absent)
-    start = Initialisation(
-        poses=found.poses(poses),
-        found=found.present,
-        rivals=found.poses(poses),
-        pools=np.zeros((found.slots, 0, 7)),
-        log_gains=np.zeros((found.slots, 1)),
-        log_alone=np.zeros((found.slots, 1)),
-    )
-    lines, noise = np.zeros((found.slots, 2, 3)), with_surface_error(pools.noise, pools.config.search_error_m)
+    noise = with_surface_error(pools.noise, pools.config.search_error_m)
     moves = found.present & moving[found.placed]
-    refined = refine(key, pools.data, pools.renderer, found.placed, start, noise, lines, moves)
+    refined = refine(
+        key, pools.data, pools.renderer, found.placed, found.poses(poses), found.present, moves, noise
+    )
     poses = poses.copy()
-    poses[found.indices] = refined.means[: len(found.indices), 0]
+    poses[found.indices] = refined[: len(found.indices)]
     return poses
 
 

@@ -1,51 +1,37 @@
-"""Gaussians round the modes of each object's pose given the rest of the scene, with their masses.
+"""Poses of objects given the rest of the scene, refined before scenes that are about as good are compared.
 
-Adaptive importance sampling (population Monte Carlo, Cappe et al. 2004): Gaussians round the poses of the
-best scene and round distant poses of similar density are sampled, weighted by the likelihood at a temperature
-that keeps enough draws alive, and fitted again, all modes in parallel. The mean weight is the mode's mass.
-Gives starts and proposals of the chains.
+Adaptive importance sampling (population Monte Carlo, Cappe et al. 2004): a Gaussian round the pose of each
+object is sampled, weighted by the likelihood at a temperature that keeps enough draws alive, and fitted
+again, all objects in parallel.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 
 from recordings.types import DepthNoise
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
-from scene.objects.symmetry import better_restarts, symmetric_restarts
 from scene.observation.frame_data import SceneData
-from scene.search.search_result import Initialisation
 from shapes.geometry.camera import Camera
-from shapes.geometry.poses import matrices_of, poses_of
 from shapes.rendering.ray_casting import PosedObjects
 
-MODES = 6
-"""Of an object, that are kept."""
-
-SOUGHT, WORSE = 8, 25.0
-"""Modes of an object that are looked at, and nats by which their poses in the pool may be worse."""
-
-HOPELESS = 30.0
-"""Nats by which a mode's mass is less than the best one's after the first turn when it is given up."""
-
-APART_M, APART_RAD = 0.02, 0.35
-"""Poses that are closer belong to one mode; half of that is enough where they have found their place."""
+APART_M, APART_RAD = 0.01, 0.175
+"""Poses that are closer belong to one mode."""
 
 DRAWS, TOGETHER, TURNS = 96, 4, 5
 """Draws from a Gaussian and turn, and Gaussians in one kernel."""
 
 PIXEL_WEIGHT = 0.25
-"""Exponent of the sensor's density, which takes neighbouring pixels for independent. Gaussians are starts and
-proposals, so that it has no part in what chains and search compare."""
+"""Exponent of the sensor's density, which takes neighbouring pixels for independent. Gaussians are where the
+search goes on, so that it has no part in what chains and search compare."""
 
 ALIVE = 30.0
 """Effective number of draws to which a turn is tempered."""
@@ -61,70 +47,6 @@ WIDER = 1.15
 
 BISECTIONS = 14
 """Of the power to which weights are tempered: to 0.0001."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Refinement:
-    """Gaussians on the poses of N objects, offset in the camera and turn of the box, the heaviest mode first.
-
-    Attributes:
-        means: (N, MODES, 7) camera_from_box.
-        covariances: (N, MODES, 6, 6).
-        log_masses: (N, MODES) of the posterior given the rest of the scene, 0 for the heaviest mode, -inf
-            for places without use; good to some nats.
-        visible_fraction: (N,) share of the object's pixels that nothing hides.
-    """
-
-    means: NDArray[np.float64]
-    covariances: NDArray[np.float64]
-    log_masses: NDArray[np.float64]
-    visible_fraction: NDArray[np.float64]
-
-    def seen_from(self, other_from_camera: NDArray[np.float64]) -> Refinement:
-        """The same in another camera's frame (4, 4), in which offsets turn with it."""
-        turn = np.eye(6)
-        turn[:3, :3] = other_from_camera[:3, :3]
-        return replace(
-            self,
-            means=poses_of(other_from_camera @ matrices_of(self.means)),
-            covariances=turn @ self.covariances @ turn.T,
-        )
-
-    def with_rows(self, which: NDArray[np.bool_], other: Refinement) -> Refinement:
-        """Objects `which` (N,) as another one tells of them."""
-        return Refinement(
-            **{
-                name: np.where(which.reshape(-1, *[1] * (mine.ndim - 1)), getattr(other, name), mine)
-                for name, mine in vars(self).items()
-            }
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Fits:
-    """Gaussians under way, J of them.
-
-    Attributes:
-        owners: (J,) the object that each belongs to.
-        means: (J, 7).
-        factors: (J, 6, 6) lower factors of the covariances.
-        log_masses: (J,) up to a constant of the owner's.
-    """
-
-    owners: NDArray[np.intp]
-    means: NDArray[np.float64]
-    factors: NDArray[np.float64]
-    log_masses: NDArray[np.float64]
-
-    def at(self, places: Any) -> _Fits:
-        """Some of them."""
-        return _Fits(**{name: leaf[places] for name, leaf in vars(self).items()})
-
-    def behind(self) -> NDArray[np.float64]:
-        """(J,) nats by which each is lighter than its owner's heaviest."""
-        heaviest = np.full(self.owners.max() + 1, -np.inf)
-        np.maximum.at(heaviest, self.owners, self.log_masses)
-        return heaviest[self.owners] - self.log_masses
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,18 +65,6 @@ class _Frame:
     numbers: NDArray[np.integer]
     noise: DepthNoise
 
-    def without_each(
-        self, poses: NDArray[np.float64], found: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Depth (N, H, W) of the scene without each object, and the share (N,) of each that is not hidden."""
-        depth = self.renderer.layers(self.numbers, poses, self.data.window)
-        depth = np.where(found[:, None, None], depth, np.float32(np.inf))
-        others = [np.delete(depth, one, axis=0).min(axis=0, initial=np.inf) for one in range(len(poses))]
-        rest_m = np.minimum(np.stack(others), self.data.rest_m)
-        covers = np.isfinite(depth)
-        shown = covers & (depth <= rest_m)
-        return rest_m.astype(np.float32), shown.sum(axis=(1, 2)) / np.maximum(covers.sum(axis=(1, 2)), 1)
-
     def log_ratio(
         self, owners: NDArray[np.intp], poses: NDArray[np.float64], rest_m: NDArray[np.float32]
     ) -> NDArray[np.float64]:
@@ -170,155 +80,84 @@ class _Frame:
         ratio = log_likelihood_ratio(self.renderer.library, self.noise, evidence, posed)
         return ratio.astype(np.float64).reshape(count, draws)
 
-    def better_spins(self, start: Initialisation, lines: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Poses (M, 7) of each object that look better than the best scene's, spun about its line."""
-        spins = [np.zeros((0, 7)) for _ in lines]
-        lined = np.flatnonzero(lines[:, 0].any(axis=1) & start.found)
-        if not len(lined):
-            return spins
-        owners = np.resize(lined, TOGETHER * -(-len(lined) // TOGETHER))
-        poses = symmetric_restarts(start.poses[owners], lines[owners], DRAWS)
-        log_ratio = self.log_ratio(owners, poses, self.without_each(start.poses, start.found)[0])
-        for row, one in enumerate(lined.tolist()):
-            spins[one] = poses[row, better_restarts(log_ratio[row])]
-        return spins
-
 
 def refine(
     key: jax.Array,
     data: SceneData,
     renderer: ObjectRenderer,
     numbers: NDArray[np.integer],
-    start: Initialisation,
+    poses: NDArray[np.float64],
+    found: NDArray[np.bool_],
+    moving: NDArray[np.bool_],
     noise: DepthNoise,
-    lines: NDArray[np.float64],
-    moving: NDArray[np.bool_] | None = None,
-) -> Refinement:
-    """Gaussians round the poses of the best scene and their rivals, on one frame.
+) -> NDArray[np.float64]:
+    """Poses (N, 7) camera_from_box of a scene, refined on one frame.
 
     Args:
         key: random key.
         data: the frame.
         renderer: of these objects and others.
         numbers: (N,) of the objects among the renderer's.
-        start: the best scene, and the pools.
+        poses: (N, 7) where they are.
+        found: (N,) which are in the scene.
+        moving: (N,) which are refined. The others stay where they are.
         noise: of the sensor and the surfaces together.
-        lines: (N, 2, 3) about which objects are round, as `SceneObject.spin_line`.
-        moving: (N,) which ones; all that were found if not told. The others stay where they are.
     """
-    count = len(start.poses)
-    moving = start.found if moving is None else moving
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    frame = _Frame(data, renderer, numbers, noise)
-    fits = _first(start, frame.better_spins(start, lines))
-    visible = np.zeros(count)
-    for turn in range(TURNS):
-        heaviest = np.array([_heaviest(fits, one) for one in range(count)])
-        rest_m, visible = frame.without_each(fits.means[heaviest], start.found)
-        parts = []
-        active = np.flatnonzero(moving[fits.owners])
-        for places in _batches(len(active)):
-            batch = fits.at(active[places])
-            normal = rng.standard_normal((len(places), DRAWS, 6))
+    frame, active = _Frame(data, renderer, numbers, noise), np.flatnonzero(moving)
+    means, factors = np.array(poses), np.tile(np.diag(FIRST_SIGMA), (len(poses), 1, 1))
+    for _ in range(TURNS):
+        rest_m, _ = without_each(data, renderer, numbers, means, found)
+        for first in range(0, len(active), TOGETHER):
+            mine = np.resize(active[first : first + TOGETHER], TOGETHER)
+            normal = rng.standard_normal((TOGETHER, DRAWS, 6))
             normal[:, 0] = 0.0
-            tangents = np.einsum("nij,nsj->nsi", batch.factors, normal)
-            poses = np.asarray(_moved(batch.means, tangents), np.float64)
-            log_ratio = frame.log_ratio(batch.owners, poses, rest_m)
-            log_weights = PIXEL_WEIGHT * log_ratio + 0.5 * (normal**2).sum(axis=-1)
-            parts.append(_fitted(batch, tangents, log_weights))
-        fits = _put(fits, active, parts)
-        if turn == 0:
-            fits = fits.at(fits.behind() < HOPELESS)
-    return _kept(fits, visible)
+            tangents = np.einsum("nij,nsj->nsi", factors[mine], normal)
+            drawn = np.asarray(_moved(means[mine], tangents), np.float64)
+            log_weights = PIXEL_WEIGHT * frame.log_ratio(mine, drawn, rest_m)
+            log_weights += 0.5 * (normal**2).sum(axis=-1)
+            steps, factors[mine] = _fitted(tangents, log_weights)
+            means[mine] = np.asarray(_moved(means[mine], steps[:, None]), np.float64)[:, 0]
+    return means
 
 
-def _first(start: Initialisation, spins: list[NDArray[np.float64]]) -> _Fits:
-    """Wide Gaussians round the best poses, in order, round spins that look better, and round others.
-
-    Those are of the pools, and as good.
-    """
-    owners, means = list(range(len(start.poses))), list(start.poses)
-    for one in np.flatnonzero(start.found).tolist():
-        gains = start.log_gains[one, : start.pools.shape[1]]
-        seen = np.concatenate([start.poses[one][None], spins[one]])
-        for place in np.argsort(-gains):
-            if gains[place] < -WORSE or len(seen) == SOUGHT:
-                break
-            if apart(start.pools[one, place], seen, 1.0).all():
-                seen = np.append(seen, start.pools[one, place][None], axis=0)
-        owners += [one] * (len(seen) - 1)
-        means += list(seen[1:])
-    return _Fits(
-        owners=np.array(owners),
-        means=np.stack(means),
-        factors=np.tile(np.diag(FIRST_SIGMA), (len(means), 1, 1)),
-        log_masses=np.where(np.arange(len(means)) < len(start.poses), 0.0, -np.inf),
-    )
+def without_each(
+    data: SceneData,
+    renderer: ObjectRenderer,
+    numbers: NDArray[np.integer],
+    poses: NDArray[np.float64],
+    found: NDArray[np.bool_],
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Depth (N, H, W) of the scene without each object, and the share (N,) of each that nothing hides."""
+    depth = renderer.layers(numbers, poses, data.window)
+    depth = np.where(found[:, None, None], depth, np.float32(np.inf))
+    others = [np.delete(depth, one, axis=0).min(axis=0, initial=np.inf) for one in range(len(poses))]
+    rest_m = np.minimum(np.stack(others), data.rest_m)
+    covers = np.isfinite(depth)
+    shown = covers & (depth <= rest_m)
+    return rest_m.astype(np.float32), shown.sum(axis=(1, 2)) / np.maximum(covers.sum(axis=(1, 2)), 1)
 
 
-def apart(pose: NDArray[np.float64], others: NDArray[np.float64], share: float) -> NDArray[np.bool_]:
-    """Whether a pose (7,) is further than a share of APART from others (K, 7)."""
-    angle = 2 * np.arccos(np.minimum(np.abs(others[:, :4] @ pose[:4]), 1.0))
-    offset = np.linalg.norm(others[:, 4:] - pose[4:], axis=1)
-    return (angle > share * APART_RAD) | (offset > share * APART_M)
+def distinct(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Those of poses (S, 7) that are `APART` from all before."""
+    sites = poses[:1]
+    for pose in poses[1:]:
+        angle = 2 * np.arccos(np.minimum(np.abs(sites[:, :4] @ pose[:4]), 1.0))
+        offset = np.linalg.norm(sites[:, 4:] - pose[4:], axis=1)
+        if ((angle > APART_RAD) | (offset > APART_M)).all():
+            sites = np.append(sites, pose[None], axis=0)
+    return sites
 
 
-def _heaviest(fits: _Fits, one: int) -> int:
-    return int(np.argmax(np.where(fits.owners == one, fits.log_masses, -np.inf)))
-
-
-def _batches(count: int) -> list[NDArray[np.intp]]:
-    """Places in batches of `TOGETHER`, the last one filled up with the last place."""
-    return [np.minimum(first + np.arange(TOGETHER), count - 1) for first in range(0, count, TOGETHER)]
-
-
-def _put(fits: _Fits, places: NDArray[np.intp], parts: list[_Fits]) -> _Fits:
-    """The Gaussians with others, in parts of which the last is filled up, in some places."""
-    if not parts:
-        return fits
-
-    def put(name: str) -> NDArray:
-        leaf = getattr(fits, name).copy()
-        leaf[places] = np.concatenate([getattr(part, name) for part in parts])[: len(places)]
-        return leaf
-
-    return replace(fits, means=put("means"), factors=put("factors"), log_masses=put("log_masses"))
-
-
-def _fitted(fits: _Fits, tangents: NDArray[np.float64], log_weights: NDArray[np.float64]) -> _Fits:
-    """The Gaussians of weighted draws (J, S, 6) from these ones, and the masses that the draws tell."""
+def _fitted(
+    tangents: NDArray[np.float64], log_weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means (J, 6) and lower factors (J, 6, 6) of weighted draws (J, S, 6)."""
     weights = np.stack([tempered(one, ALIVE) for one in log_weights])
     steps = np.einsum("ns,nsi->ni", weights, tangents)
     spread = tangents - steps[:, None]
     covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread) + np.diag(LEAST_SIGMA**2)
-    log_volumes = np.log(np.einsum("nii->ni", fits.factors)).sum(axis=1)
-    return replace(
-        fits,
-        means=np.asarray(_moved(fits.means, steps[:, None]), np.float64)[:, 0],
-        factors=WIDER * np.linalg.cholesky(covariances),
-        log_masses=logsumexp(log_weights, axis=1) + log_volumes,
-    )
-
-
-def _kept(fits: _Fits, visible: NDArray[np.float64]) -> Refinement:
-    """The modes of every object that have not met a heavier one."""
-    count = len(visible)
-    places, log_masses = np.zeros((count, MODES), np.intp), np.full((count, MODES), -np.inf)
-    for one in range(count):
-        mine = np.flatnonzero(fits.owners == one)
-        kept: list[int] = []
-        for place in mine[np.argsort(-fits.log_masses[mine])]:
-            if len(kept) < MODES and apart(fits.means[place], fits.means[kept], 0.5).all():
-                kept.append(int(place))
-        places[one] = np.resize(kept, MODES)
-        log_masses[one, : len(kept)] = fits.log_masses[kept] - fits.log_masses[kept[0]]
-    factors = fits.factors[places]
-    return Refinement(
-        means=fits.means[places],
-        covariances=factors @ np.swapaxes(factors, 2, 3),
-        log_masses=log_masses,
-        visible_fraction=visible,
-    )
+    return steps, WIDER * np.linalg.cholesky(covariances)
 
 
 def tempered(log_weights: NDArray[np.float64], least: float) -> NDArray[np.float64]:

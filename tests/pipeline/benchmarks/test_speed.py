@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-import scene.joint_search
 import scene.likelihood.object_renderer
+import scene.search.competing_scenes
 import scene.search.importance_sampling
 from pipeline.benchmarks import speed
 from pipeline.benchmarks.hypotheses import BACKGROUND_M, DISTANCE_M, NOISE, Problem, posed, problem
@@ -30,7 +30,7 @@ def test_it_calls_what_parse_calls() -> None:
     """The very functions: refinement scores with one; searches render with the other."""
     assert speed.log_likelihood_ratio is scene.search.importance_sampling.log_likelihood_ratio
     assert speed.render_layers is scene.likelihood.object_renderer.render_layers
-    assert scene.joint_search.refine is scene.search.importance_sampling.refine
+    assert scene.search.competing_scenes.refine is scene.search.importance_sampling.refine
 
 
 @pytest.mark.slow

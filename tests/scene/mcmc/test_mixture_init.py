@@ -11,10 +11,9 @@ import pytest
 
 from scene.mcmc import pose_mixture
 from scene.mcmc.mixture_adaptation import adapt_mixture
-from scene.mcmc.mixture_init import own_components, spin
+from scene.mcmc.mixture_init import MODES, own_components, spin
 from scene.mcmc.pose_mixture import PoseMixture, place_of
 from scene.mcmc.symmetry_arrays import SpinLines
-from scene.search.importance_sampling import MODES
 
 MEAN = np.array([0.8, 0.36, 0.48, 0.0, 0.1, -0.2, 0.5])
 

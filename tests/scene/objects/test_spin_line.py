@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from scene.objects.scene_object import scene_object
-from scene.objects.symmetry import APART, better_restarts, symmetric_restarts
+from scene.objects.symmetry import turns_alike
 
 RADIUS_M, HEIGHT_M = 0.04, 0.09
 
@@ -53,46 +53,25 @@ def test_a_box_spins_about_nothing(extents: tuple[float, float, float]) -> None:
     assert not scene_object("box", mesh.vertices, mesh.faces).spin_line.any()
 
 
-def test_a_spin_leaves_the_line_where_it_is(seed: int) -> None:
-    """Points of the line stay, and a point beside it comes back after a whole turn."""
-    rng = np.random.default_rng(seed)
-    poses = np.concatenate(
-        [Rotation.random(3, rng=rng).as_quat()[:, [3, 0, 1, 2]], rng.normal(size=(3, 3))], axis=1
+def test_turns_alike_leave_a_box_as_it_is() -> None:
+    """Four of a box with three different edges, eight of a square one and with the first none."""
+    for extents, count in (((0.1, 0.07, 0.2), 4), ((0.1, 0.1, 0.2), 8)):
+        mesh = trimesh.creation.box(extents)
+        one = scene_object("box", mesh.vertices, mesh.faces)
+        turns = turns_alike(one.symmetry_lines, one.symmetry_orders, np.zeros((2, 3)))
+        np.testing.assert_array_equal(turns[0], np.eye(4))
+        assert len(np.unique((turns[:, :3, :3] + 0.0).round(2), axis=0)) == count
+        for turn in turns:
+            turned = np.abs(one.points_m @ turn[:3, :3].T + turn[:3, 3])
+            np.testing.assert_allclose(turned.max(axis=0), one.half_extents_m, atol=0.001)
+
+
+def test_turns_alike_spin_a_mug() -> None:
+    """Once round its line, whose points stay, with steps of 30 degrees."""
+    one = scene_object("mug", (mesh := mug()).vertices, mesh.faces)
+    turns = turns_alike(np.zeros((3, 2, 3)), np.zeros(3, int), one.spin_line)
+    np.testing.assert_allclose(
+        turns[:, :3, :3] @ one.spin_line[1] + turns[:, :3, 3], np.tile(one.spin_line[1], (12, 1))
     )
-    lines = rng.normal(size=(3, 2, 3))
-    lines[:, 0] /= np.linalg.norm(lines[:, 0], axis=1, keepdims=True)
-
-    turned = symmetric_restarts(poses, lines, 8)
-
-    def seen(point: np.ndarray, one: int) -> np.ndarray:
-        return Rotation.from_quat(turned[one][:, [1, 2, 3, 0]]).apply(point) + turned[one][:, 4:]
-
-    for one, (direction, point) in enumerate(lines):
-        for along in (0.0, 0.7):
-            places = seen(point + along * direction, one)
-            np.testing.assert_allclose(places, np.repeat(places[:1], 8, axis=0), atol=1e-12)
-        beside = seen(point + np.cross(direction, [1.0, 2.0, 3.0]), one)
-        middle = seen(point, one)[0]
-        np.testing.assert_allclose(beside[0] + beside[4], 2 * middle, atol=1e-12)
-        np.testing.assert_allclose(beside[1] + beside[5], 2 * middle, atol=1e-12)
-        assert np.linalg.norm(beside[0] - beside[1]) > 0.1
-
-
-def test_the_best_turns_are_apart_and_better_than_none() -> None:
-    """Two peaks of three, neither their flanks nor the first turn's; none where the first is the best."""
-    places = np.arange(96)
-    apart = int(np.ceil(APART / (2 * np.pi) * 96))
-    close = apart - 1
-
-    def peak(place: int, height: float) -> np.ndarray:
-        steps = np.abs(places - place)
-        return height - np.minimum(steps, 96 - steps)
-
-    peaks = peak(0, 5.0), peak(60, 30.0)
-    assert better_restarts(np.max([*peaks, peak(30, 20.0), peak(96 - apart, 25.0)], axis=0)) == [
-        60,
-        96 - apart,
-    ]
-    assert better_restarts(np.max([*peaks, peak(30, 5.5), peak(96 - close, 6.0)], axis=0)) == [60, 30]
-    assert better_restarts(np.max([peak(0, 5.0), peak(30, 20.0)], axis=0))[0] == 30
-    assert better_restarts(-np.abs(places - 0.0)) == []
+    angles = Rotation.from_matrix(turns[:, :3, :3]).as_rotvec() @ one.spin_line[0]
+    np.testing.assert_allclose(np.sort(np.degrees(angles) % 360), np.arange(12) * 30, atol=1e-6)

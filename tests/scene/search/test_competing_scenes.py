@@ -13,7 +13,6 @@ from scene.observation.segmentation import scene_data
 from scene.search.competing_scenes import RIVALS, best_of, decided
 from scene.search.hypotheses import PosePools
 from scene.search.importance_sampling import refine
-from scene.search.search_result import Initialisation
 from shapes.geometry.poses import poses_of
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
@@ -75,25 +74,17 @@ def test_only_what_moves_is_refined(key: jax.Array, seed: int) -> None:
     true, placed = (poses_of(camera_from_world @ poses) for poses in (np.stack(at), aside @ np.stack(at)))
 
     with jax.enable_x64(False):
-        start = Initialisation(
-            poses=placed,
-            found=np.ones(2, bool),
-            rivals=np.zeros((2, 7)),
-            pools=np.zeros((2, 0, 7)),
-            log_gains=np.zeros((2, 1)),
-            log_alone=np.zeros((2, 1)),
-        )
         refined = refine(
             key,
             scene_data(depth_m.astype(np.float32), INTRINSICS, seed),
             ObjectRenderer.of(boxes),
             np.arange(2),
-            start,
-            DepthNoise(outlier_probability=0.01),
-            np.zeros((2, 2, 3)),
+            placed,
+            np.ones(2, bool),
             np.array([True, False]),
+            DepthNoise(outlier_probability=0.01),
         )
 
-    off_m = np.linalg.norm((refined.means[:, 0] - true)[:, 4:6], axis=1)
+    off_m = np.linalg.norm((refined - true)[:, 4:6], axis=1)
     assert off_m[0] < OFF_M / 4
-    np.testing.assert_array_equal(refined.means[1, 0], placed[1])
+    np.testing.assert_array_equal(refined[1], placed[1])
