@@ -63,7 +63,7 @@ def test_two_wells_get_their_shares(seed: int) -> None:
 
 
 def test_a_rough_posterior_is_not_left_in_its_first_narrow_place(seed: int) -> None:
-    """Ripples of five nats each fifth of a millimetre, under a well 60 nats deep: the best is at the middle."""
+    """Ripples of five nats each fifth of a millimetre, under a deep well: the best is in its middle."""
     rng = np.random.default_rng(seed)
 
     def log_density(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
