@@ -94,8 +94,8 @@ class ParseConfig:
     rounds: int = 2
     pool: int = 48
     shape_samples: int = 0
-    chains: int = 4
-    sweeps: int = 120
+    chains: int = 16
+    sweeps: int = 60
     model_error_m: float = 0.002
     scale_error: float = 0.005
     search_error_m: float = 0.003

@@ -98,9 +98,9 @@ def _hypotheses(image: PoseImage, shapes: MeshSource, source: Source, seed: int)
     pools = PosePools.of(data, objects, ObjectRenderer.of(objects), DepthNoise(), config, config.pool)
     with timed() as timing:
         search_round = SearchRound.of(pools, rng)
-        after, candidates = search_round.hypotheses(
-            pools, dict.fromkeys(range(len(objects)), data.foreground)
-        )
+        every = list(range(len(objects)))
+        refined, candidates = search_round.hypotheses(pools, dict.fromkeys(every, data.foreground))
+        after = pools.densest(refined, np.full(len(every), pools.absent), every)
     from_masks = FROM_MASKS[source] * config.pool // candidates.shape[1]
     from_points, others = config.pool - from_masks, candidates.shape[1] - FROM_MASKS[source]
     before = np.concatenate(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,9 +19,11 @@ from scene.model.presence import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
-from scene.search.assignment import PoseLayers
+from scene.search.assignment import PoseLayers, nearest_layer
 from scene.search.pixel_sample import ComparedPixels
 from scene.search.support_prior import Gravity, log_not_buried
+from scene.search.template_matching import distinct
+from shapes.geometry.poses import matrices_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,6 +106,28 @@ class PosePools:
         poses[which, first : first + found.shape[1]] = found
         layers = self._with_layers(depth_m, log_colour, log_shares, poses, found, which, first)
         return replace(self, poses=poses, layers=layers)
+
+    def densest(
+        self, found: NDArray[np.float32], scene: NDArray[np.integer], objects: Sequence[int]
+    ) -> NDArray[np.float32]:
+        """The `pool` densest (M, pool, 7) that differ of poses (M, n, 7) of some objects, by depth alone.
+
+        Each is judged beside the others of a scene (N,).
+        """
+        return np.stack([self._densest(*one, scene) for one in zip(objects, found, strict=True)])
+
+    def _densest(
+        self, one: int, poses: NDArray[np.float32], scene: NDArray[np.integer]
+    ) -> NDArray[np.float32]:
+        """Those (pool, 7) of the poses (n, 7) of one object."""
+        depth_m = self.renderer.layers(np.full(len(poses), one), poses, self.data.window)
+        front = nearest_layer(self.layers, jnp.asarray(scene), np.arange(len(scene)) != one)
+        gains = self.pixels.gains_before(front, depth_m)
+        gains += log_not_buried(self.data.table, [self.objects[one]], poses[None], self.config.loose_sigma_m)[
+            0
+        ]
+        rotations = matrices_of(poses)[:, :3, :3].astype(np.float32)
+        return poses[np.asarray(distinct(rotations, poses[:, 4:], gains, self.config.pool))]
 
     def _told_by_depth(
         self, numbers: NDArray[np.integer], found: NDArray[np.float32], turned: NDArray[np.float32]

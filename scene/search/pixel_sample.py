@@ -123,6 +123,14 @@ class ComparedPixels:
             log_alone=put(layers.log_alone, alone + log_prior),
         )
 
+    def gains_before(
+        self, front: tuple[jax.Array, jax.Array], depth_m: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Log density (n,) that poses of that depth (n, H, W) add before a front (X,): depth, log density."""
+        layer_m, log_density, log_alone = self._shown(depth_m, None)
+        front_m, log_front = map(np.asarray, front)
+        return log_alone + np.where(layer_m < front_m, log_density - log_front, 0.0).sum(axis=1)
+
     def _shown(
         self, depth_m: NDArray[np.float32], log_colour: jax.Array | None
     ) -> tuple[NDArray[np.float32], ...]:

@@ -92,7 +92,8 @@ class SearchRound:
             masks: (H, W) pixels that may show the object, by object.
             index: of the round, whose part of the pools is replaced.
         """
-        pools = pools.with_poses(self.hypotheses(pools, masks)[0], index * pools.config.pool, list(masks))
+        sought, (refined, _) = list(masks), self.hypotheses(pools, masks)
+        pools = pools.with_poses(pools.densest(refined, scene, sought), index * pools.config.pool, sought)
         return pools, best_of(pools, _annealed(key, pools.layers), scene)
 
     def hypotheses(
@@ -100,10 +101,10 @@ class SearchRound:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Poses of objects on the pixels of M masks, searched side by side on all cores.
 
-        Refined ones (M, pool, 7), the best first, and those (M, CANDIDATES, 7) that were refined: from points
-        and then from masks, the best of each first.
+        Refined ones (M, CANDIDATES, 7) and what they were before: from points and then from masks, the best
+        of each first.
         """
-        data, size = pools.data, pools.config.pool
+        data = pools.data
         points = unproject(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
         enough = {
             one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()
@@ -115,7 +116,7 @@ class SearchRound:
             beside = self._from_masks(index, enough[index], FROM_MASKS[pools.config.proposals])
             places = _places(*drawn[index])
             return jax.device_get(
-                match_templates(view, one.points_m, one.normals, self.rotations[index], *places, beside, size)
+                match_templates(view, one.points_m, one.normals, self.rotations[index], *places, beside)
             )
 
         refined, candidates = zip(*map_parallel(find, masks), strict=True)

@@ -53,7 +53,7 @@ SAME_ANGLE_COSINE = 0.94
 NEIGHBOURHOOD_M, CROWDING = 0.05, 0.04
 """Each chosen pose lowers the scores round it, for the pool to spread."""
 
-CANDIDATES = 128
+CANDIDATES = 256
 """Poses of an object and round that are refined. Search effort."""
 
 ICP_MIDDLE_M, ICP_LAST_M = 0.01, 0.003
@@ -75,7 +75,7 @@ _CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
 """Which visible points are put on observed ones: places in the outline's bounding rectangle."""
 
 
-@partial(jax.jit, static_argnames="count")
+@jax.jit
 def match_templates(
     view: PooledView,
     points_m: jax.Array,
@@ -84,11 +84,10 @@ def match_templates(
     anchors_m: jax.Array,
     centres_m: jax.Array,
     beside: jax.Array,
-    count: int,
 ) -> tuple[jax.Array, jax.Array]:
-    """The best `count` poses (n, 7) camera_from_box that differ, best first, and what they were before.
+    """Refined poses (CANDIDATES, 7) camera_from_box, and what they were before.
 
-    The second value are all candidates (CANDIDATES, 7), unrefined: templates', best first, and then `beside`.
+    The best of the templates that differ come first, best first, and then `beside`.
 
     Args:
         view: the observation.
@@ -98,7 +97,6 @@ def match_templates(
         anchors_m: (A, 3) observed points.
         centres_m: (C, 3) where the box's centre may be.
         beside: (B, 7) poses from elsewhere, which are refined in place of as many of the CANDIDATES.
-        count: of poses.
     """
     table = ViewTable.of(view)
     coarse_m = jnp.maximum(TOLERANCE_M, COARSE * jnp.linalg.norm(jnp.max(jnp.abs(points_m), axis=0)))
@@ -116,13 +114,8 @@ def match_templates(
         return align(table, *few, everything, poses, ICP_MIDDLE_M, ICP_MIDDLE_M, SETTLING_ITERATIONS)
 
     poses = jax.lax.fori_loop(0, SLIDING_ROUNDS, settled, poses)
-    turned, placed = jaxlie.SO3(poses[:, :4]).as_matrix(), poses[:, 4:]
-    scores = jax.vmap(partial(_score, table, points_m, normals, TOLERANCE_M))(turned, placed)
-    chosen = distinct(turned, placed, scores, count)
-    everything = jnp.ones((count, len(points_m)), bool)
-    refined = align(
-        table, points_m, normals, everything, poses[chosen], ICP_MIDDLE_M, ICP_LAST_M, FINE_ITERATIONS
-    )
+    everything = jnp.ones((CANDIDATES, len(points_m)), bool)
+    refined = align(table, points_m, normals, everything, poses, ICP_MIDDLE_M, ICP_LAST_M, FINE_ITERATIONS)
     return refined, candidates
 
 
