@@ -26,7 +26,7 @@ from scene.objects.symmetry import turns_alike
 from scene.presence.births import LEAST_DENSITY
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import PosePriors
-from scene.search.importance_sampling import distinct
+from scene.search.importance_sampling import distinct, largest_power
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
 
@@ -56,9 +56,6 @@ WORSE, SOUGHT = 25.0, 8
 
 MOST_SEEDS = PARTICLES // 4
 """So that some particles are round each."""
-
-BISECTIONS = 30
-"""Of the rise of the exponent: to 1e-9."""
 
 
 def refine_poses(
@@ -199,7 +196,7 @@ def anneal(
     log_likelihood, log_prior = log_density(poses)
     exponent = 0.0
     while exponent < 1:
-        rise = _next_rise(log_likelihood, 1 - exponent)
+        rise = largest_power(log_likelihood, ALIVE * PARTICLES, 1 - exponent)
         exponent = min(exponent + rise, 1.0)
         kept = _resampled(rng, softmax(rise * log_likelihood))
         poses, seed = poses[kept], seed[kept]
@@ -214,21 +211,6 @@ def anneal(
             log_likelihood = np.where(accepted, likelihood_there, log_likelihood)
             log_prior = np.where(accepted, prior_there, log_prior)
     return poses, log_likelihood + log_prior
-
-
-def _next_rise(log_likelihood: NDArray[np.float64], most: float) -> float:
-    """Largest rise of the exponent, up to `most`, whose weights leave `ALIVE` of the particles."""
-
-    def alive(rise: float) -> float:
-        return float(1 / (softmax(rise * log_likelihood) ** 2).sum()) / len(log_likelihood)
-
-    if alive(most) >= ALIVE:
-        return most
-    low, high = 0.0, most
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if alive(middle) >= ALIVE else (low, middle)
-    return high
 
 
 def _resampled(rng: np.random.Generator, weights: NDArray[np.float64]) -> NDArray[np.intp]:

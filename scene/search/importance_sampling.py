@@ -45,8 +45,8 @@ LEAST_SIGMA = np.repeat([0.0001, 0.002], 3)
 WIDER = 1.15
 """Factor of fitted standard deviations: proposals should reach beyond what they are fitted to."""
 
-BISECTIONS = 14
-"""Of the power to which weights are tempered: to 0.0001."""
+BISECTIONS = 30
+"""Of the power to which weights are tempered: to 1e-9."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,17 +162,22 @@ def _fitted(
 
 def tempered(log_weights: NDArray[np.float64], least: float) -> NDArray[np.float64]:
     """Normalised weights (S,) to the largest power up to 1 that leaves so many effective draws."""
+    return softmax(largest_power(log_weights, least) * log_weights)
+
+
+def largest_power(log_weights: NDArray[np.float64], least: float, most: float = 1.0) -> float:
+    """Power over 0 and up to `most` of weights (S,) that leaves so many effective draws of them."""
 
     def alive(power: float) -> float:
         return float(1 / (softmax(power * log_weights) ** 2).sum())
 
-    if alive(1.0) >= least:
-        return softmax(log_weights)
-    low, high = 0.0, 1.0
+    if alive(most) >= least:
+        return most
+    low, high = 0.0, most
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
         low, high = (middle, high) if alive(middle) >= least else (low, middle)
-    return softmax(low * log_weights)
+    return high
 
 
 @jax.jit

@@ -1,11 +1,18 @@
 """The fused room lies where the room is."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 
 from pipeline.room import RoomView, view_room
+from pipeline.run_folder import Committed
+from pipeline.session import Session
+from pipeline.stages.room import view_stage
 from pipeline.synthesis.recording import SyntheticRecording
+from recordings.reading import open_recording
+from scene.result import SceneResult
 from slam.result import SlamResult
 
 
@@ -40,3 +47,17 @@ def test_saved_and_loaded_is_the_same(
 
     for name, value in vars(room).items():
         np.testing.assert_array_equal(getattr(loaded, name), value)
+
+
+def test_a_view_has_the_number_of_the_frame_that_was_parsed(mug_file: Path) -> None:
+    """Of a run without a trajectory: by it the run knows its stamp."""
+    session = SimpleNamespace(
+        recording=open_recording(mug_file),
+        stage=lambda name, load, compute, *_, **__: compute(),  # noqa: ARG005
+    )
+    scene = SimpleNamespace(value=SimpleNamespace(frames=np.array([3])))
+    committed = view_stage(cast(Session, session), cast(Committed[SceneResult], scene))
+
+    room = cast(RoomView, committed)  # this session commits nothing
+    assert room.frames.tolist() == [3]
+    assert len(room.depth_mm) == 1
