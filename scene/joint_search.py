@@ -187,7 +187,7 @@ def _best_of_each(
     found = np.stack([one.found for one in starts])
     log_odds = np.full(found.shape, log_prior_odds(config.presence))
     log_odds += np.where([one.spin_line.any() for one in objects], LOG_SPINS, 0.0)
-    burial = Burial.under(compared, objects, config.loose_sigma_m)
+    burial = Burial.under(compared, objects, config.contact_sigma_m)
     if burial is not None:
         by_object = states[:, :7].reshape(len(starts), count, 7).swapaxes(0, 1)
         log_odds += burial.log_prior(np.arange(count), by_object).T

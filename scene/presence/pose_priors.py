@@ -108,7 +108,7 @@ class PosePriors:
             floating_weight=config.floating_weight if supports else 1.0,
             log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(most),
             grafts=config.graph == "infer",
-            burial=Burial.under(compared, objects, config.loose_sigma_m),
+            burial=Burial.under(compared, objects, config.contact_sigma_m),
         )
 
     def of(

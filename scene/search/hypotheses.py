@@ -123,9 +123,9 @@ class PosePools:
         depth_m = self.renderer.layers(np.full(len(poses), one), poses, self.data.window)
         front = nearest_layer(self.layers, jnp.asarray(scene), np.arange(len(scene)) != one)
         gains = self.pixels.gains_before(front, depth_m)
-        gains += log_not_buried(self.data.table, [self.objects[one]], poses[None], self.config.loose_sigma_m)[
-            0
-        ]
+        gains += log_not_buried(
+            self.data.table, [self.objects[one]], poses[None], self.config.contact_sigma_m
+        )[0]
         rotations = matrices_of(poses)[:, :3, :3].astype(np.float32)
         return poses[np.asarray(distinct(rotations, poses[:, 4:], gains, self.config.pool))]
 
@@ -149,7 +149,7 @@ class PosePools:
         config, table = self.config, self.data.table
         objects = [self.objects[one] for one in which]
         spins = np.where([one.spin_line.any() for one in objects], LOG_SPINS, 0.0)
-        log_prior = spins[:, None] + log_not_buried(table, objects, found, config.loose_sigma_m)
+        log_prior = spins[:, None] + log_not_buried(table, objects, found, config.contact_sigma_m)
         log_prior = log_prior + log_shares
         layers = self.pixels.with_layers(self.layers, depth_m, log_prior, which, first, log_colour)
         gravity = Gravity(
