@@ -65,9 +65,9 @@ class ParseConfig:
         outlier_probability: share of pixels that show what nobody models.
         cloud_radius_m: of the ball round a rendered point in which observed points lie.
         cloud_outlier_probability: share of points that show what nobody models.
-        contact_sigma_m: standard deviation of the gap between faces in contact.
-        loose_sigma_m: the same of rests whose surfaces meet elsewhere than on the faces, and by which the
-            search lets objects reach below the table.
+        contact_sigma_m: standard deviation of the gap between faces in contact, and of how far an object's
+            surface reaches below the table.
+        loose_sigma_m: the same of rests whose surfaces meet elsewhere than on the faces.
         contact_concentration: kappa of the direction of contact about flush.
         slack_share: weight of rests that are not flush with a face.
         upward_concentration: kappa of the face that carries another about the one that points up; of
