@@ -24,7 +24,7 @@ from scene.model.presence import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
-from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.depth_candidates import PresenceFrames, nearest_shown
 from scene.presence.pose_priors import Burial
 from scene.presence.size_prior import SizePrior
 from scene.search.importance_sampling import without_each
@@ -217,8 +217,7 @@ def best_choice(
         there = np.flatnonzero(scene != ABSENT)
         if not len(there):
             return 0.0
-        nearest = depth_m[scene[there], there].argmin(axis=0)[None]
-        gains = np.take_along_axis(log_gain[scene[there], there], nearest, axis=0)
+        _, gains = nearest_shown(depth_m[scene[there], there], log_gain[scene[there], there])
         return float(gains.sum(dtype=np.float64) + log_odds[scene[there], there].sum())
 
     def improved(scene: NDArray[np.intp]) -> tuple[float, NDArray[np.intp]]:

@@ -24,7 +24,7 @@ from scene.mcmc.chain_model import carrying, pose_prior, prior_space
 from scene.objects.scene_object import SceneObject
 from scene.objects.symmetry import turns_alike
 from scene.presence.births import LEAST_DENSITY
-from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.depth_candidates import PresenceFrames, nearest_shown
 from scene.presence.pose_priors import PosePriors
 from scene.search.importance_sampling import distinct, largest_power
 from scene.search.search_result import Initialisation
@@ -152,10 +152,7 @@ class _SeenObject:
         others = np.flatnonzero(found & (np.arange(len(found)) != one))
         if len(others):
             states = np.concatenate([poses[others], frames.log_half[others]], axis=1)
-            depth_m, gain = frames.shown(others, states, np.zeros(len(others), np.intp))
-            nearest = depth_m.argmin(axis=0)[None]
-            front_m = np.take_along_axis(depth_m, nearest, axis=0)[0]
-            front_gain = np.take_along_axis(gain, nearest, axis=0)[0]
+            front_m, front_gain = nearest_shown(*frames.shown(others, states, np.zeros(len(others), np.intp)))
         return cls(frames=frames, priors=priors, one=one, front_m=front_m, front_gain=front_gain)
 
     def log_density(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

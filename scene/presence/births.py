@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
-from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.depth_candidates import PresenceFrames, nearest_shown
 from scene.presence.gaussian_fits import Fits, climbed, face_factors, fitted
 from scene.presence.pose_priors import PosePriors
 from scene.presence.size_prior import SizePrior, free_sizes
@@ -154,10 +153,9 @@ def _others(
     present = np.flatnonzero(found)
     states = np.stack([np.append(sites[one][0], sizes.log_half[one]) for one in present.tolist()])
     depth_m, gain = frames.shown(present, states, frames.drawn_shapes(rng, len(present)))
-    for one, other in permutations(range(len(present)), 2):
-        nearer = depth_m[other] < front_m[present[one]]
-        front_m[present[one], nearer] = depth_m[other, nearer]
-        front_gain[present[one], nearer] = gain[other, nearer]
+    for row, one in enumerate(present.tolist() if len(present) > 1 else []):
+        beside = (np.delete(part, row, axis=0) for part in (depth_m, gain))
+        front_m[one], front_gain[one] = nearest_shown(*beside)
     return front_m, front_gain
 
 

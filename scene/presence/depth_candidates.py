@@ -109,6 +109,15 @@ class PresenceFrames:
         return depth_m, np.where(np.isfinite(depth_m), log_density - np.asarray(density.log_rest), 0.0)
 
 
+def nearest_shown(
+    depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Depth and log gain (X,) of the nearest of layers (L, X), one or more; of equal ones the first."""
+    nearest = depth_m.argmin(axis=0)[None]
+    depth_m, log_gain = (np.take_along_axis(part, nearest, axis=0)[0] for part in (depth_m, log_gain))
+    return depth_m, log_gain
+
+
 def slot_layers(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> SlotLayers:
     """Layers (K, X) of one slot where any of them shows anything."""
     pixels = np.flatnonzero(np.isfinite(depth_m).any(axis=0))

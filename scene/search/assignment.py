@@ -112,10 +112,16 @@ def gain_before(layers: PoseLayers, front: tuple[jax.Array, jax.Array], one: jax
 
     Without what carries it.
     """
-    front_m, shown = front
-    nearer = layers.depth_m[one] < front_m[None]
-    gain = jnp.sum(jnp.where(nearer, layers.log_density[one] - shown[None], 0.0), axis=1)
-    return gain + layers.log_alone[one]
+    return gain_of(front, layers.depth_m[one], layers.log_density[one], layers.log_alone[one])
+
+
+def gain_of(
+    front: tuple[jax.Array, jax.Array], depth_m: jax.Array, log_density: jax.Array, log_alone: jax.Array
+) -> jax.Array:
+    """The same of any poses: their depth and log density (K, X), and what they add alone (K,)."""
+    front_m, log_front = front
+    nearer = depth_m < front_m[None]
+    return jnp.sum(jnp.where(nearer, log_density - log_front[None], 0.0), axis=1) + log_alone
 
 
 def _joint_log_density(

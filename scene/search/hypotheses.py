@@ -19,7 +19,7 @@ from scene.model.presence import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
-from scene.search.assignment import PoseLayers, nearest_layer
+from scene.search.assignment import PoseLayers, gain_of, nearest_layer
 from scene.search.pixel_sample import ComparedPixels
 from scene.search.support_prior import Gravity, log_not_buried
 from scene.search.template_matching import distinct
@@ -122,10 +122,9 @@ class PosePools:
         """Those (pool, 7) of the poses (n, 7) of one object."""
         depth_m = self.renderer.layers(np.full(len(poses), one), poses, self.data.window)
         front = nearest_layer(self.layers, jnp.asarray(scene), np.arange(len(scene)) != one)
-        gains = self.pixels.gains_before(front, depth_m)
-        gains += log_not_buried(
-            self.data.table, [self.objects[one]], poses[None], self.config.contact_sigma_m
-        )[0]
+        table, sigma_m = self.data.table, self.config.contact_sigma_m
+        (log_prior,) = log_not_buried(table, [self.objects[one]], poses[None], sigma_m)
+        gains = gain_of(front, *map(jnp.asarray, self.pixels.shown(depth_m))) + log_prior
         rotations = matrices_of(poses)[:, :3, :3].astype(np.float32)
         return poses[np.asarray(distinct(rotations, poses[:, 4:], gains, self.config.pool))]
 

@@ -107,7 +107,7 @@ class ComparedPixels:
             first: place of the first of them.
             log_colour: (M * n, H, W) what colours add where each is seen; None where they are not compared.
         """
-        shown = self._shown(depth_m, log_colour)
+        shown = self.shown(depth_m, log_colour)
         layer_m, density, alone = (leaf.reshape(*log_prior.shape, *leaf.shape[1:]) for leaf in shown)
         places = objects[:, None], first + np.arange(log_prior.shape[1])
 
@@ -123,16 +123,8 @@ class ComparedPixels:
             log_alone=put(layers.log_alone, alone + log_prior),
         )
 
-    def gains_before(
-        self, front: tuple[jax.Array, jax.Array], depth_m: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Log density (n,) that poses of that depth (n, H, W) add before a front (X,): depth, log density."""
-        layer_m, log_density, log_alone = self._shown(depth_m, None)
-        front_m, log_front = map(np.asarray, front)
-        return log_alone + np.where(layer_m < front_m, log_density - log_front, 0.0).sum(axis=1)
-
-    def _shown(
-        self, depth_m: NDArray[np.float32], log_colour: jax.Array | None
+    def shown(
+        self, depth_m: NDArray[np.float32], log_colour: jax.Array | None = None
     ) -> tuple[NDArray[np.float32], ...]:
         """Depth and log density (n, X) of poses of that depth (n, H, W), and what they add elsewhere (n,)."""
         log_density, layer_m = (
