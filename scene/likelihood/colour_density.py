@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter
 
 from scene.execution import FAST_COMPILE
-from scene.likelihood.pixel_density import CHANGES
+from scene.likelihood.pixel_factors import CHANGES
 from scene.objects.surface_colour import components_of_light
 from scene.observation.pixel_window import PixelWindow
 

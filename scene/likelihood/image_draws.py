@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from scene.likelihood.causal_planes import WIDE_PX
-from scene.likelihood.pixel_density import ObjectPixels, PixelDensity
+from scene.likelihood.object_pixels import ObjectPixels
+from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.pixel_places import Places
 from scene.likelihood.unknown_surfaces import UnknownWeights
 
 REACH_PX = WIDE_PX + 1
@@ -60,17 +62,13 @@ def _drawn_image(
     nearest = jnp.argmin(pixels.shown_m, axis=0)
     sides = (REACH_PX, 0), (REACH_PX, REACH_PX)
     rest_m = jnp.pad(rest_m, sides, constant_values=jnp.inf)
-    pixels = ObjectPixels(
-        *(
-            jnp.pad(leaf, ((0, 0), *sides), constant_values=outside)
-            for leaf, outside in (
-                (pixels.covers, False),
-                (pixels.inner, False),
-                (pixels.wide_m, jnp.inf),
-                (pixels.shown_m, jnp.inf),
-            )
-        )
-    )
+
+    def padded(leaf: jax.Array) -> jax.Array:
+        outside = False if leaf.dtype == bool else jnp.inf
+        return jnp.pad(leaf, ((0, 0), *sides), constant_values=outside)
+
+    pixels = jax.tree.map(padded, pixels)
+    last = Places(*jnp.array([[0], [REACH_PX], [REACH_PX]], jnp.int32))
 
     def with_drawn(number: jax.Array, observed_m: jax.Array) -> jax.Array:
         row, column = number // width, number % width
@@ -81,8 +79,8 @@ def _drawn_image(
         density = PixelDensity.of_image(
             patch(observed_m), patch(rest_m), noise, shape_sigma_m, edge_reach, learned
         )
-        mine = jax.tree.map(lambda leaf: patch(leaf[nearest[row, column]]), pixels)
-        drawn_m = density.drawn(jax.random.fold_in(key, number), mine)[REACH_PX, REACH_PX]
+        mine = jax.tree.map(lambda leaf: patch(leaf[nearest[row, column]])[None], pixels)
+        (drawn_m,) = density.drawn(jax.random.fold_in(key, number), mine, last)
         return observed_m.at[row + REACH_PX, column + REACH_PX].set(drawn_m)
 
     blank = jnp.full(rest_m.shape, NO_RETURN, rest_m.dtype)

@@ -160,20 +160,21 @@ class UnknownSurfaces:
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
         return cls(means_m, sigmas_m, shares / jnp.sum(shares, axis=0, keepdims=True), learned.reach_m)
 
-    def density_parts(self, observed_m: jax.Array) -> jax.Array:
-        """Densities (4, H, W) at observed depths of what neighbours foretell, as `kept_parts` has them."""
-        return self._by_neighbours(normal_density(observed_m[None], self.means_m, self.sigmas_m))
+    def density_parts(self, observed_m: jax.Array) -> list[jax.Array]:
+        """Densities (4) (H, W) at observed depths of what neighbours foretell, as `kept_parts` has them."""
+        foretold = zip(self.means_m, self.sigmas_m, strict=True)
+        return self._by_neighbours([normal_density(observed_m, *of_mean) for of_mean in foretold])
 
-    def shares(self) -> jax.Array:
-        """Weights (4, H, W) of what neighbours foretell, likewise."""
-        return self._by_neighbours(jnp.ones_like(self.means_m))
+    def shares(self) -> list[jax.Array]:
+        """Weights (4) (H, W) of what neighbours foretell, likewise."""
+        return self._by_neighbours([jnp.ones(())] * len(self.means_m))
 
     def new_density(self, observed_m: jax.Array) -> jax.Array:
         """Density (H, W) at the observed depths of a surface that begins here."""
         return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
-    def drawn(self, key: jax.Array, weights: jax.Array) -> jax.Array:
-        """Depths (H, W) drawn with weights (5, H, W) of what neighbours foretell, and of what begins here."""
+    def drawn(self, key: jax.Array, weights: Sequence[jax.Array]) -> jax.Array:
+        """Depths (H, W) drawn with weights (5) (H, W) of what neighbours foretell and of what begins here."""
         new_key, kind_key, key = jax.random.split(key, 3)
         of_parts = {one: group for group, members in enumerate(PREDICTIONS) for one in members}
         kept = jnp.stack([weights[of_parts[one]] for one in range(len(self.means_m))])
@@ -181,29 +182,33 @@ class UnknownSurfaces:
         is_new = jax.random.uniform(kind_key, foretold.shape) < weights[-1]
         return jnp.where(is_new, self.reach_m * jax.random.uniform(new_key, foretold.shape), foretold)
 
-    def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
-        """Probabilities (4, H, W) that what neighbours foretell is nearer than a surface so well known."""
-        distance = (depth_m[None] - self.means_m) / jnp.hypot(self.sigmas_m, sigma_m[None])
-        return self._by_neighbours(normal_distribution(distance))
+    def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> list[jax.Array]:
+        """Probabilities (4) (H, W) that what neighbours foretell is nearer than a surface so well known."""
+        foretold = zip(self.means_m, self.sigmas_m, strict=True)
+        distances = [(depth_m - mean_m) / jnp.hypot(of_mean_m, sigma_m) for mean_m, of_mean_m in foretold]
+        return self._by_neighbours(list(map(normal_distribution, distances)))
 
     def new_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
         """The same (H, W) of a surface that begins here: the mean of Phi((d - z) / s) over 0 <= z <= R."""
         low, high = (_ramp((depth_m - end) / sigma_m) for end in (0.0, self.reach_m))
         return sigma_m / self.reach_m * (low - high)
 
-    def _by_neighbours(self, parts: jax.Array) -> jax.Array:
-        """Weighted sums (4, H, W) of predictions (K, H, W), as `kept_parts` has them."""
-        weighted = self.weights[:-1] * parts
-        return jnp.stack([sum(weighted[part] for part in group) for group in PREDICTIONS])
+    def _by_neighbours(self, parts: Sequence[jax.Array]) -> list[jax.Array]:
+        """Weighted sums (4) (H, W) of predictions (K) (H, W), as `kept_parts` has them.
+
+        A list, for kernels that write to one array of several parts are scalar, and slow.
+        """
+        weighted = [weight * part for weight, part in zip(self.weights, parts, strict=False)]
+        return [jnp.asarray(sum(weighted[part] for part in group)) for group in PREDICTIONS]
 
 
-def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array) -> jax.Array:
-    """How much (4, H, W) counts of what both neighbours, the left, the upper, the upper right one foretell.
+def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array) -> list[jax.Array]:
+    """How much (4) (H, W) counts of what both neighbours, the left, the upper, the upper right one foretell.
 
     An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
     probability (H, W), is left out, and a surface that begins here gets its weight.
     """
-    return jnp.stack([(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right])
+    return [(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right]
 
 
 def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: DepthNoise) -> jax.Array:

@@ -12,7 +12,8 @@ from scipy.stats import norm
 from recordings.types import NO_RETURN, DepthNoise
 from scene.likelihood import unknown_surfaces
 from scene.likelihood.object_density import object_densities
-from scene.likelihood.pixel_density import MISSING, MISSING_ON, OUTLIERS, PixelDensity
+from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.pixel_factors import MISSING, MISSING_ON, OUTLIERS
 from scene.likelihood.unknown_surfaces import EDGES, UnknownWeights
 
 STEP_M, SENSOR_M, SURFACE_M = 0.07, 0.08, 0.05
@@ -118,7 +119,7 @@ def test_a_plane_of_which_much_was_seen_is_known_as_well_as_a_shape(seed: int) -
     assert abs(gains[inside].mean()) < 0.1
 
 
-def test_tiles_give_what_the_whole_image_does(seed: int) -> None:
+def test_lists_of_pixels_give_what_the_whole_image_does(seed: int) -> None:
     """Objects small and large, at the border and beyond it, holes in the image: all but rounding."""
     rng = np.random.default_rng(seed)
     size = 84, 112
@@ -133,11 +134,11 @@ def test_tiles_give_what_the_whole_image_does(seed: int) -> None:
             0.8, 1.1
         )
     one = jax.tree.map(lambda leaf: leaf[None], density)
-    log_tiled, depth_tiled = jax.jit(object_densities)(one, layers_m, np.zeros(24, np.int32))
+    log_listed, depth_listed = jax.jit(object_densities)(one, layers_m, np.zeros(24, np.int32))
     log_whole, depth_m = jax.jit(partial(jax.lax.map, density.of_object))(layers_m)
-    np.testing.assert_array_equal(depth_tiled, depth_m)
+    np.testing.assert_array_equal(depth_listed, depth_m)
     expected = np.where(np.isfinite(depth_m), log_whole, 0.0)
-    np.testing.assert_allclose(np.asarray(log_tiled), expected, atol=2e-3)
+    np.testing.assert_allclose(np.asarray(log_listed), expected, atol=2e-3)
 
 
 def test_the_sampler_draws_from_it(seed: int) -> None:

@@ -44,7 +44,7 @@ def log_density(depth_m: jax.Array, weights: UnknownWeights) -> jax.Array:
     measured = depth_m != NO_RETURN
     surfaces = UnknownSurfaces.of(depth_m, NOISE, weights)
     new = surfaces.weights[-1] * surfaces.new_density(depth_m)
-    density = jnp.sum(surfaces.density_parts(depth_m), axis=0) + new
+    density = sum(surfaces.density_parts(depth_m), start=new)
     return jnp.sum(jnp.where(measured, jnp.log(jnp.maximum(density, 1e-8)), 0.0)) / jnp.sum(measured)
 
 

@@ -11,7 +11,8 @@ import trimesh
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
 from scene import joint_search, parsing
 from scene.config import ParseConfig
-from scene.likelihood.pixel_density import UNKNOWN, PixelDensity
+from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.pixel_factors import UNKNOWN
 from scene.objects.scene_object import SceneObject, scene_object
 
 NOISE = DepthNoise(none_hit_probability=0.11, none_miss_probability=0.83)

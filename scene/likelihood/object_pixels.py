@@ -1,0 +1,80 @@
+"""The pixels of an image that an object has a part in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+JUST_BEFORE, FAR_M = 1 - 1e-6, 1e6
+"""What an object does to the pixels beside it is behind all objects and before the supports."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ObjectPixels:
+    """The pixels that an object has a part in, whatever is measured there; leaves (..., H, W).
+
+    Attributes:
+        covers: where it is nearer than the supports.
+        inner: those of them at its outline.
+        outer: those beside its outline.
+        wide_m: its depth, and beside it that of the nearest pixel of its outline; +inf elsewhere.
+        shown_m: its depth; of the two pixels beside it, which tell that no unknown surface goes on from it,
+            just before the supports, so that other objects hide them.
+    """
+
+    covers: jax.Array
+    inner: jax.Array
+    outer: jax.Array
+    wide_m: jax.Array
+    shown_m: jax.Array
+
+    @property
+    def touches(self) -> jax.Array:
+        """Where it is, or ends beside."""
+        return jnp.isfinite(self.wide_m)
+
+    @classmethod
+    def of(cls, layer_m: jax.Array, rest_m: jax.Array) -> ObjectPixels:
+        """Of the depth (..., H, W) of an object alone, +inf beside it, before supports, likewise."""
+        covers = layer_m < rest_m
+        layer_m = jnp.where(covers, layer_m, jnp.inf)
+        nearest_m = _nearest_beside(layer_m)
+        wide_m = jnp.where(covers, layer_m, jnp.where(nearest_m < rest_m, nearest_m, jnp.inf))
+        just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
+        touches = jnp.isfinite(wide_m)
+        beside = _touched_before(touches)
+        shown_m = jnp.where(covers, layer_m, jnp.where(beside, just_before, jnp.inf))
+        return cls(covers, covers & ~all_beside(covers), touches & ~covers, wide_m, shown_m)
+
+
+def all_beside(mask: jax.Array) -> jax.Array:
+    """Whether a mask (..., H, W) holds the four pixels beside each; what is beyond the border is held."""
+    above, below, left, right = _four_beside(mask, True)
+    return above & below & left & right
+
+
+def _nearest_beside(layer_m: jax.Array) -> jax.Array:
+    """The least depth (..., H, W) of the four pixels beside each."""
+    above, below, left, right = _four_beside(layer_m, jnp.inf)
+    return jnp.minimum(jnp.minimum(above, below), jnp.minimum(left, right))
+
+
+def _touched_before(touches: jax.Array) -> jax.Array:
+    """Where a mask (..., H, W) holds a pixel, the one to its left, that above or that above to the right."""
+    wide = _wide(touches, False)
+    return touches | wide[..., 1:-1, :-2] | wide[..., :-2, 1:-1] | wide[..., :-2, 2:]
+
+
+def _four_beside(image: jax.Array, outside: float | bool) -> tuple[jax.Array, ...]:
+    """The pixels (..., H, W) above, below, to the left and to the right of each."""
+    wide = _wide(image, outside)
+    return wide[..., :-2, 1:-1], wide[..., 2:, 1:-1], wide[..., 1:-1, :-2], wide[..., 1:-1, 2:]
+
+
+def _wide(image: jax.Array, outside: float | bool) -> jax.Array:
+    """An image (..., H, W) with one more pixel on each side."""
+    sides = [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)]
+    return jnp.pad(image, sides, constant_values=outside)

@@ -1,0 +1,74 @@
+"""Pixels of images in a list, and those beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+from numpy.typing import ArrayLike
+
+Near = Callable[[int, int], jax.Array]
+"""Values (P,) of the pixels so many rows above listed ones and columns to their left; 0 beyond the border."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """P pixels of images (N, H, W), in any order.
+
+    Attributes:
+        image: (P,) int32.
+        row: (P,) int32.
+        column: (P,) int32.
+    """
+
+    image: jax.Array
+    row: jax.Array
+    column: jax.Array
+
+    @classmethod
+    def of_numbers(cls, numbers: jax.Array, size: tuple[int, ...]) -> Places:
+        """Those of numbers (P,) in N images (N, H, W) of this size, one row after another."""
+        _, height, width = size
+        line, column = jnp.divmod(numbers, width)
+        image, row = jnp.divmod(line, height)
+        return cls(image, row, column)
+
+    @classmethod
+    def everywhere(cls, size: tuple[int, ...]) -> Places:
+        """All pixels of images (H, W) of this size, one row after another; there is one image."""
+        height, width = size
+        return cls.of_numbers(jnp.arange(height * width, dtype=jnp.int32), (1, height, width))
+
+    def in_images(self, numbers: ArrayLike) -> Places:
+        """The same pixels of images (F, H, W), where each of the N is one of those (N,)."""
+        return replace(self, image=jnp.asarray(numbers).at[self.image].get(mode="clip"))
+
+    def of(self, images: jax.Array) -> jax.Array:
+        """Values (..., P) of images (N, ..., H, W)."""
+        _, *_, height, width = images.shape
+        stacked = jnp.moveaxis(images, 0, -3)
+        flat = stacked.reshape(*stacked.shape[:-3], -1)
+        return flat.at[..., self._number(height, width)].get(mode="clip")
+
+    def of_images(self, numbers: ArrayLike) -> jax.Array:
+        """Of numbers (N, ...) of images those (..., P) of these pixels; (..., 1) where N is 1."""
+        of_all = jnp.asarray(numbers)
+        which = self.image if len(of_all) > 1 else jnp.zeros(1, jnp.int32)
+        return jnp.moveaxis(of_all.at[which].get(mode="clip"), 0, -1)
+
+    def beside(self, images: jax.Array) -> Near:
+        """What is beside these pixels in images (N, H, W)."""
+        _, height, width = images.shape
+        flat, number = images.reshape(-1), self._number(height, width)
+
+        def at(down: int, across: int) -> jax.Array:
+            column = self.column - across
+            inside = (self.row >= down) & (column >= 0) & (column < width)
+            return jnp.where(inside, flat.at[number - (down * width + across)].get(mode="clip"), 0)
+
+        return at
+
+    def _number(self, height: int, width: int) -> jax.Array:
+        return (self.image * height + self.row) * width + self.column
