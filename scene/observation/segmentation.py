@@ -158,13 +158,21 @@ def support_depth(
 ) -> NDArray[np.float32]:
     """Depth (H, W) of the nearest support in a window's pixels, +inf beside all.
 
-    A support reaches as far as it is seen: where something behind its plane is measured it is not.
+    What carries things over another support may be a body with sides down to that, which begin at its edge,
+    and is where most of what nothing hides of these is seen: not a shelf. A support reaches as far as it is
+    seen: where something behind its surface is measured it is not.
     """
     nearest_m = np.full(window.depth_m.shape, np.inf)
     rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
     for support in supports:
-        plane_m = _plane_depth(support, rays, MARGIN_M)
-        nearest_m = np.where(window.depth_m > plane_m + BEHIND_M, nearest_m, np.minimum(nearest_m, plane_m))
+        side_m = _side_depth(support, _height_over_next(support, supports), rays)
+        has_sides = _is_mostly_shown(side_m, window.depth_m)
+        surfaces = [(_plane_depth(support, rays, 0.0), BEHIND_M)]
+        surfaces += [(_plane_depth(support, rays, MARGIN_M), LOWEST_M if has_sides else BEHIND_M)]
+        surfaces += [(side_m, BEHIND_M)] if has_sides else []
+        for depth_m, behind_m in surfaces:
+            is_there = window.depth_m <= depth_m + behind_m
+            nearest_m = np.where(is_there, np.minimum(nearest_m, depth_m), nearest_m)
     return nearest_m.astype(np.float32)
 
 
@@ -229,6 +237,40 @@ def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float
     inside = table.in_table_frame(rays * depth[..., None])
     on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + margin_m).all(axis=-1)
     return np.where(on_table, depth, np.inf)
+
+
+def _is_mostly_shown(surface_m: NDArray[np.float64], observed_m: NDArray[np.float32]) -> bool:
+    """Whether most pixels that look at a surface (H, W), and at nothing before it, show it."""
+    looks = np.isfinite(surface_m) & (observed_m != NO_RETURN) & (observed_m > surface_m - WARP_M)
+    return bool((observed_m[looks] < surface_m[looks] + WARP_M).sum() > SEEN_SHARE * looks.sum())
+
+
+def _height_over_next(table: SupportPlane, supports: Sequence[SupportPlane]) -> float:
+    """Metres of a support over the next one below; +inf of those that are over none."""
+    heights_m = [np.inf]
+    for below in supports:
+        *beside_m, height_m = below.in_table_frame(table.camera_from_table[:3, 3])
+        if height_m > LOWEST_M and (np.abs(beside_m) < below.half_size_m).all():
+            heights_m.append(height_m)
+    return min(heights_m)
+
+
+def _side_depth(table: SupportPlane, height_m: float, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth (...) of the sides of what carries things so high, along rays (..., 3) of unit depth.
+
+    +inf beside them, and where the height is.
+    """
+    if np.isinf(height_m):
+        return np.full(rays.shape[:-1], np.inf)
+    high = np.append(table.half_size_m, 0.0)
+    low = np.append(-table.half_size_m, -height_m)
+    towards, camera = rays @ table.camera_from_table[:3, :3], table.in_table_frame(np.zeros(3))
+    with np.errstate(divide="ignore"):
+        ends = np.stack([(low - camera) / towards, (high - camera) / towards])
+    enters, leaves = ends.min(axis=0), ends.max(axis=0)
+    depth_m = enters.max(axis=-1)
+    by_side = (enters.argmax(axis=-1) != 2) & (depth_m > 0) & (depth_m < leaves.min(axis=-1))
+    return np.where(by_side, depth_m, np.inf)
 
 
 def _near(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
