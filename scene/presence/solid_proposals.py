@@ -107,7 +107,11 @@ def _on_support(
 
 
 def _boxes_behind_faces(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> Iterator[NDArray]:
-    """Boxes (10,) behind the flat faces of a piece, the largest face first."""
+    """Boxes (10,) behind the flat faces of a piece, the largest face first.
+
+    Sides of things are mostly upright, but a camera turns a far one by some degrees: such a box is tried
+    upright and as it is seen.
+    """
     left = np.ones(len(normals), bool)
     for _ in range(FACES):
         if left.sum() < FEWEST_PIXELS:
@@ -117,8 +121,25 @@ def _boxes_behind_faces(points_m: NDArray[np.float64], normals: NDArray[np.float
         face = left & (normals @ normal > FLAT_COSINE)
         left &= ~face
         if face.sum() >= FEWEST_PIXELS:
-            mean = normals[face].mean(axis=0)
-            yield _box_behind(points_m, face, mean / np.linalg.norm(mean))
+            seen = _plane_normal(points_m[face], normals[face])
+            yield _box_behind(points_m, face, seen)
+            for upright in _upright(seen):
+                yield _box_behind(points_m, face, upright)
+
+
+def _plane_normal(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normal (3,) of the plane through points (P, 3) by least squares, to the side of their own (P, 3)."""
+    normal = np.linalg.eigh(np.cov(points_m.T))[1][:, 0]
+    return normal * np.sign(normal @ normals.sum(axis=0))
+
+
+def _upright(normal: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """The normal (3,) of the level or upright face that one of this normal may be; none of a slope."""
+    if normal[2] > LEVEL:
+        return [np.array([0.0, 0.0, 1.0])]
+    if abs(normal[2]) < UPRIGHT:
+        return [np.array([*normal[:2], 0.0]) / np.linalg.norm(normal[:2])]
+    return []
 
 
 def _box_behind(
@@ -126,23 +147,20 @@ def _box_behind(
 ) -> NDArray[np.float64]:
     """The box (10,) behind a face, as deep as points (P, 3) of its piece are seen behind it."""
     up = np.array([0.0, 0.0, 1.0])
-    top, side = normal[2] > LEVEL, abs(normal[2]) < UPRIGHT
-    if side:
-        normal = normal - normal[2] * up
-        normal /= np.linalg.norm(normal)
+    if side := normal[2] == 0:
         rotation, across = np.stack([np.cross(up, normal), -normal, up], axis=1), 1
     else:
-        normal = up if top else normal
         rotation, across = least_rectangle(points_m[face], points_m[face].mean(axis=0), normal)[0], 2
     inside = points_m @ rotation
     low, high = np.percentile(inside[face], [1, 99], axis=0)
     beside = np.arange(3) != across
     behind = ((inside > low - INSIDE_M) & (inside < high + INSIDE_M))[:, beside].all(axis=1)
-    depths = inside[behind, across]
+    depths, middle = inside[behind, across], np.median(inside[face, across])
     if side:  # its axis points into the solid
-        high[across] = max(np.percentile(depths, 99), low[across] + THINNEST_M)
+        low[across], high[across] = middle, max(np.percentile(depths, 99), middle + THINNEST_M)
     else:
-        low[across] = 0.0 if top else min(np.percentile(depths, 1), high[across] - THINNEST_M)
+        foot = 0.0 if normal[2] == 1 else min(np.percentile(depths, 1), middle - THINNEST_M)
+        low[across], high[across] = foot, middle
     return _solid(rotation, *_on_support(rotation, low, high))
 
 

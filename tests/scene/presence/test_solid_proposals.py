@@ -18,25 +18,34 @@ PLACES_M = np.array([[-0.15, 0.05, 0.09], [0.02, -0.04, 0.05], [0.2, 0.06, 0.02]
 YAWS, IS_ROUND = np.array([0.4, 0.0, -0.7]), np.array([False, True, False])
 
 
-def seen(rng: np.random.Generator) -> np.ndarray:
-    """Depth (H, W) of the three on a table, in a millimetre and a half of noise."""
-    turns = Rotation.from_rotvec(YAWS[:, None] * [0.0, 0.0, 1.0]).as_quat(scalar_first=True)
-    on_table = matrices_of(np.concatenate([turns, PLACES_M], axis=1))
-    poses = poses_of(CAMERA_FROM_TABLE @ on_table).astype(np.float32)
+def rendered(solids: np.ndarray, is_round: np.ndarray) -> np.ndarray:
+    """Depth (n, H, W) of solids (n, 10) on a table, alone."""
+    poses = poses_of(CAMERA_FROM_TABLE @ matrices_of(solids[:, :7])).astype(np.float32)
+    half_m = np.exp(solids[:, 7:]).astype(np.float32)
     camera = Camera.from_intrinsics(INTRINSICS)
-    layers = np.asarray(
-        solid_layers(camera, poses, HALF_M.astype(np.float32), jnp.asarray(IS_ROUND), 240, 320)
-    )
+    return np.asarray(solid_layers(camera, poses, half_m, jnp.asarray(is_round), 240, 320))
+
+
+def seen(rng: np.random.Generator, layers_m: np.ndarray, noise_m: float) -> np.ndarray:
+    """Depth (H, W) of what stands on the table, in noise."""
     columns, rows = np.meshgrid(np.arange(320), np.arange(240))
     rays = np.stack([(columns - 159.5) / 290, (rows - 119.5) / 290, np.ones_like(rows)], axis=-1)
     up, origin = CAMERA_FROM_TABLE[:3, 2], CAMERA_FROM_TABLE[:3, 3]
     table_m = (origin @ up) / (rays @ up)
-    return np.minimum(layers.min(axis=0), table_m) + rng.normal(0, 0.0015, (240, 320))
+    depth_m = np.minimum(layers_m.min(axis=0), table_m) + rng.normal(0, noise_m, (240, 320))
+    return depth_m.astype(np.float32)
+
+
+def solids_of(turns: np.ndarray, places_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
+    """Solids (n, 10) of turns (n, 3), places and half sizes."""
+    wxyz = Rotation.from_rotvec(turns).as_quat(scalar_first=True)
+    return np.concatenate([wxyz, places_m, np.log(half_m)], axis=1)
 
 
 def test_what_stands_there_is_proposed(seed: int) -> None:
     """For each of three a proposal of its kind, within 1.5 cm in its middle and in all of its faces."""
-    depth_m = seen(np.random.default_rng(seed)).astype(np.float32)
+    layers_m = rendered(solids_of(YAWS[:, None] * [0.0, 0.0, 1.0], PLACES_M, HALF_M), IS_ROUND)
+    depth_m = seen(np.random.default_rng(seed), layers_m, 0.0015)
     data = scene_data(depth_m, INTRINSICS, 1)
     solids, is_round = proposed_solids(data, np.linalg.inv(CAMERA_FROM_TABLE), 12)
 
@@ -49,12 +58,23 @@ def test_what_stands_there_is_proposed(seed: int) -> None:
         assert near.any(), f"{place_m}: {np.round(off_m, 3)}, {np.round(sizes_m, 3)}"
 
 
+def test_a_face_is_proposed_as_it_is_seen(seed: int) -> None:
+    """Of a box that leans by 7 degrees, 3 mm of noise, a proposal is within 6 mm at seven pixels of ten."""
+    leaning = solids_of(
+        np.array([[0.12, 0, 0]]), np.array([[0.0, 0.15, 0.11]]), np.array([[0.08, 0.02, 0.1]])
+    )
+    layers_m = rendered(leaning, np.array([False]))
+    data = scene_data(seen(np.random.default_rng(seed), layers_m, 0.003), INTRINSICS, 1)
+    solids, is_round = proposed_solids(data, np.linalg.inv(CAMERA_FROM_TABLE), 12)
+
+    box = np.isfinite(layers_m[0])
+    near = np.abs(rendered(solids, is_round)[:, box] - layers_m[0][box]) < 0.006
+    assert near.mean(axis=1).max() > 0.7
+
+
 def test_an_empty_table_has_none(seed: int) -> None:
     """Noise is not a solid."""
-    columns, rows = np.meshgrid(np.arange(320), np.arange(240))
-    rays = np.stack([(columns - 159.5) / 290, (rows - 119.5) / 290, np.ones_like(rows)], axis=-1)
-    up, origin = CAMERA_FROM_TABLE[:3, 2], CAMERA_FROM_TABLE[:3, 3]
-    noise = np.random.default_rng(seed).normal(0, 0.0015, (240, 320))
-    data = scene_data(((origin @ up) / (rays @ up) + noise).astype(np.float32), INTRINSICS, 1)
+    empty = seen(np.random.default_rng(seed), np.full((1, 240, 320), np.inf), 0.0015)
+    data = scene_data(empty, INTRINSICS, 1)
     solids, is_round = proposed_solids(data, np.linalg.inv(CAMERA_FROM_TABLE), 12)
     assert len(solids) == len(is_round) == 0
