@@ -213,7 +213,7 @@ def _log_factors(
     def factor(part: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         _, _, layer_m = part
         covered = jnp.isfinite(layer_m)
-        (top, below), (left, right) = (_lines_around(jnp.any(covered, axis=axis), 1) for axis in (1, 0))
+        (top, below), (left, right) = (_lines_around(jnp.any(covered, axis=axis)) for axis in (1, 0))
         number = jnp.int32(0)
         for rows, columns in crops[:-1]:
             number += (below - top > rows) | (right - left > columns)
@@ -252,14 +252,14 @@ def _in_crop(
     return jax.lax.dynamic_update_slice(nothing, factors, start)
 
 
-def _lines_around(covered: jax.Array, beyond: int) -> tuple[jax.Array, jax.Array]:
-    """First line (...) of what is covered (..., lines) and of so many beside it, and the line after the last.
+def _lines_around(covered: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """First line (...) of what is covered (..., lines) and of one beside it, and the line after the last.
 
     That is 0 where nothing is covered.
     """
     lines = covered.shape[-1]
-    first = jnp.maximum(jnp.argmax(covered, axis=-1) - beyond, 0)
-    after = jnp.minimum(lines - jnp.argmax(covered[..., ::-1], axis=-1) + beyond, lines)
+    first = jnp.maximum(jnp.argmax(covered, axis=-1) - 1, 0)
+    after = jnp.minimum(lines - jnp.argmax(covered[..., ::-1], axis=-1) + 1, lines)
     there = jnp.any(covered, axis=-1)
     return first.astype(jnp.int32), jnp.where(there, after, 0).astype(jnp.int32)
 

@@ -51,8 +51,7 @@ def compile_layer_densities(density: PixelDensity) -> None:
 
 @jax.jit
 def _layer_densities(density: PixelDensity, layers_m: jax.Array) -> Layers:
-    alike = jax.tree.map(lambda leaf: leaf[None], density)
-    return object_densities(alike, layers_m, jnp.zeros(len(layers_m), jnp.int32))
+    return object_densities(density.stacked(), layers_m, jnp.zeros(len(layers_m), jnp.int32))
 
 
 def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Array) -> Layers:
@@ -84,7 +83,6 @@ def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Arr
         return jax.lax.fori_loop(0, turns, with_part, jnp.full(count, nothing)).reshape(size)
 
     badly = in_parts(partial(density.badly_foretold, objects.surfaces, frames), jnp.array(False))
-    surfaces = replace(objects.surfaces, badly_foretold=badly)
-    objects = replace(objects, surfaces=surfaces)
+    objects = replace(objects, surfaces=replace(objects.surfaces, badly_foretold=badly))
     log_density = in_parts(partial(density.log_factors, objects, frames), jnp.zeros((), layers_m.dtype))
     return log_density, pixels.shown_m

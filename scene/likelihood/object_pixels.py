@@ -38,7 +38,7 @@ class ObjectPixels:
 
     @classmethod
     def of(cls, layer_m: jax.Array, rest_m: jax.Array) -> ObjectPixels:
-        """Of the depth (..., H, W) of an object alone, +inf beside it, before supports, likewise."""
+        """Of depth (..., H, W) of an object alone, +inf beside it, before supports of depth (..., H, W)."""
         covers = layer_m < rest_m
         layer_m = jnp.where(covers, layer_m, jnp.inf)
         nearest_m = _nearest_beside(layer_m)

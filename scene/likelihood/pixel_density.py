@@ -204,7 +204,7 @@ class PixelDensity:
         one, everywhere = self.stacked(), Places.everywhere(layer_m.shape)
         pixels = ObjectPixels.of(layer_m[None], one.image.rest_m)
         objects = one.object_images(pixels, _ONLY)
-        objects = replace(objects, surfaces=one.foretold_everywhere(objects.surfaces))
+        objects = replace(objects, surfaces=one.with_badly_foretold(objects.surfaces))
         log_density = one.log_factors(objects, _ONLY, everywhere)
         return log_density.reshape(layer_m.shape), pixels.shown_m[0]
 
@@ -217,11 +217,12 @@ class PixelDensity:
             places: in the one image.
         """
         side_key, own_key, other_key = jax.random.split(key, 3)
-        one, objects = self.stacked(), self.stacked().object_images(pixels, _ONLY)
-        own, own_before = one.foretold_everywhere(objects.surfaces).at(places)
+        one = self.stacked()
+        objects = one.object_images(pixels, _ONLY)
+        own, own_before = one.with_badly_foretold(objects.surfaces).at(places)
         other, other_before = one.support_images().at(places)
         factors = one.factors(places)
-        unknown = one.unknown(factors, own_before, places)
+        unknown = one._unknown_at(factors, own_before, places)
         own_m = factors.drawn(own_key, own, own_before, unknown)
         other_m = factors.drawn(other_key, other, other_before, unknown)
         is_own = jax.random.uniform(side_key, own_m.shape) < objects.share(factors, own_before, places)
@@ -241,9 +242,9 @@ class PixelDensity:
         """The supports in the one image."""
         rest_m = self.image.rest_m
         sigma_m = SUPPORT_ERROR * jnp.where(jnp.isfinite(rest_m), rest_m, 0.0)
-        return self.foretold_everywhere(self._surface_images(rest_m, sigma_m, _ONLY))
+        return self.with_badly_foretold(self._surface_images(rest_m, sigma_m, _ONLY))
 
-    def foretold_everywhere(self, surfaces: SurfaceImages) -> SurfaceImages:
+    def with_badly_foretold(self, surfaces: SurfaceImages) -> SurfaceImages:
         """Surfaces (1, H, W) in the one image, with what is badly foretold."""
         everywhere = Places.everywhere(surfaces.depth_m.shape[1:])
         badly = self.badly_foretold(surfaces, _ONLY, everywhere).reshape(surfaces.depth_m.shape)
@@ -269,13 +270,13 @@ class PixelDensity:
         in_frames = places.in_images(frames)
         factors = self.factors(in_frames)
         surface, before = objects.surfaces.at(places)
-        unknown = self.unknown(factors, before, in_frames)
+        unknown = self._unknown_at(factors, before, in_frames)
         share = objects.share(factors, before, places)
         own = factors.density(factors.shown(surface, before), unknown)
         other = factors.density(jax.tree.map(in_frames.of, self.image.rest), unknown)
         return jnp.log(share * own + (1 - share) * other)
 
-    def unknown(self, factors: PixelFactors, before: SurfaceBefore, places: Places) -> Unknown:
+    def _unknown_at(self, factors: PixelFactors, before: SurfaceBefore, places: Places) -> Unknown:
         """What listed pixels (P,) of the F images may show beside an object and the supports."""
         behind = places.beside(self.image.behind)
         return factors.unknown_beside(lambda *by: jnp.maximum(before.shows(*by), behind(*by)), before.shows)

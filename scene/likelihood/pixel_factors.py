@@ -33,9 +33,9 @@ from scene.likelihood.pixel_places import Near
 from scene.likelihood.unknown_surfaces import (
     EDGES,
     NO_EDGE,
-    SURPRISE,
     UnknownSurfaces,
     drawn_normal,
+    is_surprising,
     kept_parts,
     normal_density,
     normal_distribution,
@@ -96,7 +96,7 @@ class Shown:
         scene: (...) the scene's part a.
         missing: (...) probability that the surface is not where it should be.
         in_front: (...) Phi((d - z) / sigma).
-        before: (5) (...) of what both neighbours, the left, the upper, the upper right one foretell, and of
+        before: five (...) of what both neighbours, the left, the upper, the upper right one foretell, and of
             what begins here, the probability that it is nearer.
     """
 
@@ -129,7 +129,7 @@ class SurfaceBefore:
     def badly_foretold(self, surface: Surface, noise: DepthNoise) -> jax.Array:
         """Whether the residuals (P,) of pixels that show the surface (P,) are far from what is foretold."""
         error_m = self.shows(0, 0) * (self.residual_m(0, 0) - self.foretold_m())
-        return jnp.abs(error_m) > SURPRISE * standard_deviation(noise, surface.finite_m)
+        return is_surprising(error_m, standard_deviation(noise, surface.finite_m))
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Unknown:
 
     Attributes:
         kappa: (P,) probability of something unknown.
-        weights: (5) (P,) of what it may be.
+        weights: five (P,) of what it may be.
         density: (P,) u, at the observed depth.
     """
 
@@ -149,7 +149,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class PixelFactors:
-    """The factors of P listed pixels of one image or several.
+    """The factors of P listed pixels of one image or several; (1,) in place of (P,) what one image has alone.
 
     Attributes:
         noise: of the sensor of each, leaves (P,).

@@ -42,7 +42,7 @@ class Places:
         return cls.of_numbers(jnp.arange(height * width, dtype=jnp.int32), (1, height, width))
 
     def in_images(self, numbers: ArrayLike) -> Places:
-        """The same pixels of images (F, H, W), where each of the N is one of those (N,)."""
+        """The same pixels of F images (F, H, W), of which these N show those of numbers (N,)."""
         return replace(self, image=jnp.asarray(numbers).at[self.image].get(mode="clip"))
 
     def of(self, images: jax.Array) -> jax.Array:
@@ -66,7 +66,8 @@ class Places:
         def at(down: int, across: int) -> jax.Array:
             column = self.column - across
             inside = (self.row >= down) & (column >= 0) & (column < width)
-            return jnp.where(inside, flat.at[number - (down * width + across)].get(mode="clip"), 0)
+            value = flat.at[number - (down * width + across)].get(mode="clip")
+            return jnp.where(inside, value, jnp.zeros((), value.dtype))
 
         return at
 

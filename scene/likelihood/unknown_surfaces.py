@@ -161,20 +161,20 @@ class UnknownSurfaces:
         return cls(means_m, sigmas_m, shares / jnp.sum(shares, axis=0, keepdims=True), learned.reach_m)
 
     def density_parts(self, observed_m: jax.Array) -> list[jax.Array]:
-        """Densities (4) (H, W) at observed depths of what neighbours foretell, as `kept_parts` has them."""
+        """Four densities (...) at observed depths of what neighbours foretell, as `kept_parts` has them."""
         foretold = zip(self.means_m, self.sigmas_m, strict=True)
         return self._by_neighbours([normal_density(observed_m, *of_mean) for of_mean in foretold])
 
     def shares(self) -> list[jax.Array]:
-        """Weights (4) (H, W) of what neighbours foretell, likewise."""
-        return self._by_neighbours([jnp.ones(())] * len(self.means_m))
+        """Four weights (...) of what neighbours foretell, likewise."""
+        return self._by_neighbours([1.0] * len(self.means_m))
 
     def new_density(self, observed_m: jax.Array) -> jax.Array:
         """Density (H, W) at the observed depths of a surface that begins here."""
         return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
     def drawn(self, key: jax.Array, weights: Sequence[jax.Array]) -> jax.Array:
-        """Depths (H, W) drawn with weights (5) (H, W) of what neighbours foretell and of what begins here."""
+        """Depths (...) drawn with five weights (...) of what neighbours foretell and of what begins here."""
         new_key, kind_key, key = jax.random.split(key, 3)
         of_parts = {one: group for group, members in enumerate(PREDICTIONS) for one in members}
         kept = jnp.stack([weights[of_parts[one]] for one in range(len(self.means_m))])
@@ -183,7 +183,7 @@ class UnknownSurfaces:
         return jnp.where(is_new, self.reach_m * jax.random.uniform(new_key, foretold.shape), foretold)
 
     def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> list[jax.Array]:
-        """Probabilities (4) (H, W) that what neighbours foretell is nearer than a surface so well known."""
+        """Four probabilities (...) that what neighbours foretell is nearer than a surface so well known."""
         foretold = zip(self.means_m, self.sigmas_m, strict=True)
         distances = [(depth_m - mean_m) / jnp.hypot(of_mean_m, sigma_m) for mean_m, of_mean_m in foretold]
         return self._by_neighbours(list(map(normal_distribution, distances)))
@@ -193,17 +193,17 @@ class UnknownSurfaces:
         low, high = (_ramp((depth_m - end) / sigma_m) for end in (0.0, self.reach_m))
         return sigma_m / self.reach_m * (low - high)
 
-    def _by_neighbours(self, parts: Sequence[jax.Array]) -> list[jax.Array]:
-        """Weighted sums (4) (H, W) of predictions (K) (H, W), as `kept_parts` has them.
+    def _by_neighbours(self, parts: Sequence[jax.Array | float]) -> list[jax.Array]:
+        """Four weighted sums (...) of K predictions (...), as `kept_parts` has them.
 
         A list, for kernels that write to one array of several parts are scalar, and slow.
         """
-        weighted = [weight * part for weight, part in zip(self.weights, parts, strict=False)]
+        weighted = [weight * part for weight, part in zip(self.weights[:-1], parts, strict=True)]
         return [jnp.asarray(sum(weighted[part] for part in group)) for group in PREDICTIONS]
 
 
 def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array) -> list[jax.Array]:
-    """How much (4) (H, W) counts of what both neighbours, the left, the upper, the upper right one foretell.
+    """Four shares (...) that count of what both neighbours, the left, the upper, the upper right foretell.
 
     An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
     probability (H, W), is left out, and a surface that begins here gets its weight.
@@ -223,18 +223,23 @@ def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: Dept
     edge = jnp.where(measured, NO_EDGE + along_row + 2 * along_column, EDGES - 1)
     told = (depth_m != NO_RETURN) & (known[EITHER] > 0)
     error_m = jnp.where(told, depth_m - means_m[EITHER], 0.0)
-    return edge + EDGES * surprised(error_m, standard_deviation(noise, means_m[EITHER])).astype(jnp.int32)
+    return edge + EDGES * _surprised(error_m, standard_deviation(noise, means_m[EITHER])).astype(jnp.int32)
 
 
-def surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
+def _surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
     """Whether the pixel to the left of each (H, W) or that above was badly foretold.
 
     Args:
         error_m: (H, W) depth less its prediction, 0 where there is none.
         sensor_m: (H, W) the sensor's standard deviation.
     """
-    large = (jnp.abs(error_m) > SURPRISE * sensor_m).astype(error_m.dtype)
+    large = is_surprising(error_m, sensor_m).astype(error_m.dtype)
     return (shifted(large, 0, 1) > 0) | (shifted(large, 1, 0) > 0)
+
+
+def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
+    """Whether predictions erred by far more than a sensor of this standard deviation does; any shape."""
+    return jnp.abs(error_m) > SURPRISE * sensor_m
 
 
 @jax.jit

@@ -158,18 +158,20 @@ def support_depth(
 ) -> NDArray[np.float32]:
     """Depth (H, W) of the nearest support in a window's pixels, +inf beside all.
 
-    What carries things over another support may be a body with sides down to that, which begin at its edge,
-    and is where most of what nothing hides of these is seen: not a shelf. A support reaches as far as it is
-    seen: where something behind its surface is measured it is not.
+    A support over another one is a body with sides down to it, if most pixels that could see these do; a
+    shelf is none. Its edge is where they begin. Sides stay foreground: they are known to a centimetre or two.
+    A support reaches as far as it is seen: where something behind its surface is measured it is not.
     """
     nearest_m = np.full(window.depth_m.shape, np.inf)
     rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
     for support in supports:
         side_m = _side_depth(support, _height_over_next(support, supports), rays)
         has_sides = _is_mostly_shown(side_m, window.depth_m)
-        surfaces = [(_plane_depth(support, rays, 0.0), BEHIND_M)]
-        surfaces += [(_plane_depth(support, rays, MARGIN_M), LOWEST_M if has_sides else BEHIND_M)]
-        surfaces += [(side_m, BEHIND_M)] if has_sides else []
+        wide_m = _plane_depth(support, rays, MARGIN_M)
+        surfaces = [(wide_m, BEHIND_M)]
+        if has_sides:
+            seen_m = np.where(window.depth_m == NO_RETURN, np.inf, wide_m)
+            surfaces = [(_plane_depth(support, rays, 0.0), BEHIND_M), (seen_m, LOWEST_M), (side_m, BEHIND_M)]
         for depth_m, behind_m in surfaces:
             is_there = window.depth_m <= depth_m + behind_m
             nearest_m = np.where(is_there, np.minimum(nearest_m, depth_m), nearest_m)
@@ -258,14 +260,14 @@ def _height_over_next(table: SupportPlane, supports: Sequence[SupportPlane]) -> 
 def _side_depth(table: SupportPlane, height_m: float, rays: NDArray[np.float64]) -> NDArray[np.float64]:
     """Depth (...) of the sides of what carries things so high, along rays (..., 3) of unit depth.
 
-    +inf beside them, and where the height is.
+    +inf beside them; all +inf if the height is.
     """
     if np.isinf(height_m):
         return np.full(rays.shape[:-1], np.inf)
     high = np.append(table.half_size_m, 0.0)
     low = np.append(-table.half_size_m, -height_m)
     towards, camera = rays @ table.camera_from_table[:3, :3], table.in_table_frame(np.zeros(3))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a ray in the plane of a side is beside it
         ends = np.stack([(low - camera) / towards, (high - camera) / towards])
     enters, leaves = ends.min(axis=0), ends.max(axis=0)
     depth_m = enters.max(axis=-1)

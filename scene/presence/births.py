@@ -148,12 +148,12 @@ def _others(
     """Depth and log gain (N, X) of what stands beside each of the objects found; +inf and 0 of the rest."""
     front_m = np.full((len(found), frames.pixels), np.inf, np.float32)
     front_gain = np.zeros_like(front_m)
-    if not found.any():
-        return front_m, front_gain
     present = np.flatnonzero(found)
+    if len(present) < 2:
+        return front_m, front_gain
     states = np.stack([np.append(sites[one][0], sizes.log_half[one]) for one in present.tolist()])
     depth_m, gain = frames.shown(present, states, frames.drawn_shapes(rng, len(present)))
-    for row, one in enumerate(present.tolist() if len(present) > 1 else []):
+    for row, one in enumerate(present.tolist()):
         beside = (np.delete(part, row, axis=0) for part in (depth_m, gain))
         front_m[one], front_gain[one] = nearest_shown(*beside)
     return front_m, front_gain

@@ -30,6 +30,7 @@ FACES = 4
 """Of a piece that are looked at: a camera sees three of a box."""
 FLAT_COSINE = 0.93
 """Of a face's normals with their mean; sensors turn normals of small windows by some degrees."""
+UP = np.array([0.0, 0.0, 1.0])
 LEVEL, UPRIGHT = 0.94, 0.35
 """Cosines to the vertical above which a face is a top, and below which it is a side: 20 degrees."""
 INSIDE_M = 0.01
@@ -94,7 +95,7 @@ def _solid(rotation: NDArray[np.float64], low_m: NDArray[np.float64], high_m: ND
 
 def _standing_box(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """The least upright box (10,) over points (P, 3), down to the support."""
-    rotation = least_rectangle(points_m, points_m.mean(axis=0), np.array([0.0, 0.0, 1.0]))[0]
+    rotation = least_rectangle(points_m, points_m.mean(axis=0), UP)[0]
     return _solid(rotation, *_on_support(rotation, *np.percentile(points_m @ rotation, [1, 99], axis=0)))
 
 
@@ -102,7 +103,8 @@ def _on_support(
     rotation: NDArray[np.float64], low_m: NDArray[np.float64], high_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corners of which the lower one is on z = 0 if the third axis is vertical and it is near."""
-    foot_m = np.where((np.arange(3) == 2) & (rotation[2, 2] > LEVEL) & (low_m < STANDS_M), 0.0, low_m)
+    stands = (np.arange(3) == 2) & np.isclose(rotation[2, 2], 1) & (low_m < STANDS_M)
+    foot_m = np.where(stands, 0.0, low_m)
     return foot_m, high_m
 
 
@@ -121,47 +123,69 @@ def _boxes_behind_faces(points_m: NDArray[np.float64], normals: NDArray[np.float
         face = left & (normals @ normal > FLAT_COSINE)
         left &= ~face
         if face.sum() >= FEWEST_PIXELS:
-            seen = _plane_normal(points_m[face], normals[face])
-            yield _box_behind(points_m, face, seen)
-            for upright in _upright(seen):
-                yield _box_behind(points_m, face, upright)
+            yield from _boxes_behind(points_m, face, _face_normal(points_m[face], normals[face]))
 
 
-def _plane_normal(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normal (3,) of the plane through points (P, 3) by least squares, to the side of their own (P, 3)."""
+def _face_normal(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normal (3,) of the plane through points (P, 3), by least squares; of few rows the mean of theirs."""
+    mean = normals.mean(axis=0)
+    mean /= np.linalg.norm(mean)
     normal = np.linalg.eigh(np.cov(points_m.T))[1][:, 0]
-    return normal * np.sign(normal @ normals.sum(axis=0))
+    agreement = normal @ mean
+    return normal * np.sign(agreement) if abs(agreement) > FLAT_COSINE else mean
 
 
-def _upright(normal: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """The normal (3,) of the level or upright face that one of this normal may be; none of a slope."""
+def _boxes_behind(
+    points_m: NDArray[np.float64], face: NDArray[np.bool_], normal: NDArray[np.float64]
+) -> Iterator[NDArray]:
+    """The box (10,) behind a face as it is seen, and the level or upright one that it nearly is."""
+    yield _box_behind(points_m, face, normal)
     if normal[2] > LEVEL:
-        return [np.array([0.0, 0.0, 1.0])]
-    if abs(normal[2]) < UPRIGHT:
-        return [np.array([*normal[:2], 0.0]) / np.linalg.norm(normal[:2])]
-    return []
+        yield _box_behind(points_m, face, UP)
+    elif abs(normal[2]) < UPRIGHT:
+        yield _upright_box_behind(points_m, face, normal)
 
 
 def _box_behind(
     points_m: NDArray[np.float64], face: NDArray[np.bool_], normal: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The box (10,) behind a face, as deep as points (P, 3) of its piece are seen behind it."""
-    up = np.array([0.0, 0.0, 1.0])
-    if side := normal[2] == 0:
-        rotation, across = np.stack([np.cross(up, normal), -normal, up], axis=1), 1
+    """The box (10,) behind a face: under a top down to the support, else as deep as its piece is seen."""
+    middle_m = points_m[face].mean(axis=0)
+    rotation = least_rectangle(points_m[face], middle_m, normal)[0]
+    low, high, depths = _extents_behind(points_m @ rotation, face, 2)
+    if normal[2] > LEVEL:
+        low[2] = high[2] - middle_m[2] / normal[2]
     else:
-        rotation, across = least_rectangle(points_m[face], points_m[face].mean(axis=0), normal)[0], 2
-    inside = points_m @ rotation
-    low, high = np.percentile(inside[face], [1, 99], axis=0)
-    beside = np.arange(3) != across
-    behind = ((inside > low - INSIDE_M) & (inside < high + INSIDE_M))[:, beside].all(axis=1)
-    depths, middle = inside[behind, across], np.median(inside[face, across])
-    if side:  # its axis points into the solid
-        low[across], high[across] = middle, max(np.percentile(depths, 99), middle + THINNEST_M)
-    else:
-        foot = 0.0 if normal[2] == 1 else min(np.percentile(depths, 1), middle - THINNEST_M)
-        low[across], high[across] = foot, middle
+        low[2] = min(np.percentile(depths, 1), high[2] - THINNEST_M)
+    return _solid(rotation, low, high)
+
+
+def _upright_box_behind(
+    points_m: NDArray[np.float64], face: NDArray[np.bool_], normal: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The same (10,) behind a side that is upright."""
+    level = np.array([*normal[:2], 0.0]) / np.linalg.norm(normal[:2])
+    rotation = np.stack([np.cross(UP, level), -level, UP], axis=1)  # the second axis points into the solid
+    low, high, depths = _extents_behind(points_m @ rotation, face, 1)
+    low[1], high[1] = high[1], max(np.percentile(depths, 99), high[1] + THINNEST_M)
     return _solid(rotation, *_on_support(rotation, low, high))
+
+
+def _extents_behind(
+    inside_m: NDArray[np.float64], face: NDArray[np.bool_], across: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of a face's rectangle, whose upper one is at its median, and what is behind it along one axis.
+
+    Args:
+        inside_m: (P, 3) points of its piece along the axes of the box.
+        face: (P,) which are of the face.
+        across: the axis across it.
+    """
+    low, high = np.percentile(inside_m[face], [1, 99], axis=0)
+    beside = np.arange(3) != across
+    behind = ((inside_m > low - INSIDE_M) & (inside_m < high + INSIDE_M))[:, beside].all(axis=1)
+    high[across] = np.median(inside_m[face, across])
+    return low, high, inside_m[behind, across]
 
 
 def _cylinders(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> Iterator[NDArray]:
@@ -169,7 +193,7 @@ def _cylinders(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> I
 
     On a wall points are centre + radius normal, square to the axis: three unknowns, by least squares.
     """
-    for axis in (np.array([0.0, 0.0, 1.0]), np.linalg.eigh(normals.T @ normals)[1][:, 0]):
+    for axis in (UP, np.linalg.eigh(normals.T @ normals)[1][:, 0]):
         rotation = np.linalg.svd(axis[:, None])[0][:, [1, 2, 0]]
         rotation[:, 2] = axis
         rotation[:, 0] = np.cross(rotation[:, 1], axis)

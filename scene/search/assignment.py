@@ -118,7 +118,14 @@ def gain_before(layers: PoseLayers, front: tuple[jax.Array, jax.Array], one: jax
 def gain_of(
     front: tuple[jax.Array, jax.Array], depth_m: jax.Array, log_density: jax.Array, log_alone: jax.Array
 ) -> jax.Array:
-    """The same of any poses: their depth and log density (K, X), and what they add alone (K,)."""
+    """Log density (K,) that each of K poses adds before a front of depth and log density (2) (X,).
+
+    Args:
+        front: of the others.
+        depth_m: (K, X) of the poses.
+        log_density: (K, X) where they are seen.
+        log_alone: (K,) what they add whatever the others are.
+    """
     front_m, log_front = front
     nearer = depth_m < front_m[None]
     return jnp.sum(jnp.where(nearer, log_density - log_front[None], 0.0), axis=1) + log_alone

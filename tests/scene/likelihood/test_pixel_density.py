@@ -119,26 +119,30 @@ def test_a_plane_of_which_much_was_seen_is_known_as_well_as_a_shape(seed: int) -
     assert abs(gains[inside].mean()) < 0.1
 
 
-def test_lists_of_pixels_give_what_the_whole_image_does(seed: int) -> None:
-    """Objects small and large, at the border and beyond it, holes in the image: all but rounding."""
-    rng = np.random.default_rng(seed)
-    size = 84, 112
-    observed_m = rng.normal(1.0, 0.003, size).astype(np.float32)
-    observed_m[20:40, 30:50] -= 0.1
-    observed_m[rng.random(size) < 0.05] = NO_RETURN
-    density = PixelDensity.of(observed_m, np.ones(size, np.float32), DepthNoise(), 0.003, 4)
+@pytest.mark.parametrize("size", [(84, 112), (1, 40)], ids=["an image", "a row"])
+def test_lists_of_pixels_give_what_the_whole_image_does(seed: int, size: tuple[int, int]) -> None:
+    """Objects small and large, at the border and beyond it, none, holes, two sensors: all but rounding."""
+    rng, densities = np.random.default_rng(seed), []
+    for noise in (DepthNoise(), DepthNoise(sigma_base_m=0.002, none_miss_probability=0.8)):
+        observed_m = rng.normal(1.0, 0.003, size).astype(np.float32)
+        observed_m[20:40, 30:50] -= 0.1
+        observed_m[rng.random(size) < 0.05] = NO_RETURN
+        densities.append(PixelDensity.of(observed_m, np.ones(size, np.float32), noise, 0.003, 4))
     layers_m = np.full((24, *size), np.inf, np.float32)
     for layer_m in layers_m[1:]:
         row, column, down, across = *rng.integers((-20, -20), size), *rng.integers(2, 90, 2)
         layer_m[max(row, 0) : max(row + down, 0), max(column, 0) : max(column + across, 0)] = rng.uniform(
             0.8, 1.1
         )
-    one = jax.tree.map(lambda leaf: leaf[None], density)
-    log_listed, depth_listed = jax.jit(object_densities)(one, layers_m, np.zeros(24, np.int32))
-    log_whole, depth_m = jax.jit(partial(jax.lax.map, density.of_object))(layers_m)
-    np.testing.assert_array_equal(depth_listed, depth_m)
-    expected = np.where(np.isfinite(depth_m), log_whole, 0.0)
-    np.testing.assert_allclose(np.asarray(log_listed), expected, atol=2e-3)
+    frames = np.arange(24, dtype=np.int32) % 2
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), *densities)
+    log_listed, depth_listed = jax.jit(object_densities)(both, layers_m, frames)
+    for frame, density in enumerate(densities):
+        mine = frames == frame
+        log_whole, depth_m = jax.jit(partial(jax.lax.map, density.of_object))(layers_m[mine])
+        np.testing.assert_array_equal(depth_listed[mine], depth_m)
+        expected = np.where(np.isfinite(depth_m), log_whole, 0.0)
+        np.testing.assert_allclose(np.asarray(log_listed)[mine], expected, atol=1e-5)
 
 
 def test_the_sampler_draws_from_it(seed: int) -> None:

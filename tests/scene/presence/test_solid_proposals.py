@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from recordings.types import CameraIntrinsics
@@ -70,6 +71,24 @@ def test_a_face_is_proposed_as_it_is_seen(seed: int) -> None:
     box = np.isfinite(layers_m[0])
     near = np.abs(rendered(solids, is_round)[:, box] - layers_m[0][box]) < 0.006
     assert near.mean(axis=1).max() > 0.7
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.1, 0.15], ids=["upright", "6 degrees", "9 degrees"])
+def test_a_body_reaches_down_to_the_table(seed: int, lean: float) -> None:
+    """Also far from the middle of the table: one proposal's top and foot are within 1.5 cm of a box's."""
+    turns, place_m = np.array([[0.0, lean, 0]]), np.array([[-0.25, 0.05, 0.08]])
+    layers_m = rendered(solids_of(turns, place_m, np.array([[0.08, 0.06, 0.08]])), np.array([False]))
+    data = scene_data(seen(np.random.default_rng(seed), layers_m, 0.0015), INTRINSICS, 1)
+    solids, is_round = proposed_solids(data, np.linalg.inv(CAMERA_FROM_TABLE), 12)
+
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    corners = matrices_of(solids[~is_round, :7])[:, :3, :3] @ (
+        signs[None] * np.exp(solids[~is_round, None, 7:])
+    ).transpose(0, 2, 1)
+    heights_m = corners[:, 2] + solids[~is_round, 6, None]
+    middles_m = solids[~is_round, 4:7] - place_m
+    near = (np.abs(middles_m[:, 2]) < 0.015) & (np.ptp(heights_m, axis=1) > 0.13)
+    assert near.any(), f"{np.round(middles_m, 3)}, {np.round(np.ptp(heights_m, axis=1), 3)}"
 
 
 def test_an_empty_table_has_none(seed: int) -> None:
