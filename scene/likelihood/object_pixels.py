@@ -31,11 +31,6 @@ class ObjectPixels:
     wide_m: jax.Array
     shown_m: jax.Array
 
-    @property
-    def touches(self) -> jax.Array:
-        """Where it is, or ends beside."""
-        return jnp.isfinite(self.wide_m)
-
     @classmethod
     def of(cls, layer_m: jax.Array, rest_m: jax.Array) -> ObjectPixels:
         """Of depth (..., H, W) of an object alone, +inf beside it, before supports of depth (..., H, W)."""
@@ -45,8 +40,7 @@ class ObjectPixels:
         wide_m = jnp.where(covers, layer_m, jnp.where(nearest_m < rest_m, nearest_m, jnp.inf))
         just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
         touches = jnp.isfinite(wide_m)
-        beside = _touched_before(touches)
-        shown_m = jnp.where(covers, layer_m, jnp.where(beside, just_before, jnp.inf))
+        shown_m = jnp.where(covers, layer_m, jnp.where(_touched_before(touches), just_before, jnp.inf))
         return cls(covers, covers & ~all_beside(covers), touches & ~covers, wide_m, shown_m)
 
 

@@ -235,7 +235,7 @@ class PixelDensity:
             pixels: (n, H, W) of objects, each alone.
             frames: (n,) int32 in which of the F images each is seen.
         """
-        sigma_m = jnp.where(pixels.touches, self.shape_sigma_m[frames][:, None, None], 0.0)
+        sigma_m = jnp.where(jnp.isfinite(pixels.wide_m), self.shape_sigma_m[frames][:, None, None], 0.0)
         return ObjectImages(pixels, self._surface_images(pixels.wide_m, sigma_m, frames))
 
     def support_images(self) -> SurfaceImages:

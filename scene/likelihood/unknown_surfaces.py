@@ -170,7 +170,7 @@ class UnknownSurfaces:
         return self._by_neighbours([1.0] * len(self.means_m))
 
     def new_density(self, observed_m: jax.Array) -> jax.Array:
-        """Density (H, W) at the observed depths of a surface that begins here."""
+        """Density (...) at the observed depths of a surface that begins here."""
         return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
     def drawn(self, key: jax.Array, weights: Sequence[jax.Array]) -> jax.Array:
@@ -189,7 +189,7 @@ class UnknownSurfaces:
         return self._by_neighbours(list(map(normal_distribution, distances)))
 
     def new_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> jax.Array:
-        """The same (H, W) of a surface that begins here: the mean of Phi((d - z) / s) over 0 <= z <= R."""
+        """The same (...) of a surface that begins here: the mean of Phi((d - z) / s) over 0 <= z <= R."""
         low, high = (_ramp((depth_m - end) / sigma_m) for end in (0.0, self.reach_m))
         return sigma_m / self.reach_m * (low - high)
 
@@ -206,7 +206,7 @@ def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array) -> list[jax.
     """Four shares (...) that count of what both neighbours, the left, the upper, the upper right foretell.
 
     An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
-    probability (H, W), is left out, and a surface that begins here gets its weight.
+    probability (...), is left out, and a surface that begins here gets its weight.
     """
     return [(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right]
 
