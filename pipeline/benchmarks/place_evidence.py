@@ -24,12 +24,13 @@ from scene.mcmc.chain_model import pose_prior, prior_space
 from scene.objects.orientations import cube_rotations
 from scene.objects.scene_object import SceneObject
 from scene.observation.segmentation import scene_data
-from scene.presence.births import born_near, distinct, solids_near
+from scene.presence.births import born_near, distinct
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.inference import MOST_SOLIDS
 from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import drawn_ensemble
 from scene.presence.size_prior import SizePrior
+from scene.presence.solid_births import solids_near
 from scene.presence.solid_proposals import proposed_solids
 from scene.presence.toggling import ABSENT, Candidates
 from shapes.geometry.poses import matrices_of, poses_of
@@ -95,8 +96,8 @@ class PlaceEvidence:
         sites = [pose[None] for pose in self._in_world(camera_from_box)]
         lines = np.tile(self.one.spin_line, (count, 1, 1))
         mixture = born_near(rng, frames, priors, sites, lines, np.zeros(count, bool))
-        proposed = proposed_solids(self.compared.data, world_from_camera, MOST_SOLIDS)
-        solids = solids_near(rng, frames, priors, *proposed)
+        proposed = proposed_solids(self.compared.data, world_from_camera)
+        solids = solids_near(rng, frames, priors, *proposed, MOST_SOLIDS)
         nowhere = np.full(count, -np.inf)
         return drawn_ensemble(rng, frames, priors, mixture, solids, nowhere, None).candidates
 

@@ -165,7 +165,7 @@ def support_depth(
     nearest_m = np.full(window.depth_m.shape, np.inf)
     rays = intrinsics.rays(window.columns[None, :], window.rows[:, None])
     for support in supports:
-        side_m = _side_depth(support, _height_over_next(support, supports), rays)
+        side_m = _side_depth(support, height_over_next(support, supports), rays)
         has_sides = _is_mostly_shown(side_m, window.depth_m)
         wide_m = _plane_depth(support, rays, MARGIN_M)
         surfaces = [(wide_m, BEHIND_M)]
@@ -247,7 +247,7 @@ def _is_mostly_shown(surface_m: NDArray[np.float64], observed_m: NDArray[np.floa
     return bool((observed_m[looks] < surface_m[looks] + WARP_M).sum() > SEEN_SHARE * looks.sum())
 
 
-def _height_over_next(table: SupportPlane, supports: Sequence[SupportPlane]) -> float:
+def height_over_next(table: SupportPlane, supports: Sequence[SupportPlane]) -> float:
     """Metres of a support over the next one below; +inf of those that are over none."""
     heights_m = [np.inf]
     for below in supports:

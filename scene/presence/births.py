@@ -1,4 +1,4 @@
-"""Where candidates are drawn: Gaussians round states of chains, rejected poses, and unknown solids there."""
+"""Where candidates are drawn: Gaussians round states of chains, and rejected poses."""
 
 from __future__ import annotations
 
@@ -15,15 +15,6 @@ from scene.presence.depth_candidates import PresenceFrames, nearest_shown
 from scene.presence.gaussian_fits import Fits, climbed, face_factors, fitted
 from scene.presence.pose_priors import PosePriors
 from scene.presence.size_prior import SizePrior, free_sizes
-from scene.presence.solids import (
-    FREE_OF_CYLINDERS,
-    GREATEST_M,
-    LEAST_M,
-    SolidFits,
-    log_sizes_density,
-    solid_half_sizes,
-    tied,
-)
 from scene.presence.state_mixture import StateMixture
 from scene.search.importance_sampling import LEAST_SIGMA, distinct
 from scene.search.search_result import Initialisation
@@ -37,15 +28,14 @@ LEAST_SIZE = 0.002
 SITES = 4
 """Places of an object that the search did not find, of all that are tried, the densest after a turn."""
 
-CLIMBS, SOLID_CLIMBS = 4, 8
-"""Turns of climbing to the best place of an object, which was found nearly, and to that of a solid."""
+CLIMBS = 4
+"""Turns of climbing to the best place of an object, which was found nearly."""
 
 UNFREE = 1e-6
 """Of steps that change nothing."""
 
-NEAR, FAR = np.repeat([0.002, 0.02], [6, 3]), np.repeat([0.006, 0.06], [6, 3])
-"""First steps of faces (metres) and turns (radians) round states of chains and of the search, and round
-proposed solids, which are fitted to points: a pixel at a metre. With steps of 2 cm the search leaves a good
+FIRST_STEPS = np.repeat([0.002, 0.02], [6, 3])
+"""Of faces (metres) and turns (radians) round states of chains and of the search: longer ones leave a good
 start."""
 
 DRAWS, TURNS = 48, 2
@@ -110,7 +100,7 @@ def born_near(
     centres = np.concatenate([np.concatenate(sites), sizes.log_half[every]], axis=1)
     owners, centres = _best_of_each(partial(log_densities, every), every, centres, found)
     log_density = partial(log_densities, owners)
-    centres = sizes.tied(climbed(log_density, centres, NEAR, CLIMBS)[:, None], owners)[:, 0]
+    centres = sizes.tied(climbed(log_density, centres, FIRST_STEPS, CLIMBS)[:, None], owners)[:, 0]
     factors = face_factors(log_density, centres)
     free = np.concatenate([np.ones((len(owners), 6), bool), free_sizes(sizes.ties)[owners]], axis=1)
     least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
@@ -129,7 +119,7 @@ def _best_of_each(
 
     All places of what was found, and the `SITES` densest of others.
     """
-    centres = climbed(log_density, centres, NEAR, 1)
+    centres = climbed(log_density, centres, FIRST_STEPS, 1)
     values, kept = log_density(centres[:, None])[:, 0], []
     for one in range(len(found)):
         mine = np.flatnonzero(owners == one)
@@ -157,52 +147,6 @@ def _others(
         beside = (np.delete(part, row, axis=0) for part in (depth_m, gain))
         front_m[one], front_gain[one] = nearest_shown(*beside)
     return front_m, front_gain
-
-
-def solids_near(
-    rng: np.random.Generator,
-    frames: PresenceFrames,
-    priors: PosePriors,
-    starts: NDArray[np.float64],
-    is_round: NDArray[np.bool_],
-) -> SolidFits:
-    """Unknown solids round proposed ones.
-
-    Args:
-        rng: random numbers.
-        frames: what is seen.
-        priors: of poses.
-        starts: (n, 10) world_from_solid and logs of half sizes.
-        is_round: (n,) which are cylinders.
-    """
-    starts = tied(starts[:, None], is_round)[:, 0]
-    starts[:, 7:] = np.clip(starts[:, 7:], np.log(LEAST_M), np.log(GREATEST_M))
-    centres, factors = np.zeros_like(starts), np.zeros((len(starts), 9, 9))
-    for kind in (False, True):
-        mine = np.flatnonzero(is_round == kind)
-        if len(mine):
-            log_density = partial(_log_alone, frames, priors, kind)
-            best = climbed(log_density, starts[mine], FAR, SOLID_CLIMBS)
-            free = FREE_OF_CYLINDERS if kind else np.ones(9)
-            factor = face_factors(log_density, best)
-            least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
-            found = fitted(rng, log_density, best, factor, least, TURNS, DRAWS)
-            centres[mine], factors[mine] = found.centres, found.factors
-    centres = tied(centres[:, None], is_round)[:, 0]
-    return SolidFits(is_round=is_round, centres=centres, factors=factors)
-
-
-def _log_alone(
-    frames: PresenceFrames, priors: PosePriors, is_round: bool, states: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Log density (n, S) of solids (n, S, 10) of one kind, alone in the scene."""
-    rounds = np.full(len(states), is_round)
-    states = tied(states, rounds)
-    _, gain = frames.shown_solids(states.reshape(-1, 10), np.repeat(rounds, states.shape[1]))
-    poses, log_half = states[..., :7], states[..., 7:]
-    log_alone = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
-    log_alone += np.log(np.maximum(priors.alone(poses, solid_half_sizes(states)), LEAST_DENSITY))
-    return log_alone + np.maximum(log_sizes_density(log_half, rounds[:, None]), np.log(LEAST_DENSITY))
 
 
 def _mixture(

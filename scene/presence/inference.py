@@ -16,10 +16,11 @@ from scene.mcmc.sampling import SampledScenes
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
-from scene.presence.births import born_near, sites_of, solids_near
+from scene.presence.births import born_near, sites_of
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import Presence, presence_posterior
+from scene.presence.solid_births import solids_near
 from scene.presence.solid_proposals import proposed_solids
 from scene.presence.solids import SolidFits
 from scene.search.importance_sampling import distinct
@@ -27,7 +28,7 @@ from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
 
 MOST_SOLIDS = 12
-"""Unknown solids that a frame proposes: more things of that kind on one table are rare."""
+"""Unknown solids that are looked for in a frame: more things of that kind on one table are rare."""
 
 PROPOSED_SITES = 24
 """Places that are tried of an object that the search did not find: its poses lie nats below their tops."""
@@ -72,10 +73,8 @@ def presence_in_scene(
     mixture = born_near(rng, frames, priors, sites, lines, start.found)
     solids = SolidFits.none()
     if config.unknown_solids:
-        proposed = [
-            proposed_solids(view, compared.world_from(number), MOST_SOLIDS) for number, view in novel.items()
-        ]
+        proposed = [proposed_solids(view, compared.world_from(number)) for number, view in novel.items()]
         starts, is_round = (np.concatenate(part) for part in zip(*proposed, strict=True))
-        solids = solids_near(rng, frames, priors, starts, is_round)
+        solids = solids_near(rng, frames, priors, starts, is_round, MOST_SOLIDS * len(novel))
     alike = copies_among([one.name for one in objects])
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike)

@@ -2,24 +2,23 @@
 
 A piece is what hangs together without a step or a sharp edge. The solids of a piece are the least upright box
 that holds it, boxes behind each of its flat faces, and cylinders about the axes to which its normals are
-square. Of all of them those are kept that together agree with most pixels.
+square. What carries things over another support is a box, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scene.observation.depth_view import unproject
-from scene.observation.detection import least_rectangle
+from scene.observation.detection import SupportPlane, least_rectangle
 from scene.observation.frame_data import SceneData
+from scene.observation.segmentation import height_over_next
 from scene.observation.standing import connected
-from scene.presence.solids import LEAST_M, solid_layers
-from shapes.geometry.poses import matrices_of, poses_of
+from scene.presence.solids import LEAST_M
 
 STEP_M, TURN_COSINE = 0.004, 0.97
 """Neighbours belong to one piece that differ by less along the normal and turn by less, 14 degrees: a step is
@@ -41,30 +40,34 @@ STANDS_M = 0.03
 """What ends so far above its support stands on it, its foot hidden or cut off with the support's pixels."""
 SIDE_COSINE = 0.5
 """Normals of a cylinder's wall are squarer to its axis; others belong to its ends."""
-AGREE_M, BEFORE_M = 0.01, 0.02
-"""A pixel agrees with a solid so far from it; what lies so far behind one contradicts it."""
-WORTH_PIXELS = 12
-"""That a solid has to explain beside those chosen before it."""
 
 
 def proposed_solids(
-    view: SceneData, world_from_camera: NDArray[np.float64], most: int
+    view: SceneData, world_from_camera: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Solids (n, 10), world_from_solid and logs of half sizes, and which are cylinders (n,).
 
     Args:
         view: the frame.
         world_from_camera: (4, 4); the world's z points up, and things stand on z = 0.
-        most: n at most.
     """
-    boxes, cylinders = [], []
+    boxes, cylinders = list(_bodies(view.supports, world_from_camera)), []
     for points_m, normals in _pieces(view, world_from_camera):
         boxes += [_standing_box(points_m), *_boxes_behind_faces(points_m, normals)]
         cylinders += _cylinders(points_m, normals)
     solids = np.array([*boxes, *cylinders]).reshape(-1, 10)
-    is_round = np.arange(len(solids)) >= len(boxes)
-    chosen = _explaining(view, world_from_camera, solids, is_round, most)
-    return solids[chosen], is_round[chosen]
+    return solids, np.arange(len(solids)) >= len(boxes)
+
+
+def _bodies(supports: Sequence[SupportPlane], world_from_camera: NDArray[np.float64]) -> Iterator[NDArray]:
+    """Boxes (10,) from each support over another one down to that."""
+    for support in supports:
+        height_m = height_over_next(support, supports)
+        if np.isfinite(height_m):
+            world_from_table = world_from_camera @ support.camera_from_table
+            low_m, high_m = np.append(-support.half_size_m, -height_m), np.append(support.half_size_m, 0.0)
+            rotation = world_from_table[:3, :3]
+            yield _solid(rotation, *(rotation.T @ world_from_table[:3, 3] + end for end in (low_m, high_m)))
 
 
 def _pieces(
@@ -209,32 +212,3 @@ def _cylinders(points_m: NDArray[np.float64], normals: NDArray[np.float64]) -> I
         low, high = np.percentile(points_m @ axis, [1, 99])
         ends = [x - radius, y - radius, low], [x + radius, y + radius, high]
         yield _solid(rotation, *_on_support(rotation, *(np.array(end) for end in ends)))
-
-
-def _explaining(
-    view: SceneData,
-    world_from_camera: NDArray[np.float64],
-    solids: NDArray[np.float64],
-    is_round: NDArray[np.bool_],
-    most: int,
-) -> list[int]:
-    """Of solids (n, 10) those that agree with most pixels beside those before, contradictions off."""
-    if not len(solids):
-        return []
-    window = view.window
-    in_camera = poses_of(np.linalg.inv(world_from_camera) @ matrices_of(solids[:, :7]))
-    parts = in_camera.astype(np.float32), np.exp(solids[:, 7:]).astype(np.float32), is_round
-    depth_m = np.asarray(solid_layers(window.camera, *jax.device_put(parts), *window.depth_m.shape))
-    seen = view.window_foreground & (window.depth_m > 0)
-    agrees = seen & (np.abs(depth_m - window.depth_m) < AGREE_M)
-    against = ((window.depth_m > depth_m + BEFORE_M) & (window.depth_m > 0)).sum(axis=(1, 2))
-    chosen: list[int] = []
-    explained = np.zeros_like(seen)
-    while len(chosen) < most:
-        worth = (agrees & ~explained).sum(axis=(1, 2)) - against
-        best = int(worth.argmax())
-        if worth[best] < WORTH_PIXELS:
-            break
-        chosen.append(best)
-        explained |= agrees[best]
-    return chosen

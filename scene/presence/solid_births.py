@@ -1,0 +1,110 @@
+"""Unknown solids of a scene: Gaussians round those that together explain it best, of all that are proposed."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.presence.births import DRAWS, LEAST_DENSITY, LEAST_SIZE, TURNS, UNFREE
+from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.gaussian_fits import climbed, face_factors, fitted
+from scene.presence.pose_priors import PosePriors
+from scene.presence.solids import (
+    FREE_OF_CYLINDERS,
+    GREATEST_M,
+    LEAST_M,
+    SolidFits,
+    log_sizes_density,
+    solid_half_sizes,
+    tied,
+)
+from scene.search.importance_sampling import LEAST_SIGMA
+
+FIRST_STEPS = np.repeat([0.006, 0.06], [6, 3])
+"""Of faces (metres) and turns (radians): proposals are fitted to points, good to a pixel at a metre."""
+
+FIRST_CLIMBS, CLIMBS = 2, 8
+"""Turns of climbing before solids are chosen, and after it. A proposal explains little where it stands: it is
+a centimetre off, and its sides hide what is measured behind them."""
+
+
+def solids_near(
+    rng: np.random.Generator,
+    frames: PresenceFrames,
+    priors: PosePriors,
+    starts: NDArray[np.float64],
+    is_round: NDArray[np.bool_],
+    most: int,
+) -> SolidFits:
+    """Gaussians round unknown solids, the densest of those that are proposed.
+
+    Args:
+        rng: random numbers.
+        frames: what is seen.
+        priors: of poses.
+        starts: (n, 10) world_from_solid and logs of half sizes.
+        is_round: (n,) which are cylinders.
+        most: solids at most.
+    """
+    if not len(starts):
+        return SolidFits.none()
+    starts = tied(starts[:, None], is_round)[:, 0]
+    starts[:, 7:] = np.clip(starts[:, 7:], np.log(LEAST_M), np.log(GREATEST_M))
+    near = climbed(partial(_log_alone, frames, priors, is_round), starts, FIRST_STEPS, FIRST_CLIMBS)
+    chosen = _densest_together(frames, priors, near, is_round, most)
+    if not len(chosen):
+        return SolidFits.none()
+    is_round = is_round[chosen]
+    log_density = partial(_log_alone, frames, priors, is_round)
+    best = climbed(log_density, near[chosen], FIRST_STEPS, CLIMBS)
+    free = np.where(is_round[:, None], FREE_OF_CYLINDERS, 1)
+    least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
+    fits = fitted(rng, log_density, best, face_factors(log_density, best), least, TURNS, DRAWS)
+    centres = tied(fits.centres[:, None], is_round)[:, 0]
+    return SolidFits(is_round=is_round, centres=centres, factors=fits.factors)
+
+
+def _densest_together(
+    frames: PresenceFrames,
+    priors: PosePriors,
+    states: NDArray[np.float64],
+    is_round: NDArray[np.bool_],
+    most: int,
+) -> list[int]:
+    """Of solids (n, 10) those that one after the other raise the density of the scene most, while they do."""
+    states = tied(states[:, None], is_round)[:, 0]
+    depth_m, gain = frames.shown_solids(states, is_round)
+    log_prior = _log_prior(priors, states[:, None], is_round)[:, 0]
+    front_m, front_gain = np.full_like(depth_m[0], np.inf), np.zeros_like(gain[0])
+    chosen: list[int] = []
+    while len(chosen) < min(most, len(states)):
+        worth = np.where(depth_m < front_m, gain - front_gain, 0.0).sum(axis=1) + log_prior
+        worth[chosen] = -np.inf
+        best = int(worth.argmax())
+        if worth[best] <= 0:
+            break
+        chosen.append(best)
+        front_gain = np.where(depth_m[best] < front_m, gain[best], front_gain)
+        front_m = np.minimum(front_m, depth_m[best])
+    return chosen
+
+
+def _log_alone(
+    frames: PresenceFrames, priors: PosePriors, is_round: NDArray[np.bool_], states: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Log density (n, S) of solids (n, S, 10), alone in the scene."""
+    states = tied(states, is_round)
+    _, gain = frames.shown_solids(states.reshape(-1, 10), np.repeat(is_round, states.shape[1]))
+    log_likelihood = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
+    return log_likelihood + _log_prior(priors, states, is_round)
+
+
+def _log_prior(
+    priors: PosePriors, states: NDArray[np.float64], is_round: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Log prior (n, S) of poses and sizes of solids (n, S, 10), finite everywhere."""
+    log_poses = np.log(np.maximum(priors.alone(states[..., :7], solid_half_sizes(states)), LEAST_DENSITY))
+    log_sizes = log_sizes_density(states[..., 7:], is_round[:, None])
+    return log_poses + np.maximum(log_sizes, np.log(LEAST_DENSITY))
