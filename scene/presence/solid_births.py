@@ -1,4 +1,4 @@
-"""Unknown solids of a scene: Gaussians round those that together explain it best, of all that are proposed."""
+"""Unknown solids of a scene: Gaussians round those that explain it best together, of all proposed ones."""
 
 from __future__ import annotations
 

@@ -88,11 +88,3 @@ def test_a_body_reaches_down_to_the_table(seed: int, lean: float) -> None:
     middles_m = solids[~is_round, 4:7] - place_m
     near = (np.abs(middles_m[:, 2]) < 0.015) & (np.ptp(heights_m, axis=1) > 0.13)
     assert near.any(), f"{np.round(middles_m, 3)}, {np.round(np.ptp(heights_m, axis=1), 3)}"
-
-
-def test_an_empty_table_has_none(seed: int) -> None:
-    """Noise is not a solid."""
-    empty = seen(np.random.default_rng(seed), np.full((1, 240, 320), np.inf), 0.0015)
-    data = scene_data(empty, INTRINSICS, 1)
-    solids, is_round = proposed_solids(data, np.linalg.inv(CAMERA_FROM_TABLE))
-    assert len(solids) == len(is_round) == 0

@@ -1,0 +1,80 @@
+"""Of proposed solids the density chooses, and noise is none."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.types import DepthNoise
+from scene.likelihood.pixel_density import PixelDensity
+from scene.observation.segmentation import scene_data
+from scene.presence.depth_candidates import PresenceFrames
+from scene.presence.solid_births import _densest_together, solids_near
+from scene.presence.solid_proposals import proposed_solids
+from tests.scene.presence.test_solid_proposals import (
+    CAMERA_FROM_TABLE,
+    INTRINSICS,
+    rendered,
+    seen,
+    solids_of,
+)
+
+ROOM_M3 = 0.1
+"""Of the prior of places."""
+
+
+class Anywhere:
+    """A prior of poses that is even."""
+
+    def alone(self, _: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Density, Lebesgue times rotations of mass pi^2."""
+        return np.full(half_m.shape[:-1], 1 / ROOM_M3 / np.pi**2)
+
+
+class Layers:
+    """Three solids over five pixels, each as the others would be seen alone."""
+
+    depth_m = np.array([[1, 1, 1, np.inf, np.inf], [2, 2, 2, 2, np.inf], [np.inf, np.inf, np.inf, 1, 1]])
+    gain = np.array([[30.0, 30, 30, 0, 0], [20, 20, 20, 20, 0], [0, 0, 0, -90, 40]])
+
+    def shown_solids(self, *_: Any) -> tuple[Any, Any]:
+        """Depth and log gain (3, 5)."""
+        return self.depth_m, self.gain
+
+
+def test_solids_are_chosen_for_what_they_add() -> None:
+    """The second adds one pixel of its four behind the first, and the third makes the scene less dense."""
+    states = solids_of(np.zeros((3, 3)), np.zeros((3, 3)), np.full((3, 3), 0.1))
+    given = cast("Any", Layers()), cast("Any", Anywhere()), states, np.zeros(3, bool)
+    assert _densest_together(*given, 3) == [0, 1]
+    assert _densest_together(*given, 1) == [0]
+
+
+def frames_of(depth_m: NDArray[np.float32]) -> tuple[PresenceFrames, Any]:
+    """An image as presence sees it, and its supports and foreground."""
+    data = scene_data(depth_m, INTRINSICS, 1)
+    density = PixelDensity.of(
+        data.window.depth_m, data.support_m, DepthNoise(), np.float32(0.002), data.window.stride
+    )
+    compared = SimpleNamespace(views=[data], densities=[density], camera_from_world=CAMERA_FROM_TABLE[None])
+    return PresenceFrames(
+        compared=cast("Any", compared), renderer=cast("Any", None), log_half=np.zeros((0, 3))
+    ), data
+
+
+def test_noise_is_no_solid_and_a_box_is_one(seed: int) -> None:
+    """Of a box one of few solids is within 1 cm in its middle and its sizes; of noise there is none."""
+    box = solids_of(np.zeros((1, 3)), np.array([[0.0, 0.05, 0.05]]), np.array([[0.06, 0.04, 0.05]]))
+    for layers_m, count in ((np.full((1, 240, 320), np.inf), 0), (rendered(box, np.array([False])), 1)):
+        rng = np.random.default_rng(seed)
+        frames, data = frames_of(seen(rng, layers_m, 0.0015))
+        proposed = proposed_solids(data, np.linalg.inv(CAMERA_FROM_TABLE))
+        solids = solids_near(rng, frames, cast("Any", Anywhere()), *proposed, 12)
+        if not count:
+            assert not len(solids.centres)
+            continue
+        assert 1 <= len(solids.centres) <= 3
+        off_m = np.linalg.norm(solids.centres[:, 4:7] - box[:, 4:7], axis=1)
+        sizes_m = np.sort(np.exp(solids.centres[:, 7:]), axis=1) - np.sort(np.exp(box[:, 7:]))
+        assert ((off_m < 0.01) & (np.abs(sizes_m) < 0.01).all(axis=1)).any(), solids.centres
