@@ -55,7 +55,7 @@ def frames_of(depth_m: NDArray[np.float32]) -> tuple[PresenceFrames, Any]:
     """An image as presence sees it, and its supports and foreground."""
     data = scene_data(depth_m, INTRINSICS, 1)
     density = PixelDensity.of(
-        data.window.depth_m, data.support_m, DepthNoise(), np.float32(0.002), data.window.stride
+        data.window.depth_m, data.support_m, DepthNoise(), 0.002, data.window.stride
     )
     compared = SimpleNamespace(views=[data], densities=[density], camera_from_world=CAMERA_FROM_TABLE[None])
     return PresenceFrames(
