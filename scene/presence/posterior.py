@@ -208,11 +208,30 @@ def drawn_ensemble(
         shapes = np.where(anew[:, None], shapes, before.shapes)
         kept = before.in_use & anew
         states[kept, 0], shapes[kept, 0] = before.chosen[kept], before.chosen_shapes[kept]
-    objects = len(mixture.centres)
-    log_offered = [mixture.log_density(states[:objects]), solids.log_density(states[objects:])]
-    given = states, shapes, solids.is_round, np.concatenate(log_offered), log_hidden
+    log_offered = _log_offered(mixture, solids, states, before, anew)
+    given = states, shapes, solids.is_round, log_offered, log_hidden
     candidates = candidates_of(frames, priors, *given, before and before.candidates, anew)
     return Ensemble.of(states, shapes, candidates, before, anew)
+
+
+def _log_offered(
+    mixture: StateMixture,
+    solids: SolidFits,
+    states: NDArray[np.float64],
+    before: Ensemble | None,
+    anew: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Log densities (N, K) by which states (N, K, 10) were drawn; those that are not anew keep theirs."""
+    log_offered = np.zeros(states.shape[:2]) if before is None else before.candidates.log_offered.copy()
+    of_objects, of_solids = np.split(anew, [len(mixture.centres)])
+    objects, solid_states = np.split(states[anew], [int(of_objects.sum())])
+    log_offered[anew] = np.concatenate(
+        [
+            mixture.only(of_objects).log_density(objects),
+            solids.log_density(solid_states, solids.is_round[of_solids]),
+        ]
+    )
+    return log_offered
 
 
 def presence_posterior(

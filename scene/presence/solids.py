@@ -70,18 +70,17 @@ class SolidFits:
         states = moved(states.reshape(-1, 10), spins.reshape(-1, 1, 9)).reshape(states.shape)
         return tied(states, self.is_round)
 
-    def log_density(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Log density (U, K) of states (U, K, 10): the sum over the Gaussians of the solid's kind.
+    def log_density(self, states: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Log density (n, K) of states (n, K, 10) of kinds (n,): the sum over the Gaussians of that kind.
 
         Of a solid in whatever way it is told: the sum over all of them. Lebesgue times rotations of mass pi^2
         times Lebesgue for the logs of sizes.
         """
         total = np.full(states.shape[:2], -np.inf)
-        for kind in np.unique(self.is_round).tolist():
-            alike = np.flatnonzero(self.is_round == kind)
-            told = _tellings(states[alike], is_round=kind)
-            parts = [self._log_normal(one, told) for one in alike.tolist()]
-            total[alike] = logsumexp(parts, axis=(0, 1))
+        for kind in np.unique(is_round).tolist():
+            told = _tellings(states[is_round == kind], is_round=kind)
+            parts = [self._log_normal(one, told) for one in np.flatnonzero(self.is_round == kind).tolist()]
+            total[is_round == kind] = logsumexp(parts, axis=(0, 1))
         return total
 
     def _log_normal(self, one: int, states: NDArray[np.float64]) -> NDArray[np.float64]:

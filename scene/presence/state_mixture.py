@@ -40,6 +40,10 @@ class StateMixture:
     points_m: NDArray[np.float64]
     ties: NDArray[np.intp]
 
+    def only(self, objects: NDArray[np.bool_]) -> StateMixture:
+        """That of some of the objects (N,)."""
+        return StateMixture(**{name: part[objects] for name, part in vars(self).items()})
+
     def drawn(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
         """States (N, count, 10)."""
         ends = np.exp(self.log_weights).cumsum(axis=1)

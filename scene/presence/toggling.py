@@ -85,7 +85,7 @@ class Candidates:
 
     @cached_property
     def _kept_gains(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], NDArray[np.float64]]:
-        """Of slots beside what is taken: moves come to the same scenes again and again."""
+        """Of slots beside what is taken."""
         return {}
 
     @cached_property
@@ -115,6 +115,20 @@ class Candidates:
         """
         rest = np.array(choice)
         rest[list(slots)] = ABSENT
+        key = rest.tobytes(), tuple(slots), power
+        if key not in self._kept_weights:
+            self._kept_weights[key] = self._log_weights(rest, slots, power)
+        return self._kept_weights[key]
+
+    @cached_property
+    def _kept_weights(self) -> dict[tuple[bytes, tuple[int, ...], float], NDArray[np.float64]]:
+        """Where one thing is certain moves come to the same scenes again and again."""
+        return {}
+
+    def _log_weights(
+        self, rest: NDArray[np.integer], slots: Sequence[int], power: float
+    ) -> NDArray[np.float64]:
+        """The same, computed, of slots beside the rest (N,) of the scene."""
         taken = [(int(one), int(rest[one])) for one in np.flatnonzero(rest >= 0)]
         hidden = int((rest == HIDDEN).sum())
         parts = [np.array([self.prior.log_density(taken, hidden)])]

@@ -54,9 +54,7 @@ def test_solids_are_chosen_for_what_they_add() -> None:
 def frames_of(depth_m: NDArray[np.float32]) -> tuple[PresenceFrames, Any]:
     """An image as presence sees it, and its supports and foreground."""
     data = scene_data(depth_m, INTRINSICS, 1)
-    density = PixelDensity.of(
-        data.window.depth_m, data.support_m, DepthNoise(), 0.002, data.window.stride
-    )
+    density = PixelDensity.of(data.window.depth_m, data.support_m, DepthNoise(), 0.002, data.window.stride)
     compared = SimpleNamespace(views=[data], densities=[density], camera_from_world=CAMERA_FROM_TABLE[None])
     return PresenceFrames(
         compared=cast("Any", compared), renderer=cast("Any", None), log_half=np.zeros((0, 3))

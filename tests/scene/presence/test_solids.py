@@ -64,7 +64,9 @@ def test_the_density_is_that_of_the_draws(is_round: bool, seed: int) -> None:
     narrower = SolidFits(is_round=np.array([is_round]), centres=centre, factors=0.8 * mixed[None])
     states = drawn_from.drawn(rng, 20_000)
 
-    ratio = np.exp(narrower.log_density(states) - drawn_from.log_density(states))[0]
+    ratio = np.exp(
+        narrower.log_density(states, narrower.is_round) - drawn_from.log_density(states, drawn_from.is_round)
+    )[0]
 
     assert_mean(ratio, 1.0, detectable=0.1)
 
@@ -85,7 +87,7 @@ def test_the_density_counts_every_telling_once(is_round: bool, seed: int) -> Non
 
     free = 5 if is_round else 6  # of place and sizes, at the peak of whose Gaussian all states are
     log_peak = -3 * np.log(0.01) - (free - 3) * np.log(0.02) - free / 2 * np.log(2 * np.pi)
-    mass = np.pi**2 * np.exp(fits.log_density(states) - log_peak)[0]
+    mass = np.pi**2 * np.exp(fits.log_density(states, fits.is_round) - log_peak)[0]
 
     assert_mean(mass, 2.0 if is_round else 24.0, detectable=0.05 if is_round else 0.6)
 
@@ -101,9 +103,11 @@ def test_one_box_told_in_two_ways_is_the_same(seed: int) -> None:
     two = SolidFits(is_round=np.zeros(2, bool), centres=np.stack([centre, turned]), factors=factors)
     states = two.drawn(rng, 50)
 
-    in_each = one.log_density(states[:1])[0], one.log_density(states[1:])[0]
+    in_each = [one.log_density(states[at : at + 1], one.is_round)[0] for at in (0, 1)]
 
-    np.testing.assert_allclose(two.log_density(states), np.log(2) + np.stack(in_each), atol=1e-3)
+    np.testing.assert_allclose(
+        two.log_density(states, two.is_round), np.log(2) + np.stack(in_each), atol=1e-3
+    )
 
 
 @pytest.mark.filterwarnings("error")
