@@ -43,6 +43,10 @@ class AnyPose:
         del rng
         return np.zeros((1, count, 10))
 
+    def only(self, _: np.ndarray) -> "AnyPose":
+        """There is one."""
+        return self
+
     def log_density(self, states: np.ndarray) -> np.ndarray:
         """Zeros."""
         return np.zeros(states.shape[:2])
