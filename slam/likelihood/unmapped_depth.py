@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.stats import norm
 
 from recordings.types import NO_RETURN, DepthNoise
@@ -138,29 +137,39 @@ def _on_plane_around(lattice_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array
 
     Least squares, and again on those alone that lie on the first plane.
     """
-    rows, columns = lattice_m.shape
-    above, aside = (max(abs(step) for step in steps) for steps in zip(*AROUND, strict=True))
-    padded = jnp.pad(lattice_m, ((above, 0), (aside, aside)))
-    around = jnp.stack(
-        [padded[above + r : above + r + rows, aside + c : aside + c + columns] for r, c in AROUND]
+    returned = lattice_m > NO_RETURN
+    inverse = jnp.where(returned, 1.0 / jnp.where(returned, lattice_m, 1.0), 0.0)
+    tolerance = ON_PLANE_SIGMAS * depth_noise.standard_deviation(noise, lattice_m) * inverse**2
+    around = list(zip(AROUND, _around(inverse), _around(tolerance), strict=True))
+
+    def lying_on(plane: _PlaneFit) -> list[jax.Array]:
+        return [
+            jnp.abs(near - plane.mean - plane.down * row - plane.right * column) < most
+            for (row, column), near, most in around
+        ]
+
+    nearby = [near for _, near, _ in around]
+    all_returned = [near > 0 for near in nearby]
+    plane = _plane_fit(nearby, lying_on(_plane_fit(nearby, all_returned)))
+    count, on_plane = (
+        sum((one.astype(inverse.dtype) for one in some), start=jnp.zeros_like(inverse))
+        for some in (all_returned, lying_on(plane))
     )
-    returned = around > NO_RETURN
-    inverse = jnp.where(returned, 1.0 / jnp.where(returned, around, 1.0), 0.0)
-    tolerance = ON_PLANE_SIGMAS * depth_noise.standard_deviation(noise, around) * inverse**2
-    offsets = np.asarray(AROUND, np.float32)[:, :, None, None]
-    row, column = jnp.asarray(offsets[:, 0]), jnp.asarray(offsets[:, 1])
-
-    def lying_on(plane: _PlaneFit) -> jax.Array:
-        residual = inverse - plane.mean[None] - plane.down[None] * row - plane.right[None] * column
-        return returned & (jnp.abs(residual) < tolerance)
-
-    first = lying_on(_plane_fit(inverse, returned, row, column))
-    plane = _plane_fit(inverse, first, row, column)
-    on_plane, all_returned = lying_on(plane).sum(0), returned.sum(0)
     known = (on_plane >= LEAST_ON_PLANE) & (plane.mean > 0)
-    share = jax.nn.sigmoid(CONTINUES - ENDS_BY_SHARE * (all_returned - on_plane) / (all_returned + 1.0))
+    share = jax.nn.sigmoid(CONTINUES - ENDS_BY_SHARE * (count - on_plane) / (count + 1.0))
     depth = jnp.where(known, 1.0 / jnp.where(known, plane.mean, 1.0), NO_RETURN)
     return depth, jnp.where(known, share, 0.0), jnp.where(known, plane.uncertainty, 0.0)
+
+
+def _around(image: jax.Array) -> list[jax.Array]:
+    """The pixels (H, W) `AROUND` each of an image, 0 beyond its border.
+
+    A list: sums over it are one pass over the image, those over a stack are a pass for each.
+    """
+    rows, columns = image.shape
+    above, aside = (max(abs(step) for step in steps) for steps in zip(*AROUND, strict=True))
+    padded = jax.lax.optimization_barrier(jnp.pad(image, ((above, 0), (aside, aside))))
+    return [padded[above + r : above + r + rows, aside + c : aside + c + columns] for r, c in AROUND]
 
 
 @jax.tree_util.register_dataclass
@@ -174,17 +183,17 @@ class _PlaneFit:
     uncertainty: jax.Array
 
 
-def _plane_fit(inverse: jax.Array, counted: jax.Array, row: jax.Array, column: jax.Array) -> _PlaneFit:
-    """Least squares on inverse depths (n, H, W), those counted alone."""
-    weight = counted.astype(inverse.dtype)
-    total = jnp.maximum(weight.sum(0), 1.0)
-
-    def mean(values: jax.Array) -> jax.Array:
-        return (weight * values).sum(0) / total
-
-    y, x, z = mean(row), mean(column), mean(inverse)
-    yy, xx, xy = mean(row**2) - y * y + 1e-3, mean(column**2) - x * x + 1e-3, mean(row * column) - x * y
-    yz, xz = mean(row * inverse) - y * z, mean(column * inverse) - x * z
+def _plane_fit(inverse: list[jax.Array], counted: list[jax.Array]) -> _PlaneFit:
+    """Least squares on inverse depths (H, W) of the pixels `AROUND`, those counted alone."""
+    total = y = x = z = yy = xx = xy = yz = xz = jnp.zeros_like(inverse[0])
+    for (row, column), near, use in zip(AROUND, inverse, counted, strict=True):
+        weight = use.astype(near.dtype)
+        total, y, x = total + weight, y + weight * row, x + weight * column
+        yy, xx, xy = yy + weight * row**2, xx + weight * column**2, xy + weight * (row * column)
+        z, yz, xz = z + weight * near, yz + weight * near * row, xz + weight * near * column
+    total = jnp.maximum(total, 1.0)
+    y, x, z, yy, xx, xy, yz, xz = (part / total for part in (y, x, z, yy, xx, xy, yz, xz))
+    yy, xx, xy, yz, xz = yy - y * y + 1e-3, xx - x * x + 1e-3, xy - x * y, yz - y * z, xz - x * z
     determinant = xx * yy - xy * xy
     down, right = (xx * yz - xy * xz) / determinant, (yy * xz - xy * yz) / determinant
     leverage = (xx * y * y - 2.0 * xy * x * y + yy * x * x) / determinant

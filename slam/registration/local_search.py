@@ -109,7 +109,7 @@ def local_optimum(
 
     The map is rendered at the first start, and anew at that pose. Every start and every offset from the
     first (a grid over position and viewing angle) is scored there; the first start and the best few are
-    aligned; the winner is refined. Four kernels: compiled as one they take twice as long (measured, XLA's CPU
+    aligned; the winner is refined. Several kernels: compiled as one they take twice as long (measured, XLA's CPU
     backend).
 
     Args:
@@ -196,19 +196,51 @@ def weak_directions(model: ModelImage, view: CanvasView, noise: DepthNoise, pose
     return jax.vmap(partial(pose_gaussian.displace, pose))(offsets)
 
 
-@jax.jit
 def optimum_at(
     local_map: LocalMap, view: CanvasView, noise: DepthNoise, pose: jax.Array, hold: jax.Array | float = 0.0
 ) -> Optimum:
-    """The density's optimum next to `pose` (7,), with the map rendered at `pose`."""
+    """The density's optimum next to `pose` (7,), with the map rendered at `pose`.
+
+    Three kernels: compiled as one they take more than twice as long (measured, XLA's CPU backend).
+    """
+    keyframes_from_camera, image = _rendered(local_map, view, pose)
+    pixels, fused = _lattice(local_map, view, noise, keyframes_from_camera, image)
+    return _climbed(local_map, noise, pose, hold, pixels, *fused)
+
+
+@jax.jit
+def _rendered(local_map: LocalMap, view: CanvasView, pose: jax.Array) -> tuple[jax.Array, MapImage]:
+    """Keyframes_from_camera (M, 7) at a pose (7,), and the map as it is seen from there."""
     keyframes_from_camera = local_map.keyframes_from_camera(pose)
-    image = render(local_map.surfaces, local_map.present, keyframes_from_camera, view.rays, view.camera)
-    pixels = jax.lax.optimization_barrier(
-        scored_pixels(view, image, local_map.surfaces, local_map.present, keyframes_from_camera, noise)
-    )
-    lattice_planes, lattice_variance = jax.lax.optimization_barrier(
-        fused_planes(MapImage(pixels.planes, pixels.weights), keyframes_from_camera)
-    )
+    surfaces, present = local_map.surfaces, local_map.present
+    return keyframes_from_camera, render(surfaces, present, keyframes_from_camera, view.rays, view.camera)
+
+
+@jax.jit
+def _lattice(
+    local_map: LocalMap,
+    view: CanvasView,
+    noise: DepthNoise,
+    keyframes_from_camera: jax.Array,
+    image: MapImage,
+) -> tuple[ScoredPixels, tuple[jax.Array, jax.Array]]:
+    """The pixels that count, and their `fused_planes`."""
+    surfaces, present = local_map.surfaces, local_map.present
+    pixels = scored_pixels(view, image, surfaces, present, keyframes_from_camera, noise)
+    return pixels, fused_planes(MapImage(pixels.planes, pixels.weights), keyframes_from_camera)
+
+
+@jax.jit
+def _climbed(
+    local_map: LocalMap,
+    noise: DepthNoise,
+    pose: jax.Array,
+    hold: jax.Array | float,
+    pixels: ScoredPixels,
+    lattice_planes: jax.Array,
+    lattice_variance: jax.Array,
+) -> Optimum:
+    """The optimum next to a pose (7,) where pixels see these planes (3, P), of depth variance (P,)."""
     identity = jnp.asarray(IDENTITY, pose.dtype)
 
     def terms_at(relative: jax.Array) -> PixelTerms:
