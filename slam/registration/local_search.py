@@ -109,8 +109,8 @@ def local_optimum(
 
     The map is rendered at the first start, and anew at that pose. Every start and every offset from the
     first (a grid over position and viewing angle) is scored there; the first start and the best few are
-    aligned; the winner is refined. Several kernels: compiled as one they take twice as long (measured, XLA's CPU
-    backend).
+    aligned; the winner is refined. Several kernels: compiled as one they take twice as long (measured, XLA's
+    CPU backend).
 
     Args:
         local_map: what to compare with.
