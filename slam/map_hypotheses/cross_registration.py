@@ -66,9 +66,8 @@ class KeyframeRegistrar:
         return 0.5 * sum(one.log_density for one in self._register_all(poses))
 
     def log_composite_of_blocks(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The same (N * B,), by blocks of pixels of each image, whose errors are about independent."""
-        blocks = [one.log_density_of_blocks(self.noise) for one in self._register_all(poses)]
-        return 0.5 * np.concatenate(blocks)
+        """The same (N, B), by blocks of pixels of each image, whose errors are about independent."""
+        return 0.5 * np.stack([one.log_density_of_blocks(self.noise) for one in self._register_all(poses)])
 
     def log_scores(
         self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float

@@ -91,7 +91,7 @@ def place_by_spanning_trees(
     if not maps:
         return []
     blocks = np.stack([registrar.log_composite_of_blocks(poses) for poses in maps])
-    composites = blocks.sum(axis=1)
+    composites = blocks.sum(axis=(1, 2))
     weights = log_odds(blocks) + [log_prior(poses) for poses in maps]
     likeliest, most_agreed = (
         _take_distinct((maps[index] for index in np.argsort(-values)), KEPT_MAPS)

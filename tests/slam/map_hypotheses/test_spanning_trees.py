@@ -112,7 +112,7 @@ class RingJury:
 
     def log_composite_of_blocks(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """The same, a block for each keyframe."""
-        return -np.abs(poses[:, 0, 3] - np.arange(len(RING)))
+        return -np.abs(poses[:, :1, 3] - np.arange(len(RING))[:, None])
 
 
 def unsettled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
