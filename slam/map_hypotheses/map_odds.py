@@ -1,9 +1,9 @@
 """Odds of whole maps from the composite likelihood of all images, calibrated by its own variance.
 
 A composite likelihood overstates: neighbouring pixels err alike, and where maps are wrong at creases or
-sensors bend planes they do so in every map. By how much, the blocks of pixels tell themselves, and the images,
-each of which stands in its place or not as a whole: round a bare corner a wrong map explains all blocks of an
-image better.
+sensors bend planes they do so in every map. By how much, the blocks of pixels tell themselves, and the
+images, each of which stands in its place or not as a whole: round a bare corner a wrong map explains all
+blocks of an image better.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ IMAGES, BLOCKS = 100, 20
 def test_overstated_log_ratios_are_put_right(seed: int) -> None:
     """Gaussian blocks whose mean is half their variance, all overstated alike: the odds are the sum before.
 
-    The larger of two variances, from 2,000 blocks, to 3 in 100, and from 100 images, to 14 in 100: within four
-    times that.
+    The larger of two variances, from 2,000 blocks, to 3 in 100, and from 100 images, to 14 in 100: within
+    four times that.
     """
     rng = np.random.default_rng(seed)
     log_ratios = rng.normal(-0.01, np.sqrt(0.02), (IMAGES, BLOCKS))
