@@ -23,8 +23,7 @@ from scene.likelihood.object_renderer import ObjectRenderer
 from scene.mcmc.chain_model import carrying, pose_prior, prior_space
 from scene.objects.scene_object import SceneObject
 from scene.objects.symmetry import turns_alike
-from scene.presence.births import LEAST_DENSITY
-from scene.presence.depth_candidates import PresenceFrames, nearest_shown
+from scene.presence.depth_candidates import PresenceFrames, gain_before, nearest_shown
 from scene.presence.pose_priors import PosePriors
 from scene.search.importance_sampling import distinct, largest_power
 from scene.search.search_result import Initialisation
@@ -159,12 +158,11 @@ class _SeenObject:
         """Log likelihood over that without the object, and log prior, (S,) of poses (S, 7) world_from_box."""
         owners, log_half = np.full(len(poses), self.one), self.frames.log_half[self.one]
         states = np.concatenate([poses, np.tile(log_half, (len(poses), 1))], axis=1)
-        depth_m, gain = self.frames.shown(owners, states, np.zeros(len(poses), np.intp))
-        gain = np.where(depth_m < self.front_m, gain - self.front_gain, 0.0)
+        shown = self.frames.shown(owners, states, np.zeros(len(poses), np.intp))
         half_m = np.tile(np.exp(log_half), (1, len(poses), 1))
-        log_prior = np.log(np.maximum(self.priors.alone(poses[None], half_m)[0], LEAST_DENSITY))
+        log_prior = self.priors.log_alone(poses[None], half_m)[0]
         log_prior += self.priors.log_not_buried(np.array([self.one]), poses[None])[0]
-        return gain.sum(axis=1, dtype=np.float64), log_prior
+        return gain_before(shown, (self.front_m, self.front_gain)), log_prior
 
 
 LogDensity = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]

@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
-from scene.presence.depth_candidates import PresenceFrames, nearest_shown
+from scene.presence.depth_candidates import PresenceFrames, gain_before, nearest_shown
 from scene.presence.gaussian_fits import Fits, climbed, face_factors, fitted
 from scene.presence.pose_priors import PosePriors
 from scene.presence.size_prior import SizePrior, free_sizes
 from scene.presence.state_mixture import StateMixture
 from scene.search.importance_sampling import LEAST_SIGMA, distinct
 from scene.search.search_result import Initialisation
-
-LEAST_DENSITY = 1e-30
-"""Of the prior where it excludes a pose: what is fitted may still come to where it does not."""
 
 LEAST_SIZE = 0.002
 """Least standard deviation of the logs of sizes, as that of places."""
@@ -90,23 +87,38 @@ def born_near(
     def log_densities(owners: NDArray[np.intp], states: NDArray[np.float64]) -> NDArray[np.float64]:
         states = sizes.tied(states, owners)
         each = np.repeat(owners, states.shape[1])
-        depth_m, gain = frames.shown(each, states.reshape(-1, 10), frames.drawn_shapes(rng, len(each)))
-        gain = np.where(depth_m < front_m[each], gain - front_gain[each], 0.0)
-        log_alone = gain.sum(axis=1, dtype=np.float64).reshape(states.shape[:2])
-        prior = priors.alone(states[..., :7], np.exp(states[..., 7:]))
-        log_alone += np.log(np.maximum(prior, LEAST_DENSITY)) + sizes.log_density(states[..., 7:], owners)
-        return log_alone + priors.log_not_buried(owners, states[..., :7])
+        shown = frames.shown(each, states.reshape(-1, 10), frames.drawn_shapes(rng, len(each)))
+        log_likelihood = gain_before(shown, (front_m[each], front_gain[each])).reshape(states.shape[:2])
+        log_prior = priors.log_alone(states[..., :7], np.exp(states[..., 7:]))
+        log_prior += sizes.log_density(states[..., 7:], owners)
+        return log_likelihood + log_prior + priors.log_not_buried(owners, states[..., :7])
 
     centres = np.concatenate([np.concatenate(sites), sizes.log_half[every]], axis=1)
     owners, centres = _best_of_each(partial(log_densities, every), every, centres, found)
     log_density = partial(log_densities, owners)
     centres = sizes.tied(climbed(log_density, centres, FIRST_STEPS, CLIMBS)[:, None], owners)[:, 0]
-    factors = face_factors(log_density, centres)
     free = np.concatenate([np.ones((len(owners), 6), bool), free_sizes(sizes.ties)[owners]], axis=1)
-    least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
-    fits = fitted(rng, log_density, centres, factors, least, TURNS, DRAWS)
+    fits = fit_gaussians(rng, log_density, centres, free)
     fits = replace(fits, centres=sizes.tied(fits.centres[:, None], owners)[:, 0])
     return _mixture(fits, owners, lines, sizes)
+
+
+def fit_gaussians(
+    rng: np.random.Generator,
+    log_density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    tops: NDArray[np.float64],
+    free: NDArray[np.bool_],
+) -> Fits:
+    """Gaussians round the tops (n, 10) of a density of boxes or solids (n, S, 10).
+
+    Args:
+        rng: random numbers.
+        log_density: (n, S).
+        tops: where each begins.
+        free: (n, 9) which steps change anything.
+    """
+    least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
+    return fitted(rng, log_density, tops, face_factors(log_density, tops), least, TURNS, DRAWS)
 
 
 def _best_of_each(

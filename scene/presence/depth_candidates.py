@@ -17,6 +17,9 @@ from scene.presence.solids import log_sizes_density, solid_half_sizes, solid_lay
 from scene.presence.toggling import Candidates, SlotLayers
 from shapes.geometry.poses import matrices_of, poses_of
 
+Shown = tuple[NDArray[np.float32], NDArray[np.float32]]
+"""Depth at which pixels (..., X) are hidden, and their log density over that of the scene without objects."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PresenceFrames:
@@ -43,7 +46,7 @@ class PresenceFrames:
 
     def shown(
         self, slots: NDArray[np.integer], states: NDArray[np.float64], shapes: NDArray[np.integer]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> Shown:
         """Depth and log gain (n, X) of slots (n,) in states (n, 10), of these draws (n,) of their shapes.
 
         A state is world_from_box and logs of half sizes.
@@ -51,9 +54,7 @@ class PresenceFrames:
         numbers = shapes * len(self.log_half) + slots
         scales = np.exp(states[:, 7:] - self.log_half[slots])
 
-        def in_frame(
-            frame: int, in_camera: NDArray[np.float64]
-        ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        def in_frame(frame: int, in_camera: NDArray[np.float64]) -> Shown:
             layers_m = self.renderer.layers(numbers, in_camera, self.compared.views[frame].window, scales)
             depth_m, gain = self._weighed(frame, layers_m)
             colours = self.compared.colours
@@ -65,14 +66,10 @@ class PresenceFrames:
 
         return self._in_all_frames(states[:, :7], in_frame)
 
-    def shown_solids(
-        self, states: NDArray[np.float64], is_round: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def shown_solids(self, states: NDArray[np.float64], is_round: NDArray[np.bool_]) -> Shown:
         """Depth and log gain (n, X) of solids (n, 10): world_from_solid and logs of half sizes."""
 
-        def in_frame(
-            frame: int, in_camera: NDArray[np.float64]
-        ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        def in_frame(frame: int, in_camera: NDArray[np.float64]) -> Shown:
             window, count = self.compared.views[frame].window, len(in_camera)
             fill = np.resize(np.arange(count), LAYERS * -(-count // LAYERS)).reshape(-1, LAYERS)
             given = in_camera.astype(np.float32), solid_half_sizes(states).astype(np.float32), is_round
@@ -88,8 +85,8 @@ class PresenceFrames:
     def _in_all_frames(
         self,
         poses: NDArray[np.float64],
-        in_frame: Callable[[int, NDArray[np.float64]], tuple[NDArray[np.float32], NDArray[np.float32]]],
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        in_frame: Callable[[int, NDArray[np.float64]], Shown],
+    ) -> Shown:
         world_from_box, parts = matrices_of(poses), []
         for frame, camera_from_world in enumerate(self.compared.camera_from_world):
             parts.append(in_frame(frame, poses_of(camera_from_world @ world_from_box)))
@@ -99,9 +96,7 @@ class PresenceFrames:
         )
         return depth_m, gain
 
-    def _weighed(
-        self, frame: int, layers_m: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _weighed(self, frame: int, layers_m: NDArray[np.float32]) -> Shown:
         """Depth and log gain (n, H, W) of layers (n, H, W) alone."""
         density = self.compared.densities[frame]
         log_density, depth_m = layer_densities(density, layers_m)
@@ -109,13 +104,22 @@ class PresenceFrames:
         return depth_m, np.where(np.isfinite(depth_m), log_density - np.asarray(density.log_rest), 0.0)
 
 
-def nearest_shown(
-    depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def nearest_shown(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> Shown:
     """Depth and log gain (X,) of the nearest of layers (L, X), one or more; of equal ones the first."""
     nearest = depth_m.argmin(axis=0)[None]
     depth_m, log_gain = (np.take_along_axis(part, nearest, axis=0)[0] for part in (depth_m, log_gain))
     return depth_m, log_gain
+
+
+def gain_before(shown: Shown, front: Shown) -> NDArray[np.float64]:
+    """What each of some layers adds (n,) to the log likelihood of others, hidden where these are nearer.
+
+    Args:
+        shown: of the layers (n, X), each alone.
+        front: of the others (X,) or (n, X), +inf and 0 where there are none.
+    """
+    (depth_m, gain), (front_m, front_gain) = shown, front
+    return np.where(depth_m < front_m, gain - front_gain, 0.0).sum(axis=1, dtype=np.float64)
 
 
 def slot_layers(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> SlotLayers:

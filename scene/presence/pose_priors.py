@@ -33,6 +33,9 @@ PAIRS = 256
 TOUCHING_SIGMAS = 10.0
 """Boxes further apart than so many standard deviations of a loose contact rest not on each other."""
 
+LEAST_DENSITY = 1e-30
+"""Of the prior where it excludes a pose: what is fitted may still come to where it does not."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Burial:
@@ -145,6 +148,10 @@ class PosePriors:
         if self.burial is None:
             return np.zeros(poses.shape[:2])
         return self.burial.log_prior(owners, poses)
+
+    def log_alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log of `alone` (n, S), finite everywhere."""
+        return np.log(np.maximum(self.alone(poses, half_m), LEAST_DENSITY))
 
     def alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weights (n, S) of poses (n, S, 7) of boxes (n, S, 3) by themselves, floating or on a support."""

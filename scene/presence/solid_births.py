@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.presence.births import DRAWS, LEAST_DENSITY, LEAST_SIZE, TURNS, UNFREE
-from scene.presence.depth_candidates import PresenceFrames
-from scene.presence.gaussian_fits import climbed, face_factors, fitted
-from scene.presence.pose_priors import PosePriors
+from scene.presence.births import fit_gaussians
+from scene.presence.depth_candidates import PresenceFrames, gain_before, nearest_shown
+from scene.presence.gaussian_fits import climbed
+from scene.presence.pose_priors import LEAST_DENSITY, PosePriors
 from scene.presence.solids import (
     FREE_OF_CYLINDERS,
     GREATEST_M,
@@ -20,7 +20,6 @@ from scene.presence.solids import (
     solid_half_sizes,
     tied,
 )
-from scene.search.importance_sampling import LEAST_SIGMA
 
 FIRST_STEPS = np.repeat([0.006, 0.06], [6, 3])
 """Of faces (metres) and turns (radians): proposals are fitted to points, good to a pixel at a metre."""
@@ -50,20 +49,17 @@ def solids_near(
     """
     if not len(starts):
         return SolidFits.none()
-    starts = tied(starts[:, None], is_round)[:, 0]
+    starts = np.array(starts)
     starts[:, 7:] = np.clip(starts[:, 7:], np.log(LEAST_M), np.log(GREATEST_M))
     near = climbed(partial(_log_alone, frames, priors, is_round), starts, FIRST_STEPS, FIRST_CLIMBS)
-    chosen = _densest_together(frames, priors, near, is_round, most)
+    chosen = _densest_together(frames, priors, tied(near, is_round), is_round, most)
     if not len(chosen):
         return SolidFits.none()
     is_round = is_round[chosen]
     log_density = partial(_log_alone, frames, priors, is_round)
     best = climbed(log_density, near[chosen], FIRST_STEPS, CLIMBS)
-    free = np.where(is_round[:, None], FREE_OF_CYLINDERS, 1)
-    least = np.where(free, np.append(LEAST_SIGMA, np.full(3, LEAST_SIZE)), UNFREE)
-    fits = fitted(rng, log_density, best, face_factors(log_density, best), least, TURNS, DRAWS)
-    centres = tied(fits.centres[:, None], is_round)[:, 0]
-    return SolidFits(is_round=is_round, centres=centres, factors=fits.factors)
+    fits = fit_gaussians(rng, log_density, best, ~is_round[:, None] | FREE_OF_CYLINDERS.astype(bool))
+    return SolidFits(is_round=is_round, centres=tied(fits.centres, is_round), factors=fits.factors)
 
 
 def _densest_together(
@@ -74,20 +70,19 @@ def _densest_together(
     most: int,
 ) -> list[int]:
     """Of solids (n, 10) those that one after the other raise the density of the scene most, while they do."""
-    states = tied(states[:, None], is_round)[:, 0]
     depth_m, gain = frames.shown_solids(states, is_round)
     log_prior = _log_prior(priors, states[:, None], is_round)[:, 0]
-    front_m, front_gain = np.full_like(depth_m[0], np.inf), np.zeros_like(gain[0])
+    front = np.full_like(depth_m[0], np.inf), np.zeros_like(gain[0])
     chosen: list[int] = []
     while len(chosen) < min(most, len(states)):
-        worth = np.where(depth_m < front_m, gain - front_gain, 0.0).sum(axis=1) + log_prior
+        worth = gain_before((depth_m, gain), front) + log_prior
         worth[chosen] = -np.inf
         best = int(worth.argmax())
         if worth[best] <= 0:
             break
         chosen.append(best)
-        front_gain = np.where(depth_m[best] < front_m, gain[best], front_gain)
-        front_m = np.minimum(front_m, depth_m[best])
+        both = (np.stack([one, other[best]]) for one, other in zip(front, (depth_m, gain), strict=True))
+        front = nearest_shown(*both)
     return chosen
 
 
@@ -105,6 +100,6 @@ def _log_prior(
     priors: PosePriors, states: NDArray[np.float64], is_round: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Log prior (n, S) of poses and sizes of solids (n, S, 10), finite everywhere."""
-    log_poses = np.log(np.maximum(priors.alone(states[..., :7], solid_half_sizes(states)), LEAST_DENSITY))
+    log_poses = priors.log_alone(states[..., :7], solid_half_sizes(states))
     log_sizes = log_sizes_density(states[..., 7:], is_round[:, None])
     return log_poses + np.maximum(log_sizes, np.log(LEAST_DENSITY))

@@ -138,9 +138,9 @@ def _log_sinc(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def tied(states: NDArray[np.float64], is_round: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """States (U, K, 10) in which both radii of cylinders are the first."""
+    """States (U, ..., 10) in which both radii of cylinders are the first."""
     states = np.array(states)
-    states[is_round, :, 8] = states[is_round, :, 7]
+    states[is_round, ..., 8] = states[is_round, ..., 7]
     return states
 
 

@@ -140,7 +140,7 @@ def _on_plane_around(lattice_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array
     returned = lattice_m > NO_RETURN
     inverse = jnp.where(returned, 1.0 / jnp.where(returned, lattice_m, 1.0), 0.0)
     tolerance = ON_PLANE_SIGMAS * depth_noise.standard_deviation(noise, lattice_m) * inverse**2
-    around = list(zip(AROUND, _around(inverse), _around(tolerance), strict=True))
+    around = list(zip(AROUND, _neighbours(inverse), _neighbours(tolerance), strict=True))
 
     def lying_on(plane: _PlaneFit) -> list[jax.Array]:
         return [
@@ -161,7 +161,7 @@ def _on_plane_around(lattice_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array
     return depth, jnp.where(known, share, 0.0), jnp.where(known, plane.uncertainty, 0.0)
 
 
-def _around(image: jax.Array) -> list[jax.Array]:
+def _neighbours(image: jax.Array) -> list[jax.Array]:
     """The pixels (H, W) `AROUND` each of an image, 0 beyond its border.
 
     A list: sums over it are one pass over the image, those over a stack are a pass for each.

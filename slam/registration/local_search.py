@@ -203,13 +203,13 @@ def optimum_at(
 
     Three kernels: compiled as one they take more than twice as long (measured, XLA's CPU backend).
     """
-    keyframes_from_camera, image = _rendered(local_map, view, pose)
-    pixels, fused = _lattice(local_map, view, noise, keyframes_from_camera, image)
-    return _climbed(local_map, noise, pose, hold, pixels, *fused)
+    keyframes_from_camera, image = _render_at(local_map, view, pose)
+    pixels, fused = _fuse_lattice(local_map, view, noise, keyframes_from_camera, image)
+    return _climb_from(local_map, noise, pose, hold, pixels, *fused)
 
 
 @jax.jit
-def _rendered(local_map: LocalMap, view: CanvasView, pose: jax.Array) -> tuple[jax.Array, MapImage]:
+def _render_at(local_map: LocalMap, view: CanvasView, pose: jax.Array) -> tuple[jax.Array, MapImage]:
     """Keyframes_from_camera (M, 7) at a pose (7,), and the map as it is seen from there."""
     keyframes_from_camera = local_map.keyframes_from_camera(pose)
     surfaces, present = local_map.surfaces, local_map.present
@@ -217,7 +217,7 @@ def _rendered(local_map: LocalMap, view: CanvasView, pose: jax.Array) -> tuple[j
 
 
 @jax.jit
-def _lattice(
+def _fuse_lattice(
     local_map: LocalMap,
     view: CanvasView,
     noise: DepthNoise,
@@ -231,7 +231,7 @@ def _lattice(
 
 
 @jax.jit
-def _climbed(
+def _climb_from(
     local_map: LocalMap,
     noise: DepthNoise,
     pose: jax.Array,

@@ -6,8 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recordings.types import CameraIntrinsics
+from scene.observation.detection import SupportPlane
 from scene.observation.segmentation import scene_data
-from scene.presence.solid_proposals import proposed_solids
+from scene.presence.solid_proposals import _bodies, proposed_solids
 from scene.presence.solids import solid_layers
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import matrices_of, poses_of
@@ -88,3 +89,23 @@ def test_a_body_reaches_down_to_the_table(seed: int, lean: float) -> None:
     middles_m = solids[~is_round, 4:7] - place_m
     near = (np.abs(middles_m[:, 2]) < 0.015) & (np.ptp(heights_m, axis=1) > 0.13)
     assert near.any(), f"{np.round(middles_m, 3)}, {np.round(np.ptp(heights_m, axis=1), 3)}"
+
+
+def test_what_carries_things_over_a_table_is_a_box() -> None:
+    """From its top down to the table, turned as it is; the table itself, which is over nothing, is none."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("z", 0.3).as_matrix()
+    pose[:3, 3] = [0.1, -0.05, 0.12]
+    table = SupportPlane(
+        camera_from_table=CAMERA_FROM_TABLE, half_size_m=np.array([0.4, 0.3]), bend=np.zeros(6)
+    )
+    block = SupportPlane(
+        camera_from_table=CAMERA_FROM_TABLE @ pose, half_size_m=np.array([0.15, 0.08]), bend=np.zeros(6)
+    )
+
+    bodies = np.array(list(_bodies([table, block], np.linalg.inv(CAMERA_FROM_TABLE))))
+
+    expected = solids_of(
+        np.array([[0, 0, 0.3]]), np.array([[0.1, -0.05, 0.06]]), np.array([[0.15, 0.08, 0.06]])
+    )
+    np.testing.assert_allclose(bodies, expected, atol=1e-9)

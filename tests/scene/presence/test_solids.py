@@ -1,10 +1,14 @@
 """Unknown solids: how they are seen, and the density that they are drawn from."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from scene.presence.posterior import _log_offered
 from scene.presence.solids import (
     GREATEST_M,
     LEAST_M,
@@ -13,6 +17,7 @@ from scene.presence.solids import (
     solid_half_sizes,
     solid_layers,
 )
+from scene.presence.state_mixture import StateMixture
 from shapes.geometry.camera import Camera
 from tests.statistical import assert_mean
 
@@ -116,3 +121,30 @@ def test_sizes_without_a_prior_are_seen_at_its_bounds() -> None:
     states = np.array([[1.0, 0, 0, 0, 0, 0, 0, 1e4, -1e4, np.log(0.05)]])
     np.testing.assert_allclose(solid_half_sizes(states), [[GREATEST_M, LEAST_M, 0.05]])
     assert log_sizes_density(states[:, 7:], np.array([False])) == -np.inf
+
+
+def test_densities_of_what_stays_are_kept(seed: int) -> None:
+    """Of two objects and three solids two are drawn anew: their densities alone change, to what all have."""
+    rng = np.random.default_rng(seed)
+    factors = np.tile(np.diag(np.repeat([0.01, 0.03, 0.02], 3)), (5, 1, 1))
+    centres = np.concatenate(
+        [np.tile([1.0, 0, 0, 0, 0.3, 0.1, 0.2], (5, 1)), np.log([HALF_M[0]] * 5)], axis=1
+    )
+    solids = SolidFits(is_round=np.array([True, False, True]), centres=centres[2:], factors=factors[2:])
+    mixture = StateMixture(
+        log_weights=np.zeros((2, 1)),
+        centres=centres[:2, None],
+        factors=factors[:2, None],
+        points_m=np.zeros((2, 3)),
+        ties=np.tile(np.arange(3), (2, 1)),
+    )
+    states = np.concatenate([mixture.drawn(rng, 6), solids.drawn(rng, 6)])
+    before = cast("Any", SimpleNamespace(candidates=SimpleNamespace(log_offered=np.full((5, 6), 7.0))))
+    anew = np.array([False, True, True, False, False])
+
+    every = _log_offered(mixture, solids, states, None, np.ones(5, bool))
+    some = _log_offered(mixture, solids, states, before, anew)
+
+    of_solids = solids.log_density(states[2:], solids.is_round)
+    np.testing.assert_array_equal(every, np.concatenate([mixture.log_density(states[:2]), of_solids]))
+    np.testing.assert_allclose(some, np.where(anew[:, None], every, 7.0))
