@@ -13,6 +13,10 @@ from recordings.types import NO_RETURN
 
 ROWS_BEFORE, COLUMNS_BESIDE = 2, 2
 """The pixels before one to which planes are fitted: so many rows above, so many columns to either side."""
+LEANING_PX = 4
+"""The columns to the right, in the row above, among which an outline that leans to the left is looked for: of
+held-out pixels of a kitchen, a shelf and YCB-Video 0.95, 1.01, 0.26% have a log density under -1 with one
+column, 0.77, 0.93, 0.23% with four, 0.86, 0.94, 0.23% with eight."""
 WIDE_PX, NEAR_SIGMAS = 6, 4.0
 """A surface's slopes are those of its pixels up to so many rows above and columns beside, so far from the
 plane through those near by, in standard deviations of the sensor."""
@@ -62,7 +66,7 @@ def shifted(image: jax.Array, down: int, across: int) -> jax.Array:
 def shifts(image: jax.Array) -> Callable[[int, int], jax.Array]:
     """The pixels (H, W) so many rows above each and columns to its left, `NO_RETURN` beyond the border."""
     height, width = image.shape
-    sides = (COLUMNS_BESIDE, COLUMNS_BESIDE)
+    sides = (COLUMNS_BESIDE, max(COLUMNS_BESIDE, LEANING_PX))
     wide = jnp.pad(image, ((ROWS_BEFORE, 0), sides), constant_values=NO_RETURN)
     wide = jax.lax.optimization_barrier(wide)  # else every use pads anew, pixel by pixel
 

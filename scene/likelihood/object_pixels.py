@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from scene.likelihood.causal_planes import LEANING_PX
+
 JUST_BEFORE, FAR_M = 1 - 1e-6, 1e6
 """What an object does to the pixels beside it is behind all objects and before the supports."""
 
@@ -21,7 +23,7 @@ class ObjectPixels:
         inner: those of them at its outline.
         outer: those beside its outline.
         wide_m: its depth, and beside it that of the nearest pixel of its outline; +inf elsewhere.
-        shown_m: its depth; of the two pixels beside it, which tell that no unknown surface goes on from it,
+        shown_m: its depth; of the pixels beside it, which tell that no unknown surface goes on from it,
             just before the supports, so that other objects hide them.
     """
 
@@ -57,9 +59,14 @@ def _nearest_beside(layer_m: jax.Array) -> jax.Array:
 
 
 def _touched_before(touches: jax.Array) -> jax.Array:
-    """Where a mask (..., H, W) holds a pixel, the one to its left, that above or that above to the right."""
-    wide = _wide(touches, False)
-    return touches | wide[..., 1:-1, :-2] | wide[..., :-2, 1:-1] | wide[..., :-2, 2:]
+    """Where a mask (..., H, W) holds a pixel, the one to its left, that above or one to the right of that."""
+    height, width = touches.shape[-2:]
+    sides = [(0, 0)] * (touches.ndim - 2) + [(1, 0), (1, LEANING_PX)]
+    wide = jnp.pad(touches, sides)
+    touched = touches | wide[..., 1:, :width]
+    for across in range(LEANING_PX + 1):
+        touched |= wide[..., :height, 1 + across : 1 + across + width]
+    return touched
 
 
 def _four_beside(image: jax.Array, outside: float | bool) -> tuple[jax.Array, ...]:

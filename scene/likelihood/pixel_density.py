@@ -298,8 +298,8 @@ class PixelDensity:
         sensor = self.noise, self.edge_reach, calm_and_astir(self.learned.weights), self.learned.scales
         noise, edge_reach, weights, scales = jax.tree.map(places.of_images, sensor)
         image, observed_m, unknown = self.image, places.beside(self.image.observed_m), self.image.unknown
-        means_m, sigmas_m, shares = (
-            places.of(part) for part in (unknown.means_m, unknown.sigmas_m, unknown.weights)
+        means_m, sigmas_m, shares, columns = (
+            places.of(part) for part in (unknown.means_m, unknown.sigmas_m, unknown.weights, unknown.columns)
         )
         return PixelFactors(
             noise=noise,
@@ -307,7 +307,9 @@ class PixelDensity:
             weights=weights,
             scales=scales,
             observed_m=observed_m(0, 0),
-            unknown=UnknownSurfaces(means_m, sigmas_m, shares, places.of_images(self.learned.reach_m)),
+            unknown=UnknownSurfaces(
+                means_m, sigmas_m, shares, columns, places.of_images(self.learned.reach_m)
+            ),
             parts=places.of(image.parts),
             shares=places.of(image.shares),
             measured=lambda *by: observed_m(*by) != NO_RETURN,

@@ -5,12 +5,12 @@ In raster order every pixel has the mixture
     u(z) = sum_k w_k Normal(z; m_k, s_k) + w_0 1[0 <= z <= R] / R
 
 over predictions m_k from the measured pixels to the left and above: the plane through those near by that lie
-on one surface with the left one, with that above or with that above to the right, without which outlines that
-lean to the left would be new in every row; the left one and that above alone; and their sum less the corner
-between them, which foretells errors that hang together. The remaining weight is that of a surface that begins
-here. On a plane inverse depth is linear in the pixel's place, so that planes are fitted
-in inverse depth. Weights and the scales s_k are those of the sensor, at the distance from one compared pixel
-to the next: they come with its profile, or are learned from images by expectation maximisation
+on one surface with the left one, with that above or with the first to its right that lies on another surface,
+without which outlines that lean to the left would be new in every row; the left one and that above alone; and
+their sum less the corner between them, which foretells errors that hang together. The remaining weight is
+that of a surface that begins here. On a plane inverse depth is linear in the pixel's place, so that planes
+are fitted in inverse depth. Weights and the scales s_k are those of the sensor, at the distance from one
+compared pixel to the next: they come with its profile, or are learned from images by expectation maximisation
 (docs/model.md).
 """
 
@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from recordings.sensor_profile import UNKNOWN_KINDS, UNKNOWN_PARTS, UnknownTable
 from recordings.types import NO_RETURN, DepthNoise
-from scene.likelihood.causal_planes import fitted, shifted, shifts, wide_slopes
+from scene.likelihood.causal_planes import LEANING_PX, fitted, shifted, shifts, wide_slopes
+from scene.likelihood.pixel_places import Near
 from shapes.depth_noise import standard_deviation
 
 REACH_M = 2.5
@@ -54,8 +55,8 @@ SURPRISE = 3.0
 LIKE_ALL = 20.0
 """Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
 PREDICTIONS = (0, 1, 4, 6), (2,), (3,), (5,)
-"""Those that look at the pixels to the left and above, at the left one alone, at that above alone, at that
-above to the right."""
+"""Those that look at the pixels to the left and above, at the left one alone, at that above alone, at the one
+to the right of that."""
 EITHER = 4
 """The one that is there wherever one of both neighbours is, and tells of surprises."""
 assert (KINDS, len(FIRST_SCALES) + 1) == (UNKNOWN_KINDS, UNKNOWN_PARTS)  # of sensor profiles
@@ -143,12 +144,14 @@ class UnknownSurfaces:
         means_m: (K, H, W) predicted depths.
         sigmas_m: (K, H, W).
         weights: (K + 1, H, W) that sum to 1; the last is w_0.
+        columns: (H, W) int32, how far to the right in the row above the upper right neighbour is.
         reach_m: R.
     """
 
     means_m: jax.Array
     sigmas_m: jax.Array
     weights: jax.Array
+    columns: jax.Array
     reach_m: jax.Array | float
 
     @classmethod
@@ -158,7 +161,15 @@ class UnknownSurfaces:
         weights = jnp.moveaxis(learned.weights[_kinds(depth_m, means_m, known, noise)], -1, 0)
         shares = weights * jnp.concatenate([known, jnp.ones_like(known[:1])])
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
-        return cls(means_m, sigmas_m, shares / jnp.sum(shares, axis=0, keepdims=True), learned.reach_m)
+        shares = shares / jnp.sum(shares, axis=0, keepdims=True)
+        return cls(means_m, sigmas_m, shares, _upper_right(depth_m)[1], learned.reach_m)
+
+    def upper_right(self, near: Near) -> jax.Array:
+        """What the upper right neighbours of pixels (P,) have of what is near these."""
+        values = near(1, -1)
+        for across in range(2, LEANING_PX + 1):
+            values = jnp.where(self.columns == across, near(1, -across), values)
+        return values
 
     def density_parts(self, observed_m: jax.Array) -> list[jax.Array]:
         """Four densities (...) at observed depths of what neighbours foretell, as `kept_parts` has them."""
@@ -215,10 +226,11 @@ def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: Dept
     """Which weights each pixel (H, W) has: by the edge that runs towards it, and by surprise before it.
 
     Where the pixel to the left differs from that above it, an edge runs along the rows, and is likely to go
-    on; so is a crease, at which predictions fail.
+    on; one that leans comes from the upper right. So is a crease, at which predictions fail.
     """
     left, above, corner = shifted(depth_m, 0, 1), shifted(depth_m, 1, 0), shifted(depth_m, 1, 1)
     along_row, along_column = (jnp.abs(near - corner) >= JOINED_M for near in (left, above))
+    along_row |= _upper_right(depth_m)[1] > 1
     measured = (left != NO_RETURN) & (above != NO_RETURN) & (corner != NO_RETURN)
     edge = jnp.where(measured, NO_EDGE + along_row + 2 * along_column, EDGES - 1)
     told = (depth_m != NO_RETURN) & (known[EITHER] > 0)
@@ -254,12 +266,28 @@ def _predictions(depth_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array, jax.
     left, above, corner = (shifted(depth_m, *by) for by in ((0, 1), (1, 0), (1, 1)))
     on_left, (rise, _) = _plane(depth_m, left, noise)
     on_above, (_, fall) = _plane(depth_m, above, noise)
-    on_right, _ = _plane(depth_m, shifted(depth_m, 1, -1), noise)
+    on_right, _ = _plane(depth_m, _upper_right(depth_m)[0], noise)
     either = jnp.where(left != NO_RETURN, on_left, on_above)
     ends = _farther(left, rise), _farther(above, fall)
     means_m = jnp.stack([on_left, on_above, *ends, either, on_right, _three(left, above, corner)])
     known = means_m != NO_RETURN
     return jnp.where(known, means_m, 1.0), known.astype(depth_m.dtype)
+
+
+def _upper_right(depth_m: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Depth (H, W) of the upper right neighbour of each pixel, and by how many columns (H, W) it is aside.
+
+    The first measured one in the row above that lies on another surface than the one above, else the next.
+    """
+    near = shifts(depth_m)
+    above_m, right_m = near(1, 0), near(1, -1)
+    columns, found = jnp.ones(depth_m.shape, jnp.int32), jnp.zeros(depth_m.shape, bool)
+    for across in range(1, LEANING_PX + 1):
+        here_m = near(1, -across)
+        begins = ~found & (here_m != NO_RETURN) & (jnp.abs(here_m - above_m) >= JOINED_M)
+        right_m, columns = jnp.where(begins, here_m, right_m), jnp.where(begins, across, columns)
+        found |= begins
+    return right_m, columns
 
 
 def _plane(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise
 from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.model.presence import LOG_SHARE_OF_POSES
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_data, support_depth
@@ -82,12 +83,14 @@ def evidence(data: SceneData, shape: str) -> float:
 of_object = jax.jit(PixelDensity.of_object)
 
 
-def evidence_at(data: SceneData, shape: str, pose: NDArray[np.float64]) -> float:
-    """The same at a pose world_from_shape."""
+def evidence_at(
+    data: SceneData, shape: str, pose: NDArray[np.float64], learned: UnknownWeights | None = None
+) -> float:
+    """The same at a pose world_from_shape, with weights of the sensor; None learns them from the image."""
     whole_m, window = view_of([(shape, pose)]), data.window
     alone_m = np.where(whole_m < seen() - 1e-4, whole_m, np.inf).astype(np.float32)
     rest_m = support_depth(data.supports, window, INTRINSICS)
-    density = PixelDensity.of(window.depth_m, rest_m, NOISE, SHAPE_SIGMA_M, window.stride)
+    density = PixelDensity.of(window.depth_m, rest_m, NOISE, SHAPE_SIGMA_M, window.stride, learned)
     shown, depth_m = of_object(density, window.of(alone_m))
     gain = np.where(np.isfinite(depth_m), shown - density.log_rest, 0.0)
     return float(gain.sum())
@@ -109,13 +112,17 @@ def test_a_shape_in_anothers_place_is_not(thing: str, asked: str, seed: int) -> 
 
 
 def test_a_thing_at_the_border_leaves_the_evidence_of_others(seed: int) -> None:
-    """What is told of a shape, and how sharply (the curvature over 2 mm), is the same within a twentieth."""
+    """What is told of a shape, and how sharply (the curvature over 2 mm), is the same within a twentieth.
+
+    With one sensor's weights: the thing's outlines teach others of one image.
+    """
     box, drum = ("box", standing("box", 0)), ("drum", moved(-0.37, 0.1, 0) @ standing("drum", 0))
     alone, beside = (noisy(view_of(placed), seed) for placed in ([box], [box, drum]))
     assert beside.near[:, :20].sum() > 300
     offsets_m = np.linspace(-0.002, 0.002, 9)
     poses = [moved(x, 0, 0) @ box[1] for x in offsets_m]
-    logs = np.array([[evidence_at(data, "box", pose) for pose in poses] for data in (alone, beside)])
+    learned = UnknownWeights.learned([data.window.depth_m for data in (alone, beside)], NOISE)
+    logs = np.array([[evidence_at(data, "box", pose, learned) for pose in poses] for data in (alone, beside)])
     assert logs[1].max() == pytest.approx(logs[0].max(), rel=0.05)
     curvatures = np.polynomial.polynomial.polyfit(offsets_m, logs.T, 2)[2]
     assert curvatures[0] < 0
