@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 from numpy.typing import ArrayLike
 
-Near = Callable[[int, int], jax.Array]
-"""Values (P,) of the pixels so many rows above listed ones and columns to their left; 0 beyond the border."""
+Near = Callable[[int, int | jax.Array], jax.Array]
+"""Values (P,) of the pixels so many rows above listed ones and columns to their left, one number or (P,); 0
+beyond the border."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Places:
         _, height, width = images.shape
         flat, number = images.reshape(-1), self._number(height, width)
 
-        def at(down: int, across: int) -> jax.Array:
+        def at(down: int, across: int | jax.Array) -> jax.Array:
             column = self.column - across
             inside = (self.row >= down) & (column >= 0) & (column < width)
             value = flat.at[number - (down * width + across)].get(mode="clip")

@@ -166,10 +166,7 @@ class UnknownSurfaces:
 
     def upper_right(self, near: Near) -> jax.Array:
         """What the upper right neighbours of pixels (P,) have of what is near these."""
-        values = near(1, -1)
-        for across in range(2, LEANING_PX + 1):
-            values = jnp.where(self.columns == across, near(1, -across), values)
-        return values
+        return near(1, -self.columns)
 
     def density_parts(self, observed_m: jax.Array) -> list[jax.Array]:
         """Four densities (...) at observed depths of what neighbours foretell, as `kept_parts` has them."""
