@@ -1,6 +1,6 @@
 """What is known of one depth sensor, in one file (SENSOR.toml) for slam, learn and parse alike.
 
-    format_version = 3
+    format_version = 4
     [image]        width, height, fx, fy, cx, cy of the images that it was learnt from
     [noise]        parameters of the sensor density (`recordings.types.DepthNoise`)
     [correlation]  x_px, y_px: lengths over which residuals of neighbouring pixels are alike
@@ -8,8 +8,8 @@
     [unknown]      how well pixels foretell each other (`UnknownTable`)
     [source]       recordings, frames, version
 
-A table that was not learnt is not there. Version 1 had [image] and [distortion] alone; [unknown] of version 2
-had two predictions fewer, so that it is left out and learnt anew from what is looked at.
+A table that was not learnt is not there. Version 1 had [image] and [distortion] alone; [unknown] of versions
+2 and 3 had fewer predictions or kinds of edges: it is left out, and learnt anew from what is looked at.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from recordings.errors import RecordingError
 from recordings.settings import check_finite, check_within
 from recordings.types import CameraIntrinsics, DepthNoise
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Of the file."""
 
 LONGEST_PX = 1e3
 """Of a correlation: images are hardly larger."""
 
-UNKNOWN_KINDS, UNKNOWN_PARTS = 10, 8
+UNKNOWN_KINDS, UNKNOWN_PARTS = 12, 8
 """Rows and columns of the unknown layer's weights (`scene.likelihood.unknown_surfaces`)."""
 
 PITCH_RATIO = 1.6

@@ -265,7 +265,7 @@ class PixelDensity:
         """Log density (P,) of listed pixels of objects (n, H, W), each alone in one of the images (n,).
 
         A camera shifts outlines: at one a pixel may show the other side of it, and most so beside others that
-        do. Where the object ends no unknown surface goes on from it, which two pixels beside it tell.
+        do. Where the object ends no unknown surface goes on from it, which pixels beside it tell.
         """
         in_frames = places.in_images(frames)
         factors = self.factors(in_frames)

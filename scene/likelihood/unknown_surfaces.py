@@ -42,12 +42,12 @@ FIRST_SCALES = (1.2, 1.2, 4.0, 4.0, 12.0, 1.2, 1.2)
 """Of the predictions, in standard deviations of the sensor, before they are learned."""
 ITERATIONS = 20
 MOST_PIXELS = 200_000
-"""From which weights are learned: of more every n-th will do, they are some sixty numbers."""
+"""From which weights are learned: of more every n-th will do, they are a hundred numbers."""
 LEAST_WEIGHT, LEAST_SCALE = 1e-3, 0.3
 """A mixture that is learned keeps so much of each part: an image of one wall knows no edge."""
-NO_EDGE, EDGES = 0, 5
-"""Edges that run towards a pixel: none, one along the row, along the column, both; the last where a pixel
-before is not measured."""
+NO_EDGE, LEANING, EDGES = 0, 4, 6
+"""Edges that run towards a pixel: none, one along the row, along the column, both; none of these but one that
+leans to the left by more than a column a row; the last where a pixel before is not measured."""
 KINDS = 2 * EDGES
 """Of weights: first those of calm pixels, then those where a pixel before was badly foretold."""
 SURPRISE = 3.0
@@ -223,13 +223,14 @@ def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: Dept
     """Which weights each pixel (H, W) has: by the edge that runs towards it, and by surprise before it.
 
     Where the pixel to the left differs from that above it, an edge runs along the rows, and is likely to go
-    on; one that leans comes from the upper right. So is a crease, at which predictions fail.
+    on. So is a crease, at which predictions fail.
     """
     left, above, corner = shifted(depth_m, 0, 1), shifted(depth_m, 1, 0), shifted(depth_m, 1, 1)
     along_row, along_column = (jnp.abs(near - corner) >= JOINED_M for near in (left, above))
-    along_row |= _upper_right(depth_m)[1] > 1
+    leans = ~along_row & ~along_column & (_upper_right(depth_m)[1] > 1)
     measured = (left != NO_RETURN) & (above != NO_RETURN) & (corner != NO_RETURN)
-    edge = jnp.where(measured, NO_EDGE + along_row + 2 * along_column, EDGES - 1)
+    edge = jnp.where(leans, LEANING, NO_EDGE + along_row + 2 * along_column)
+    edge = jnp.where(measured, edge, EDGES - 1)
     told = (depth_m != NO_RETURN) & (known[EITHER] > 0)
     error_m = jnp.where(told, depth_m - means_m[EITHER], 0.0)
     return edge + EDGES * _surprised(error_m, standard_deviation(noise, means_m[EITHER])).astype(jnp.int32)

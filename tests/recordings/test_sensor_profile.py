@@ -117,11 +117,13 @@ def test_a_file_of_version_1_is_read(seed, tmp_path):
     assert found.noise is None
 
 
-def test_the_unknown_layer_of_version_2_is_left_out(seed, tmp_path):
-    """It has other predictions; all the rest is as it was."""
+@pytest.mark.parametrize(("version", "parts"), [(2, 6), (3, 8)])
+def test_the_unknown_layer_of_earlier_versions_is_left_out(version, parts, seed, tmp_path):
+    """It has other predictions, or kinds of edges; all the rest is as it was."""
     table = _profile(np.random.default_rng(seed)).table()
-    table["unknown"] |= {"weights": np.full((2, 10, 6), 1 / 6).tolist(), "scales": np.ones((2, 5)).tolist()}
-    (tmp_path / "sensor.toml").write_text(tomli_w.dumps(table | {"format_version": 2}))
+    weights, scales = np.full((2, 10, parts), 1 / parts), np.ones((2, parts - 1))
+    table["unknown"] |= {"weights": weights.tolist(), "scales": scales.tolist()}
+    (tmp_path / "sensor.toml").write_text(tomli_w.dumps(table | {"format_version": version}))
     found = load_sensor_profile(tmp_path / "sensor.toml")
     assert found.unknown is None
     assert found.table()["noise"] == table["noise"]
@@ -140,12 +142,13 @@ def test_the_unknown_layer_is_taken_at_the_nearest_step(seed):
 
 
 TABLES = _profile(np.random.default_rng(0)).table()
+TOO_LITTLE = np.full((2, UNKNOWN_KINDS, UNKNOWN_PARTS), 0.1).tolist()
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format_version": 4}, "format_version"),
+        ({"format_version": 5}, "format_version"),
         ({"distortion": {"disparity_per_m": [[0.0]], "sd_per_m": [[1.0]]}}, "7 rows of 9"),
         ({"distortion": {"disparity_per_m": 7 * [9 * [float("nan")]]}}, "sd_per_m is not there"),
         ({"image": {**vars(CAMERA), "fx": 70.0}}, "another camera"),
@@ -157,7 +160,7 @@ TABLES = _profile(np.random.default_rng(0)).table()
         ({"correlation": {"x_px": -1.0, "y_px": 1.0}}, "x_px must lie within"),
         ({"unknown": {**TABLES["unknown"], "scales": [[1.0]]}}, "unknown.scales must be 2 x 7"),
         ({"unknown": {**TABLES["unknown"], "scales": [[1.0], [1.0, 2.0]]}}, "rows of as many numbers"),
-        ({"unknown": {**TABLES["unknown"], "weights": [10 * [8 * [0.1]]] * 2}}, "sum to 1"),
+        ({"unknown": {**TABLES["unknown"], "weights": TOO_LITTLE}}, "sum to 1"),
         ({"unknown": {**TABLES["unknown"], "reach_m": 0}}, "reach_m must be positive"),
         ({"source": {"recordings": [1], "frames": 1, "version": "0"}}, "must be a word"),
     ],
