@@ -34,8 +34,6 @@ LEVEL, UPRIGHT = 0.94, 0.35
 """Cosines to the vertical above which a face is a top, and below which it is a side: 20 degrees."""
 INSIDE_M = 0.01
 """By which points may stick out of a face's rectangle and still tell how deep the solid behind it is."""
-THINNEST_M = 0.02
-"""Of a box of which one face alone is seen, before its depth is fitted."""
 STANDS_M = 0.03
 """What ends so far above its support stands on it, its foot hidden or cut off with the support's pixels."""
 SIDE_COSINE = 0.5
@@ -159,7 +157,7 @@ def _box_behind(
     if normal[2] > LEVEL:
         low[2] = high[2] - middle_m[2] / normal[2]
     else:
-        low[2] = min(np.percentile(depths, 1), high[2] - THINNEST_M)
+        low[2] = min(np.percentile(depths, 1), high[2] - 2 * LEAST_M)
     return _solid(rotation, low, high)
 
 
@@ -170,7 +168,7 @@ def _upright_box_behind(
     level = np.array([*normal[:2], 0.0]) / np.linalg.norm(normal[:2])
     rotation = np.stack([np.cross(UP, level), -level, UP], axis=1)  # the second axis points into the solid
     low, high, depths = _extents_behind(points_m @ rotation, face, 1)
-    low[1], high[1] = high[1], max(np.percentile(depths, 99), high[1] + THINNEST_M)
+    low[1], high[1] = high[1], max(np.percentile(depths, 99), high[1] + 2 * LEAST_M)
     return _solid(rotation, *_on_support(rotation, low, high))
 
 

@@ -22,8 +22,8 @@ from scene.presence.gaussian_fits import moved
 from shapes.geometry.camera import Camera
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
-LEAST_M, GREATEST_M = 0.01, 0.3
-"""Of half sizes: what a hand holds to what stands on a table."""
+LEAST_M, GREATEST_M = 0.003, 0.3
+"""Of half sizes: a magazine's thickness to what stands on a table."""
 
 RATE = 1.0
 """Expected number of each kind, before anything is seen."""

@@ -77,6 +77,16 @@ def test_a_box_is_one_of_few_solids(seed: int) -> None:
     assert ((off_m < 0.01) & (np.abs(sizes_m) < 0.01).all(axis=1)).any(), solids
 
 
+def test_a_board_is_as_thin_as_it_is(seed: int) -> None:
+    """Standing on its edge, 6 mm thick, within 3 mm in half of that."""
+    board = solids_of(np.zeros((1, 3)), np.array([[0.0, 0.05, 0.06]]), np.array([[0.08, 0.003, 0.06]]))
+    solids = solids_seen(np.random.default_rng(seed), rendered(board, np.array([False])))
+
+    off_m = np.linalg.norm(solids[:, 4:7] - board[:, 4:7], axis=1)
+    thickness_m = np.exp(solids[:, 7:]).min(axis=1)
+    assert ((off_m < 0.01) & (thickness_m < 0.006)).any(), solids
+
+
 def solids_seen(rng: np.random.Generator, layers_m: np.ndarray) -> np.ndarray:
     """Solids (n, 10) of an image, in 1.5 mm of noise, of layers (L, 240, 320) on a table."""
     frames, data = frames_of(seen(rng, layers_m, 0.0015))
