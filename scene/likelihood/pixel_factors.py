@@ -176,7 +176,7 @@ class PixelFactors:
 
     def unknown_beside(self, scene: Near, objects: Near) -> Unknown:
         """What is unknown, where pixels beside show the scene, and its objects, with such probabilities."""
-        kept = kept_parts(objects(0, 1), objects(1, 0), self.unknown.upper_right(objects))
+        kept = kept_parts(objects(0, 1), objects(1, 0), objects(1, -self.unknown.columns))
         weights = [*kept, 1 - _weighted(kept, self.shares)]
         return Unknown(self._kappa(scene), weights, _weighted(weights, self.parts))
 

@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from recordings.sensor_profile import UNKNOWN_KINDS, UNKNOWN_PARTS, UnknownTable
 from recordings.types import NO_RETURN, DepthNoise
 from scene.likelihood.causal_planes import LEANING_PX, fitted, shifted, shifts, wide_slopes
-from scene.likelihood.pixel_places import Near
 from shapes.depth_noise import standard_deviation
 
 REACH_M = 2.5
@@ -163,10 +162,6 @@ class UnknownSurfaces:
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
         shares = shares / jnp.sum(shares, axis=0, keepdims=True)
         return cls(means_m, sigmas_m, shares, _upper_right(depth_m)[1], learned.reach_m)
-
-    def upper_right(self, near: Near) -> jax.Array:
-        """What the upper right neighbours of pixels (P,) have of what is near these."""
-        return near(1, -self.columns)
 
     def density_parts(self, observed_m: jax.Array) -> list[jax.Array]:
         """Four densities (...) at observed depths of what neighbours foretell, as `kept_parts` has them."""
