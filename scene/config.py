@@ -44,7 +44,8 @@ class ParseConfig:
             means the most probable of a fixed set.
         gamma: of `only` and `add`: exponent by which stored colours become light; 2.2 of photographs, 1
             where they are stored linearly.
-        presence: prior probability that an object is there.
+        presence: prior probability that an object is there. Of how many are there, 0.5 says nothing: every
+            number is as probable (`scene.model.number_prior`).
         proposals: where the search's poses come from before they are refined: templates matched to observed
             `points`, convolution `masks`, or `both`, half and half.
         unknown_solids: whether boxes and cylinders of free size compete with what is asked for when presence
@@ -87,7 +88,7 @@ class ParseConfig:
     most: int = 3
     light: tuple[float, ...] = ()
     gamma: float = 2.2
-    presence: float = 0.9
+    presence: float = 0.5
     proposals: Literal["points", "masks", "both"] = "both"
     unknown_solids: bool = True
     exact: tuple[str, ...] = ()

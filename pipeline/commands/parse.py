@@ -132,7 +132,7 @@ class FrameNumbers(click.ParamType):
     "--presence",
     type=float,
     metavar="P",
-    help="Prior probability that an object is there; 0.9 by default.",
+    help="Prior probability that an object is there; 0.5 by default: any number of them is as probable.",
 )
 @click.option(
     "--exact",

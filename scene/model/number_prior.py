@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, xlog1py, xlogy
 
-SHAPES = 24.0
-"""Shapes asked for, there or not, that weigh as much as the prior presence does: Beta(24 p, 24 (1 - p)).
-Chosen when presence came from another rule, on real frames; not fitted again to this model."""
+SHAPES = 2.0
+"""Shapes asked for, there or not, that weigh as much as the prior presence does: Beta(2 p, 2 (1 - p)). With
+p = 1/2 every number of them is then as probable, which corrects for how many are asked for (Scott and Berger
+2010). A large weight would claim to know which share of them is there."""
 
 
 class NumberPrior(Protocol):

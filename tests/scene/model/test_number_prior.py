@@ -20,7 +20,7 @@ COUNTS = np.arange(SLOTS + 1)
     ("prior", "expected"),
     [
         (BinomialNumber(0.3), stats.binom.pmf(COUNTS, SLOTS, 0.3)),
-        (UncertainBinomialNumber(0.9), stats.betabinom.pmf(COUNTS, SLOTS, 21.6, 2.4)),
+        (UncertainBinomialNumber(0.9), stats.betabinom.pmf(COUNTS, SLOTS, 1.8, 0.2)),
     ],
 )
 def test_the_number_of_objects_has_its_distribution(prior: NumberPrior, expected: np.ndarray) -> None:
