@@ -25,10 +25,10 @@ from scene.objects.scene_object import SceneObject
 from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from scene.presence.depth_candidates import PresenceFrames, nearest_shown
-from scene.presence.pose_priors import Burial
 from scene.presence.size_prior import SizePrior
 from scene.search.importance_sampling import without_each
 from scene.search.search_result import Initialisation
+from scene.search.support_prior import log_not_buried
 from shapes.geometry.poses import matrices_of, poses_of, transform_points
 
 NEW_M = 0.015
@@ -187,10 +187,8 @@ def _best_of_each(
     found = np.stack([one.found for one in starts])
     log_odds = np.full(found.shape, log_prior_odds(config.presence))
     log_odds += np.where([one.spin_line.any() for one in objects], LOG_SPINS, 0.0)
-    burial = Burial.under(compared, objects, config.contact_sigma_m)
-    if burial is not None:
-        by_object = states[:, :7].reshape(len(starts), count, 7).swapaxes(0, 1)
-        log_odds += burial.log_prior(np.arange(count), by_object).T
+    by_object = states[:, :7].reshape(len(starts), count, 7).swapaxes(0, 1)
+    log_odds += log_not_buried(compared.table, objects, by_object, config.contact_sigma_m).T
     return best_choice(depth_m, log_gain, found, log_odds)
 
 

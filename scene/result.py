@@ -31,14 +31,14 @@ class SceneResult(Archived):
             first; other modes are part of it, and errors that all pixels share (`scene.common_errors`).
         most_probable: (N, 4, 4) where the sample of the greatest posterior density appears.
         presence: (N,) probability that the object is there.
-        presence_std: (N,) its standard error from the number of poses at which hidden objects were tried; 0
-            of those found.
+        presence_std: (N,) its standard error: of how chains of presence differ, and of the number of poses at
+            which hidden objects were tried.
         number_probabilities: (N, N + 1) that so many are there of the shape of each object.
         hidden_share: (N,) of an object not found the mean likelihood ratio over prior poses, about the share
             of them that no image shows; 0 of those found.
         hidden_poses: (N, K, 7) float64 camera_from_object in draws of the posterior of an object not found,
             given that it is there.
-        visible_fraction: (N,) share of its pixels that nothing hides, in the frame that was searched.
+        visible_fraction: (N,) share of its pixels that nothing hides, in the frame of its search.
         colour_nats: (N,) log factor of the best scene's density that its colours bring, depth apart; 0 where
             none were looked at.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.

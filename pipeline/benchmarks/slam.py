@@ -21,6 +21,7 @@ from pipeline.evaluation.trajectory_errors import (
     squared_distances,
     trajectory_errors,
 )
+from pipeline.logs import log
 from pipeline.peers.registry import Track, settings_of
 from pipeline.timing import timed
 from recordings.errors import RecordingError
@@ -126,7 +127,8 @@ def _peer(row: Row, case: Case, run: Track) -> Errors:
     """Its errors; one that raises, or leaves the numbers, is lost."""
     try:
         poses = run(case.frames, case.intrinsics)
-    except Exception:
+    except Exception as raised:
+        log.warning("%s: a peer failed and is told as lost: %s: %s", row.name, type(raised).__name__, raised)
         return {"error": LOST_M, "rotation_deg": LOST_M}
     if not np.isfinite(poses).all():
         return {"error": LOST_M, "rotation_deg": LOST_M}

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pipeline.errors import PipelineError
 from pipeline.meshes import Units
@@ -99,13 +100,7 @@ def glb_bytes(parts: Mapping[str, tuple[Geometry, NDArray[np.float64]]], up: NDA
 
 
 def _y_up(up: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation (4, 4) that turns a direction to +y about the axis across both (Rodrigues)."""
-    y = np.array([0.0, 1.0, 0.0])
-    across, cosine = np.cross(up, y), float(up @ y)
+    """Rotation (4, 4) that turns a direction to +y about the axis across both."""
     rotation = np.eye(4)
-    if cosine < -1 + 1e-9:
-        rotation[:3, :3] = np.diag([1.0, -1.0, -1.0])
-        return rotation
-    skew = np.array([[0, -across[2], across[1]], [across[2], 0, -across[0]], [-across[1], across[0], 0]])
-    rotation[:3, :3] = np.eye(3) + skew + skew @ skew / (1 + cosine)
+    rotation[:3, :3] = Rotation.align_vectors([0.0, 1.0, 0.0], up)[0].as_matrix()
     return rotation

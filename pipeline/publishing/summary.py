@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from pipeline.publishing.finite import are_poses, finite_json, remarks_on
+from pipeline.publishing.hidden_regions import regions_of
 from pipeline.publishing.trajectory_files import seconds_text
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import Surfaces
 from scene.copies import copies_among
 from scene.diagnostics import ENOUGH_SAMPLES, Convergence, scene_convergence
-from scene.hidden.regions import regions_of
 from scene.result import FACES, SceneResult
 from shapes.geometry.poses import matrices_of
 from shapes.prior import ShapePrior

@@ -19,20 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pipeline.synthesis.image_draws import drawn_image
+from pipeline.synthesis.scene_draws import drawn_scene
 from recordings.sensor_profile import UnknownTable
 from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from scene.common_errors import with_common_errors
 from scene.config import ParseConfig
 from scene.hidden.depth_evidence import project_into
 from scene.hidden.pose_priors import meet
-from scene.likelihood.image_draws import drawn_image
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import EDGE_PX
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.mcmc.chain_model import half_sizes, pose_prior, prior_space, slabs_under
 from scene.model.contact import TOP_FACE
 from scene.model.number_prior import SHAPES
-from scene.model.scene_draws import drawn_scene
 from scene.model.scene_graph import ROOT, Bodies
 from scene.objects.scene_object import SceneObject
 from scene.observation.detection import SupportPlane

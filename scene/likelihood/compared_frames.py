@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,7 @@ from scene.likelihood.colour_layers import ColourLayers, ComparedColours
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.objects.scene_object import SceneObject
+from scene.observation.detection import SupportPlane
 from scene.observation.frame_data import SceneData
 
 
@@ -84,6 +85,12 @@ class ComparedFrames:
     def data(self) -> SceneData:
         """The frame that was searched."""
         return self.views[self.searched]
+
+    @property
+    def table(self) -> SupportPlane | None:
+        """What the searched frame shows of it, in the world, whose frame is the table's."""
+        table = self.data.table
+        return replace(table, camera_from_table=np.eye(4)) if table else None
 
     def world_from(self, frame: int) -> NDArray[np.float64]:
         """World from the camera of a frame, (4, 4)."""

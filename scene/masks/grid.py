@@ -161,8 +161,8 @@ def _carved(
         for axis in range(3)
     )
     z = np.maximum(z, np.float32(1e-3))
-    column = (x / z * np.float32(camera.fx) + np.float32(camera.cx + 0.5)).astype(np.int32)
-    row = (y / z * np.float32(camera.fy) + np.float32(camera.cy + 0.5)).astype(np.int32)
+    column = np.floor(x / z * np.float32(camera.fx) + np.float32(camera.cx + 0.5)).astype(np.int32)
+    row = np.floor(y / z * np.float32(camera.fy) + np.float32(camera.cy + 0.5)).astype(np.int32)
     height, width = depth_m.shape
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     nearest_m = _nearest_through(depth_m, data.foreground, pitch_m * float(camera.fx))

@@ -177,7 +177,8 @@ def _sample(
             spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
             variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
             share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
-            model = replace(model, likelihood=replace(likelihood, fresh_share=jnp.asarray(share)))
+            share = jnp.asarray(share, likelihood.fresh_share.dtype)  # another one is another kernel
+            model = replace(model, likelihood=replace(likelihood, fresh_share=share))
         if progress:
             progress(block + 1, blocks)
     return SampledScenes(Samples.joined(kept), variance, model)

@@ -38,11 +38,6 @@ class SpinLines:
         return SpinLines(self.directions[body], self.points_m[body], self.free[body])
 
     @classmethod
-    def none(cls, bodies: int) -> SpinLines:
-        """No body has one."""
-        return cls(jnp.zeros((bodies, 3)), jnp.zeros((bodies, 3)), jnp.zeros(bodies, bool))
-
-    @classmethod
     def of(cls, objects: Sequence[SceneObject], spare: int) -> SpinLines:
         """Those of objects, and of as many bodies more that have none."""
         lines = np.stack([one.spin_line for one in objects] + [np.zeros((2, 3))] * spare)
@@ -68,11 +63,6 @@ class Symmetries:
     directions: jax.Array
     points_m: jax.Array
     orders: jax.Array
-
-    @classmethod
-    def none(cls, bodies: int) -> Symmetries:
-        """No body has one."""
-        return cls(jnp.zeros((bodies, 3, 3)), jnp.zeros((bodies, 3, 3)), jnp.zeros((bodies, 3), jnp.int32))
 
     @classmethod
     def of(cls, objects: Sequence[SceneObject], spare: int) -> Symmetries:

@@ -54,15 +54,5 @@ def resting_rotations(rests: NDArray[np.floating], yaws: int) -> NDArray[np.floa
     """Rotations (R * yaws, 3, 3) into a frame with z up, in which each rest's direction points down."""
     down = np.array([0.0, 0.0, -1.0])
     turns = Rotation.from_rotvec(np.outer(np.arange(yaws) * 2 * np.pi / yaws, -down)).as_matrix()
-    upright = np.array([_shortest(rest, down) for rest in rests])
+    upright = np.array([Rotation.align_vectors(down, rest)[0].as_matrix() for rest in rests])
     return (turns[None] @ upright[:, None]).reshape(-1, 3, 3)
-
-
-def _shortest(source: NDArray[np.floating], target: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The smallest rotation that carries one direction to another."""
-    axis, cosine = np.cross(source, target), float(source @ target)
-    if cosine < -1 + 1e-9:
-        across = np.linalg.svd(np.asarray(source)[None])[2][1]
-        return 2 * np.outer(across, across) - np.eye(3)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -59,8 +59,8 @@ def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, widt
     factor = max(1, round(intrinsics.width / width))
     pooled = _median_pool(depth_m, factor)
     rows, columns = pooled.shape
-    small = intrinsics.resized(intrinsics.width // factor, intrinsics.height // factor)
-    camera = Camera.from_intrinsics(small)
+    whole_blocks = replace(intrinsics, width=columns * factor, height=rows * factor)
+    camera = Camera.from_intrinsics(whole_blocks.resized(columns, rows))
     normals = _normals(pooled, camera)
     assert normals.shape == (rows, columns, 3)
     return PooledView(camera, jax.device_put(pooled), normals, jax.device_put(pooled != NO_RETURN))

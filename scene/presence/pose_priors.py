@@ -24,7 +24,6 @@ from scene.observation.detection import SupportPlane
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.size_prior import SizePrior
 from scene.search.support_prior import log_not_buried
-from shapes.geometry.poses import matrices_of, poses_of
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 PAIRS = 256
@@ -35,37 +34,6 @@ TOUCHING_SIGMAS = 10.0
 
 LEAST_DENSITY = 1e-30
 """Of the prior where it excludes a pose: what is fitted may still come to where it does not."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Burial:
-    """The search's prior of how deep things reach below the table (`scene.search.support_prior`).
-
-    Attributes:
-        table: in a camera's frame.
-        camera_from_world: (4, 4) of that camera.
-        objects: all N.
-        sigma_m: of a half Gaussian.
-    """
-
-    table: SupportPlane
-    camera_from_world: NDArray[np.float64]
-    objects: Sequence[SceneObject]
-    sigma_m: float
-
-    @classmethod
-    def under(cls, compared: ComparedFrames, objects: Sequence[SceneObject], sigma_m: float) -> Burial | None:
-        """Under the table that the searched frame shows; None without one."""
-        table = compared.data.table
-        if table is None:
-            return None
-        camera_from_world = np.linalg.inv(compared.world_from_camera).astype(np.float64)
-        return cls(table=table, camera_from_world=camera_from_world, objects=objects, sigma_m=sigma_m)
-
-    def log_prior(self, owners: NDArray[np.integer], poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of objects owners (n,) at poses (n, S, 7) world_from_box, (n, S); 0 of what is not below."""
-        in_camera = poses_of(self.camera_from_world @ matrices_of(poses))
-        return log_not_buried(self.table, [self.objects[one] for one in owners], in_camera, self.sigma_m)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +48,10 @@ class PosePriors:
         floating_weight: of trees, the odds of floating.
         log_sets: (N + 1,) of sets, by their size.
         grafts: whether things rest on others; else all float.
-        burial: of what reaches below the table; None without one. Solids may go on there, as parts of things.
+        table: below which objects reach by no more than it may be wrong, in the world; None without one.
+            Solids may go on there, as parts of things.
+        table_sigma_m: by which it and poses may be wrong.
+        objects: all N.
     """
 
     prior: PosePrior
@@ -90,7 +61,9 @@ class PosePriors:
     floating_weight: float
     log_sets: NDArray[np.float64]
     grafts: bool
-    burial: Burial | None = None
+    table: SupportPlane | None = None
+    table_sigma_m: float = 1.0
+    objects: Sequence[SceneObject] = ()
 
     @classmethod
     def over(
@@ -111,7 +84,9 @@ class PosePriors:
             floating_weight=config.floating_weight if supports else 1.0,
             log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(most),
             grafts=config.graph == "infer",
-            burial=Burial.under(compared, objects, config.contact_sigma_m),
+            table=compared.table,
+            table_sigma_m=config.contact_sigma_m,
+            objects=objects,
         )
 
     def of(
@@ -145,9 +120,8 @@ class PosePriors:
 
     def log_not_buried(self, owners: NDArray[np.integer], poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log prior (n, S) of how deep objects owners (n,) at poses (n, S, 7) reach below the table."""
-        if self.burial is None:
-            return np.zeros(poses.shape[:2])
-        return self.burial.log_prior(owners, poses)
+        objects = [self.objects[one] for one in owners] if self.table else []
+        return log_not_buried(self.table, objects, poses, self.table_sigma_m)
 
     def log_alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log of `alone` (n, S), finite everywhere."""

@@ -80,5 +80,5 @@ def test_turns_are_drawn_as_often_either_way(key: jax.Array) -> None:
 
 def test_a_body_without_lines_does_not_turn() -> None:
     """Its order is 0, and no angle is drawn."""
-    order = Symmetries.none(2).drawn(jnp.array(1), jnp.array(0.7))[2]
+    order = Symmetries.of([], 2).drawn(jnp.array(1), jnp.array(0.7))[2]
     assert not np.asarray(symmetry_angle(order, jnp.array([-3.0, 0.0, 1.0]))).any()

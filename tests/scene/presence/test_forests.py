@@ -25,7 +25,7 @@ from scene.objects.scene_object import scene_object
 from scene.observation.detection import SupportPlane
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.forests import ForestPrior, log_weighted_trees
-from scene.presence.pose_priors import Burial, PosePriors
+from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import Presence, presence_posterior
 from scene.presence.size_prior import SizePrior
 from scene.presence.solids import SolidFits
@@ -81,14 +81,13 @@ def test_what_reaches_below_the_table_weighs_less() -> None:
     mesh = trimesh.creation.box((0.1, 0.1, 0.1))
     cube = scene_object("cube", np.asarray(mesh.vertices), np.asarray(mesh.faces))
     table = SupportPlane(camera_from_table=np.eye(4), half_size_m=np.full(2, 0.4), bend=np.zeros(6))
-    burial = Burial(table=table, camera_from_world=np.eye(4), objects=[cube, cube], sigma_m=0.02)
     poses = np.tile([1.0, 0, 0, 0, 0, 0, 0.05], (3, 1, 1))
     poses[:, 0, 4] = 0.1 * np.arange(3)
     poses[1:, 0, 6] -= 0.04
     given = poses, np.full((3, 1, 3), 0.05), np.zeros((3, 1)), 2
 
     free = priors_of(2, Exactly(2))
-    priors = free.of(*given), replace(free, burial=burial).of(*given)
+    priors = free.of(*given), replace(free, table=table, table_sigma_m=0.02, objects=[cube, cube]).of(*given)
 
     factor = np.exp([[0.0], [-2.0], [0.0]])
     np.testing.assert_allclose(priors[1].on_root, priors[0].on_root * factor, rtol=0.1)

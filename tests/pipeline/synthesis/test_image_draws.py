@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from jax.typing import ArrayLike
 
+from pipeline.synthesis.image_draws import REACH_PX, drawn_image
 from recordings.types import NO_RETURN, DepthNoise
-from scene.likelihood.image_draws import REACH_PX, drawn_image
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import EDGES, UnknownWeights
 from tests.statistical import assert_mean

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scene.hidden.regions import regions_of
+from pipeline.publishing.hidden_regions import regions_of
 
 
 def test_places_far_apart_are_regions_of_their_own(seed: int) -> None:

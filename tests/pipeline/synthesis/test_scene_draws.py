@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from pipeline.benchmarks.cubes import cube_model
+from pipeline.synthesis.scene_draws import drawn_parents, drawn_scene
 from scene.model.prior import WeightedTrees, log_prior
-from scene.model.scene_draws import drawn_parents, drawn_scene
 from scene.model.scene_graph import all_trees
 from tests.statistical import assert_frequencies
 
