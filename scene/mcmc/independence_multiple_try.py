@@ -67,7 +67,7 @@ class IndependenceMultipleTry:
         poses = jnp.concatenate([scene.poses[chosen][None], drawn])
         scenes = jax.vmap(partial(placed, turned, chosen))(poses)
         log_offered = jax.vmap(partial(offer.log_density, context))(poses)
-        return CandidateSet(scenes, log_offered, jnp.zeros_like(state.log_prior))
+        return CandidateSet(scenes, log_offered)
 
 
 @jax.tree_util.register_dataclass

@@ -61,27 +61,13 @@ class CandidateSet:
         scenes: leaves (K, C, ...).
         log_offered: (K,) what is taken off each log posterior density. By an involution, of the second
             scene: log q(a | context) - log q(a' | context) - log |det Dh|; +inf for places without use.
-        involution_error: largest difference between (s, a), the log weight's negation included, and what
-            applying h twice returns; 0 where this was not asked for.
     """
 
     scenes: SceneGraph
     log_offered: jax.Array
-    involution_error: jax.Array
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class MoveInfo:
-    """What happened: whether the move was accepted, and the check of its involution."""
-
-    accepted: jax.Array
-    involution_error: jax.Array
-
-
-def propose(
-    dice: Variates, model: SceneModel, move: Move, state: ChainState, count: int, *, verify: bool = False
-) -> CandidateSet:
+def propose(dice: Variates, model: SceneModel, move: Move, state: ChainState, count: int) -> CandidateSet:
     """Choose the objects, draw the auxiliary variables and apply the involution.
 
     Args:
@@ -90,29 +76,25 @@ def propose(
         move: the family of proposals.
         state: the chain.
         count: K, places in the offer.
-        verify: apply the involution twice and report the difference.
     """
     scene = state.scene
+    chosen, context, auxiliary = draw(dice, model, move, scene)
+    there, reverse, log_jacobian = move.involution(model, scene, chosen, auxiliary)
+    log_ratio = move.log_density(context, reverse) - move.log_density(context, auxiliary)
+    log_forward = log_ratio + log_jacobian
+    scenes = jax.tree.map(lambda new, old: repeat(old, count).at[1].set(new), there, scene)
+    log_offered = jnp.full(count, jnp.inf, log_forward.dtype).at[:2].set(jnp.stack([0.0, -log_forward]))
+    return compute_once(CandidateSet(scenes, log_offered))
+
+
+def draw(dice: Variates, model: SceneModel, move: Move, scene: SceneGraph) -> tuple[jax.Array, Any, Any]:
+    """The chosen object or objects, the context and the auxiliary variables of a move; as for `propose`."""
     eligible = scene.present & model.bodies.movable
     chosen = draw_object(eligible, dice.uniform[0])
     if move.objects == 2:
         chosen = jnp.stack([chosen, draw_other_object(eligible, chosen, dice.uniform[1])])
     context = compute_once(move.context(model, scene, chosen))
-    auxiliary = compute_once(move.sample(dice.without(move.objects), context))
-    there, reverse, log_jacobian = move.involution(model, scene, chosen, auxiliary)
-    log_ratio = move.log_density(context, reverse) - move.log_density(context, auxiliary)
-    log_forward = log_ratio + log_jacobian
-    error = jnp.zeros((), scene.poses.dtype)
-    if verify:
-        back, again, log_jacobian_back = move.involution(model, there, chosen, reverse)
-        context_there = move.context(model, there, chosen)
-        log_ratio_back = move.log_density(context_there, again) - move.log_density(context_there, reverse)
-        log_back = log_ratio_back + log_jacobian_back + model.log_prior(back) - state.log_prior
-        asymmetry = jnp.where(jnp.isfinite(log_forward), jnp.abs(log_forward + log_back), 0)
-        error = jnp.maximum(_difference(scene, back), asymmetry)
-    scenes = jax.tree.map(lambda new, old: repeat(old, count).at[1].set(new), there, scene)
-    log_offered = jnp.full(count, jnp.inf, log_forward.dtype).at[:2].set(jnp.stack([0.0, -log_forward]))
-    return compute_once(CandidateSet(scenes, log_offered, error))
+    return chosen, context, compute_once(move.sample(dice.without(move.objects), context))
 
 
 def compute_once(values: Tree) -> Tree:
@@ -127,8 +109,10 @@ def repeat(leaf: jax.Array, count: int) -> jax.Array:
 
 def decide(
     uniform: jax.Array, model: SceneModel, log_prior: jax.Array, offer: CandidateSet, estimates: Estimate
-) -> tuple[ChainState, MoveInfo]:
-    """The scene that comes next, by Metropolised choice (Liu 1996): better than one in proportion to weights.
+) -> tuple[ChainState, jax.Array]:
+    """The scene that comes next, and whether it is another one, by Metropolised choice (Liu 1996).
+
+    That is better than one in proportion to weights.
 
     Another than the present one is drawn in proportion to its weight, and accepted with probability
     min(1, (W - w of the present) / (W - w of the other)), W the sum: min(1, ratio) where there are two.
@@ -150,18 +134,4 @@ def decide(
     place = compute_once(jnp.where(uniform[1] * rest < jnp.sum(to_others), other, 0).astype(jnp.int32))
     scene = jax.tree.map(lambda leaf: leaf[place], offer.scenes)
     state = ChainState(scene, log_priors[place], model.likelihood.chosen(estimates, place))
-    return state, MoveInfo(place > 0, offer.involution_error)
-
-
-def _difference(first: SceneGraph, second: SceneGraph) -> jax.Array:
-    """Largest difference of two scenes; a different edge or face counts as infinite."""
-    same = (
-        jnp.all(first.parents == second.parents)
-        & jnp.all(first.child_faces == second.child_faces)
-        & jnp.all(first.parent_faces == second.parent_faces)
-        & jnp.all(first.present == second.present)
-    )
-    sign = jnp.sign(jnp.sum(first.poses[:, :4] * second.poses[:, :4], axis=1, keepdims=True))
-    rotation = jnp.max(jnp.abs(first.poses[:, :4] - sign * second.poses[:, :4]))
-    translation = jnp.max(jnp.abs(first.poses[:, 4:] - second.poses[:, 4:]))
-    return jnp.where(same, jnp.maximum(rotation, translation), jnp.inf)
+    return state, place > 0

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from scene.likelihood.shape_draws import candidate_keys
 from scene.mcmc.independence_multiple_try import IndependenceMultipleTry
-from scene.mcmc.involution import CandidateSet, Move, MoveInfo, decide, propose, repeat
+from scene.mcmc.involution import CandidateSet, Move, decide, propose, repeat
 from scene.mcmc.local_multiple_try import LocalMultipleTry
 from scene.mcmc.pose_mixture import PoseMixture
 from scene.mcmc.random_variates import Variates
@@ -74,21 +74,6 @@ class Kernel:
         return Variates.draw(key, (self.repeats + 1,), uniforms, max(move.normals for move in poses), dtype)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class SweepInfo:
-    """What happened in a sweep (repeats + 1,): to the graph, and to poses, by one of the others last."""
-
-    structure: MoveInfo | None
-    poses: MoveInfo
-
-    @property
-    def involution_error(self) -> jax.Array:
-        """The largest of all that is in here."""
-        infos = [info for info in (self.structure, self.poses) if info is not None]
-        return jnp.max(jnp.stack([jnp.max(info.involution_error) for info in infos]))
-
-
 def scene_kernel(
     mixture: PoseMixture,
     *,
@@ -130,10 +115,8 @@ def sweep(
     kernel: Kernel,
     number: jax.Array,
     anew: jax.Array,
-    *,
-    verify: bool = False,
-) -> tuple[ChainState, SweepInfo]:
-    """One sweep of one chain.
+) -> tuple[ChainState, jax.Array]:
+    """One sweep of one chain, and which of its steps (repeats + 1,) changed a pose.
 
     Args:
         key: random key.
@@ -142,47 +125,39 @@ def sweep(
         kernel: the moves.
         number: of the sweep, the same for chains under `vmap`.
         anew: whether the estimate is to be computed once more first, in place of the first pose; likewise.
-        verify: apply every involution twice.
     """
 
-    def step(
-        state: ChainState, given: tuple[jax.Array, Variates, jax.Array]
-    ) -> tuple[ChainState, tuple[MoveInfo | None, MoveInfo]]:
+    def step(state: ChainState, given: tuple[jax.Array, Variates, jax.Array]) -> tuple[ChainState, jax.Array]:
         number, dice, kind = given
         graph_key, pose_key = jax.random.split(jax.random.fold_in(step_key, number))
-        info = None
         if kernel.structure:
-            state, info = _grafted(graph_key, dice, state, model, kernel.structure, verify)
+            state = _grafted(graph_key, dice, state, model, kernel.structure)
             dice = dice.without(2 + kernel.structure.objects + kernel.structure.uniforms)
-        state, pose_info = _posed(pose_key, dice, state, model, kernel, kind, verify)
-        return state, (info, pose_info)
+        return _posed(pose_key, dice, state, model, kernel, kind)
 
     dice_key, step_key = jax.random.split(key)
     dice = kernel.draw(dice_key, state.log_prior.dtype)
     given = jnp.arange(kernel.repeats + 1), dice, kernel.kinds(number, anew)
-    state, infos = jax.lax.scan(step, state, given)
-    return state, SweepInfo(*infos)
+    return jax.lax.scan(step, state, given)
 
 
-def _grafted(
-    key: jax.Array, dice: Variates, state: ChainState, model: SceneModel, move: Move, verify: bool
-) -> tuple[ChainState, MoveInfo]:
+def _grafted(key: jax.Array, dice: Variates, state: ChainState, model: SceneModel, move: Move) -> ChainState:
     """Another edge, poses as they are: data that see nothing else keep their estimate."""
-    offer = propose(dice.without(2), model, move, state, 2, verify=verify)
+    offer = propose(dice.without(2), model, move, state, 2)
     if not model.likelihood.depends_on_graph:
         blind = replace(model, likelihood=NoData())
-        decided, info = decide(
+        decided, _ = decide(
             dice.uniform[:2],
             blind,
             state.log_prior,
             offer,
             Estimate(jnp.zeros(2, offer.log_offered.dtype), ()),
         )
-        return replace(decided, estimate=state.estimate), info
+        return replace(decided, estimate=state.estimate)
     stand = jnp.zeros_like(offer.scenes.present)
     keys = candidate_keys(key, 2)
     estimates = model.likelihood.offered(keys, offer.scenes, stand, state.estimate, anew=jnp.array(False))
-    return decide(dice.uniform[:2], model, state.log_prior, offer, estimates)
+    return decide(dice.uniform[:2], model, state.log_prior, offer, estimates)[0]
 
 
 def _posed(
@@ -192,15 +167,17 @@ def _posed(
     model: SceneModel,
     kernel: Kernel,
     kind: jax.Array,
-    verify: bool,
-) -> tuple[ChainState, MoveInfo]:
-    """Another pose, by one of the moves; all meet the target in one place, which is costly to compile."""
+) -> tuple[ChainState, jax.Array]:
+    """Another pose by one of the moves, and whether it was accepted.
+
+    All moves meet the target in one place, which is costly to compile.
+    """
     count = kernel.candidates[0].count
 
     def same(dice: Variates, state: ChainState) -> CandidateSet:  # noqa: ARG001
         scenes = jax.tree.map(lambda leaf: repeat(leaf, count), state.scene)
         first = jnp.where(jnp.arange(count) == 0, jnp.zeros_like(state.log_prior), jnp.inf)
-        return CandidateSet(scenes, first, jnp.zeros_like(state.log_prior))
+        return CandidateSet(scenes, first)
 
     def among(
         candidates: IndependenceMultipleTry | LocalMultipleTry,
@@ -208,7 +185,7 @@ def _posed(
         return lambda dice, state: candidates.propose(dice, model, state)
 
     def by(move: Move) -> Callable[[Variates, ChainState], CandidateSet]:
-        return lambda dice, state: propose(dice, model, move, state, count, verify=verify)
+        return lambda dice, state: propose(dice, model, move, state, count)
 
     offers = [same, *(among(one) for one in kernel.candidates), *(by(move) for move in kernel.others)]
     offer = jax.lax.switch(kind, offers, dice.without(2), state)
@@ -220,7 +197,7 @@ def _posed(
 
 @partial(
     jax.jit,
-    static_argnames=("count", "record", "verify"),
+    static_argnames=("count", "record"),
     compiler_options={"xla_backend_optimization_level": 1},  # compiled sooner, and not slower
 )
 def run_block(
@@ -230,21 +207,20 @@ def run_block(
     kernel: Kernel,
     count: int,
     record: Callable[[ChainState], Recorded],
-    *,
-    verify: bool = False,
-) -> tuple[ChainState, Recorded, SweepInfo]:
+) -> tuple[ChainState, Recorded, jax.Array]:
     """`count` sweeps of every chain in a batch (B, ...), whose estimates need not be up to date.
 
     Returns:
-        The last states, `record(state)` after each sweep (count, B, ...), and Info (count, B, ...).
+        The last states, `record(state)` after each sweep (count, B, ...), and which of its steps changed a
+        pose (count, B, repeats + 1).
     """
     batch = states.log_prior.shape[0]
 
-    def scan(states: ChainState, number: jax.Array) -> tuple[ChainState, tuple[Recorded, SweepInfo]]:
+    def scan(states: ChainState, number: jax.Array) -> tuple[ChainState, tuple[Recorded, jax.Array]]:
         keys = jax.random.split(jax.random.fold_in(key, number), batch)
-        advance = partial(sweep, model=model, kernel=kernel, number=number, anew=number == 0, verify=verify)
-        states, info = jax.vmap(advance)(keys, states)
-        return states, (jax.vmap(record)(states), info)
+        advance = partial(sweep, model=model, kernel=kernel, number=number, anew=number == 0)
+        states, accepted = jax.vmap(advance)(keys, states)
+        return states, (jax.vmap(record)(states), accepted)
 
-    states, (recorded, info) = jax.lax.scan(scan, states, jnp.arange(count))
-    return states, recorded, info
+    states, (recorded, accepted) = jax.lax.scan(scan, states, jnp.arange(count))
+    return states, recorded, accepted

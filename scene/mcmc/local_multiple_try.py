@@ -95,7 +95,7 @@ class LocalMultipleTry:
         log_edges = jnp.zeros(self.count, poses.dtype)
         if self.grafts:
             scenes, log_edges = _with_edges(dice.uniform[3 : self.uniforms], model, scenes, chosen)
-        return CandidateSet(scenes, log_edges, jnp.zeros_like(state.log_prior))
+        return CandidateSet(scenes, log_edges)
 
     def _steps(self, dice: Variates, chosen: jax.Array) -> tuple[SpinLines, jax.Array]:
         """The steps (K, 7), the first to the point between, and the line of all their turns."""

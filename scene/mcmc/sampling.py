@@ -191,8 +191,8 @@ def _advanced(
 
     def run(key: jax.Array, states: ChainState) -> tuple[ChainState, Samples]:
         with jax.enable_x64(True):  # of this thread
-            states, scenes, info = run_block(key, states, model, kernel, count, _scene_and_value)
-            return states, _samples(scenes, np.mean(np.asarray(info.poses.accepted), axis=-1))
+            states, scenes, accepted = run_block(key, states, model, kernel, count, _scene_and_value)
+            return states, _samples(scenes, np.mean(np.asarray(accepted), axis=-1))
 
     with ThreadPoolExecutor(len(groups)) as cores:
         states, samples = zip(*cores.map(run, keys, groups), strict=True)
