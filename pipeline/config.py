@@ -185,6 +185,17 @@ def _put(values: dict[str, Any], names: Sequence[str], value: Any, where: str) -
     table[names[-1]] = value
 
 
+def check_names(values: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    """Stop at a name that is not known.
+
+    Raises:
+        ConfigError: and what it may have been meant for.
+    """
+    for name in values:
+        if name not in known:
+            raise ConfigError(f"there is no setting {where}.{name}; {_choices(name, known)}")
+
+
 def _unknown_keys(kind: Any, values: Any, where: str) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Paths of keys that no field has, with the names that would do."""
     if not is_dataclass(kind) or not isinstance(values, Mapping):

@@ -31,7 +31,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.config import build, checked_sections, read_toml
+from pipeline.config import build, check_names, checked_sections, read_toml
 from pipeline.errors import ConfigError, ProjectError
 from pipeline.options import READING
 
@@ -40,6 +40,8 @@ FILE_NAME = r"\w[\w.-]{0,99}"
 
 Stage = Literal["slam", "learn", "parse"]
 STAGES = ("slam", "learn", "parse")
+OWN = ("path", "stage", "name", "objects", "shapes")
+"""What a recording of a project has besides settings of reading and of the stages."""
 FILES = ("mask", "sensor")
 """Settings of reading that name files."""
 
@@ -75,7 +77,7 @@ class ProjectRecording:
     @property
     def stem(self) -> str:
         """Name of its folder in the run."""
-        return self.path.name.partition(".")[0]
+        return self.path.name.partition(".mcap")[0]
 
     @property
     def shape(self) -> str:
@@ -131,13 +133,17 @@ def read_project(path: Path) -> Project:
     if mistakes:
         apart = [one for one in recordings if one.stage != "parse" or one.shapes is not None]
         raise UnreadableEntries(mistakes, Project(recordings=tuple(apart), settings=settings))
-    for what, names in (
-        ("recordings", [one.stem for one in recordings]),
-        ("shapes", [one.shape for one in recordings if one.stage == "learn"]),
+    for what, names, advice in (
+        ("recordings", [one.stem for one in recordings], "give one of the files another name"),
+        (
+            "shapes",
+            [one.shape for one in recordings if one.stage == "learn"],
+            'give one another name with name = "..."',
+        ),
     ):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ConfigError(f"{path}: two {what} are named {twice[0]}; each needs a name of its own")
+            raise ConfigError(f"{path}: two {what} are named {twice[0]}; {advice}")
     if not any(one.stage == "learn" for one in recordings):
         without = [one.path for one in recordings if one.stage == "parse" and one.shapes is None]
         if without:
@@ -171,10 +177,12 @@ def _recordings(
 
 def _matching(folder: Path, recording: ProjectRecording) -> list[ProjectRecording]:
     """One recording for every file that a path with * or ? matches, in the order of their names."""
-    pattern = str(recording.path.relative_to(folder)) if recording.path.is_relative_to(folder) else ""
+    beside = recording.path.is_relative_to(folder)
+    above = folder if beside else Path(recording.path.anchor)
+    pattern = str(recording.path.relative_to(above))
     if not any(sign in pattern for sign in "*?"):
         return [recording]
-    matches = sorted(folder.glob(pattern))
+    matches = sorted(above.glob(pattern))
     if not matches or recording.name is not None:
         why = "names several recordings, and name only one shape" if matches else "matches no file"
         raise ConfigError(f"{recording.path}: {why}")
@@ -191,10 +199,11 @@ def _recording(path: Path, number: int, entry: Mapping[str, Any]) -> ProjectReco
     where = f"{path}, recording {number}"
     if not isinstance(entry, Mapping):
         raise ConfigError(f"{where} is no table; write [[recording]] above its lines")
+    check_names(entry, (*OWN, *READING, *STAGES), where)
     reading = {name: value for name, value in entry.items() if name in READING}
     reading |= _beside(path, reading)
     settings = {name: value for name, value in entry.items() if name in STAGES}
-    own = {name: value for name, value in entry.items() if name not in (*READING, *STAGES)}
+    own = {name: value for name, value in entry.items() if name in OWN}
     recording = build(ProjectRecording, {**own, "reading": reading, "settings": settings}, where)
     shapes = None if recording.shapes is None else path.parent / recording.shapes
     return replace(recording, path=path.parent / recording.path, shapes=shapes)

@@ -45,6 +45,8 @@ def open_run_folder(
     marker = path / INPUTS
     with ExitStack() as held:
         try:
+            if path.is_file():
+                raise PipelineError(f"cannot use {path}: it is a file; name a folder with -o")
             path.mkdir(parents=True, exist_ok=True)
             if any(path.iterdir()) and not _is_run_folder(marker):
                 raise PipelineError(f"{path} is not empty and not a run folder; name another with -o")

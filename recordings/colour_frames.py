@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from recordings.cameras.distortion import Undistortion, is_distorted
 from recordings.cameras.matching import is_rectified, matching_camera
-from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
+from recordings.cameras.pinhole import NO_CALIBRATION, UnusableCamera, stored_intrinsics
 from recordings.colour_topics import ColourTopic
 from recordings.depth_topics import DepthTopic
 from recordings.first_colour import first_colour
@@ -61,7 +61,7 @@ class ColourFrames:
     def _take_recorded_camera(self, cameras: dict[str, CameraMessage]) -> None:
         found = matching_camera(self._topic.name, self._topic.first.frame_id, self.size, cameras)
         if found is None:
-            raise UnusableCamera("no calibration of its camera is recorded; give --intrinsics fx,fy,cx,cy")
+            raise UnusableCamera(NO_CALIBRATION)
         rectified = is_rectified(self._topic.name)
         self.intrinsics = stored_intrinsics(found[1], *self.size, rectified=rectified)
         if not rectified and is_distorted(found[1].distortion):

@@ -76,6 +76,8 @@ def unread_images(decoded: DecodedBag) -> str | None:
             return f"{topic} has the encoding {first.encoding!r}, which is not read"
         is_read = first_colour(decoded, topic) is not None
         if isinstance(first, CompressedImageMessage) and not is_read and not holds_depth(first):
+            if any(form in first.format.lower() for form in ("png", "jpeg", "jpg")):
+                return f"{topic}: its first image is damaged, or neither depth nor colour ({first.format!r})"
             return f"{topic} is compressed as {first.format!r}, which is not read"
     return None
 

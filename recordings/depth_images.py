@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from recordings.cameras.distortion import Undistortion, is_distorted
 from recordings.cameras.matching import is_rectified, matching_camera
-from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
+from recordings.cameras.pinhole import NO_CALIBRATION, UnusableCamera, stored_intrinsics
 from recordings.cameras.recorded import CameraTrack, camera_track
 from recordings.depth_topics import DepthTopic
 from recordings.images.compressed_depth import image_size, stored_depth
@@ -68,7 +68,7 @@ class DepthImages:
     def _take_recorded_camera(self, topic: DepthTopic, cameras: dict[str, CameraMessage]) -> None:
         found = matching_camera(topic.name, topic.first.frame_id, self.size, cameras)
         if found is None:
-            raise UnusableCamera("no calibration of its camera is recorded; give --intrinsics fx,fy,cx,cy")
+            raise UnusableCamera(NO_CALIBRATION)
         camera_topic, self._camera = found
         intrinsics = stored_intrinsics(self._camera, *self.size, rectified=self._rectified)
         self.undistortion = self._undistortion(self._camera, intrinsics, intrinsics)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
@@ -69,7 +70,7 @@ def _verdict(result: DemoResult, out: Path, seconds: float) -> list[str]:
         *(f"{what:<7} {figure} (has to be {wanted})" for what, figure, wanted in gates),
         "",
         f"{'everything holds' if result.holds else 'too far from the truth'}, in {seconds:.0f} s",
-        f"look at it: voxscene review {out / 'run' / 'recordings' / 'table'}",
-        f"a shape:    voxscene review {out / 'run' / 'recordings' / next(iter(result.learned))}",
+        f"look at it: voxscene review {quote(str(out / 'run' / 'recordings' / 'table'))}",
+        f"a shape:    voxscene review {quote(str(out / 'run' / 'recordings' / next(iter(result.learned))))}",
         f"your own:   change {out / 'project.toml'}, then voxscene run",
     ]

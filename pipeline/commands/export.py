@@ -14,9 +14,6 @@ DEFAULT_FORMATS = "ply,glb"
 OVERLAY = "overlay"
 """A picture, where the other formats are models."""
 
-SOLIDS = frozenset({"bop", "urdf", "mjcf"})
-"""Formats whose readers take a surface for a solid with a volume."""
-
 
 @click.command(name="export")
 @click.argument("source", metavar="SHAPE.npz|DIR|RUN", type=AnyPath())
@@ -112,7 +109,7 @@ def command(
     metres with y up, by their own rules. Files of earlier exports are never overwritten by others.
     """
     from pipeline.bop_numbers import read_ids
-    from pipeline.export.model_export import MODEL_FORMATS, ExportOptions
+    from pipeline.export.model_export import MODEL_FORMATS, SOLIDS, ExportOptions
     from pipeline.export.room_mesh import PITCH_M
     from pipeline.export.run_export import SCENE_FORMATS
     from pipeline.export.run_room import run_room

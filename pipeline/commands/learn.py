@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -101,7 +102,7 @@ def command(
         f"{document['enclosed']} enclosed, "
         f"{' x '.join(f'{100 * side:.1f}' for side in size)} cm; {document['seconds']:.1f} s",
         *_surface(document),
-        f"shape: {run_path / 'shapes' / f'{name}.npz'}; look at it: voxscene review {run_path}",
+        f"shape: {run_path / 'shapes' / f'{name}.npz'}; look at it: voxscene review {quote(str(run_path))}",
     ]
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
@@ -207,7 +208,7 @@ def command(
         f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s; "
         f"{rate:.1f} effective samples/s, {document['acceptance']:.0%} of moves accepted",
         verdict_text(document),
-        f"poses: {run_path / 'poses.csv'}; look at it: voxscene review {run_path}",
+        f"poses: {run_path / 'poses.csv'}; look at it: voxscene review {quote(str(run_path))}",
     ]
     if shape_samples:
         lines.insert(-1, f"variance of the log likelihood's estimate {document['log_estimate_variance']:.2f}")

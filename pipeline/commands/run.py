@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
@@ -85,7 +86,7 @@ def command(
     rows = run_project(project, folder, common, force=force, workers=workers, stop_at_failure=stop_at_failure)
     common.report(
         json.loads((folder / "summary.json").read_text()),
-        [*_table(rows), f"look at it with: voxscene review {folder}"],
+        [*_table(rows), f"look at it with: voxscene review {quote(str(folder))}"],
     )
     damaged = max((report_damage(row.path, row.damage) for row in rows), default=0)
     ctx.exit(1 if any(row.failure for row in rows) or len(rows) < len(project.recordings) else damaged)

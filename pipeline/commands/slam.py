@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
@@ -54,7 +55,7 @@ def command(
         f"{document['frames']} frames over {document['length_m']:.2f} m, {document['lost_frames']} lost, "
         f"{document['frames_per_second']:.1f} a second, compiled in {document['compile_s']:.1f} s",
         *_doubts(document),
-        f"trajectory: {run_path / 'trajectory.tum'}; look at it: voxscene review {run_path}",
+        f"trajectory: {run_path / 'trajectory.tum'}; look at it: voxscene review {quote(str(run_path))}",
     ]
     if len(paths) > 1:
         lines.insert(1, f"{len(paths)} paths explain what was seen, the reported one with {paths[0]:.0%}")

@@ -66,6 +66,28 @@ def check_truth(run: RunFolder, truth: Path) -> None:
         log.warning("%s shows only %s: is it the right truth?", truth, said)
 
 
+def check_recording(run: RunFolder, recording: Path) -> None:
+    """Stop where a recording is another than the run's, and warn where it seems to be.
+
+    Raises:
+        PipelineError: frames of the run's stamps show something else.
+        RecordingError: the recording cannot be read.
+    """
+    share = _equal_share(run, recording)
+    made_from = ", ".join(run.made_from) or "another one"
+    if share is None:
+        said = "is not the file it was made from, and no frame tells whether both show the same"
+        log.warning("%s: %s %s", run.path, recording, said)
+    elif share < OTHER:
+        raise PipelineError(
+            f"{recording} is not the recording of {run.path}, which was made from {made_from}: at equal "
+            "stamps they show different things; name that one with --recording"
+        )
+    elif share < SAME:
+        said = f"{100 * share:.0f}% of the pixels of the recording of {run.path}"
+        log.warning("%s shows only %s: is it the right one?", recording, said)
+
+
 def _recording_beside(run: RunFolder, trajectory: Path) -> Path | None:
     """The recording of a trajectory file's name, or the only one in its folder; None where none is meant."""
     beside = [path for path in sorted(trajectory.parent.glob("*.mcap*")) if path.is_file()]

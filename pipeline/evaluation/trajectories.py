@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -55,11 +56,14 @@ def _read_tum(path: Path) -> Trajectory:
     from scipy.spatial.transform import Rotation
 
     try:
-        rows = np.loadtxt(path, ndmin=2, comments="#")
+        with warnings.catch_warnings(action="ignore"):  # of no lines, told below
+            rows = np.loadtxt(path, ndmin=2, comments="#")
     except (OSError, ValueError) as error:
         raise PipelineError(f"{path} is not a TUM trajectory: {error}") from error
-    if rows.size == 0 or rows.shape[1] != TUM_COLUMNS or not np.isfinite(rows).all():
+    if rows.size == 0 or rows.shape[1] != TUM_COLUMNS:
         raise PipelineError(f"{path} is not a TUM trajectory: each line needs `stamp x y z qx qy qz qw`")
+    if not (finite := np.isfinite(rows).all(axis=1)).all():
+        raise PipelineError(f"{path} is not a TUM trajectory: pose {finite.argmin() + 1} is not finite")
     if (np.linalg.norm(rows[:, 4:], axis=1) == 0).any():
         raise PipelineError(f"{path}: a quaternion is zero")
     poses = np.tile(np.eye(4), (len(rows), 1, 1))

@@ -53,7 +53,9 @@ def checked(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
         PipelineError: it has holes, or faces that look inward.
     """
     if not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0):
-        raise PipelineError(f"the surface of {name} is not closed and outward, so it is not written")
+        raise PipelineError(
+            f"the surface of {name} is not closed and outward, and bounds no volume: mend it, or write stl"
+        )
     return mesh
 
 

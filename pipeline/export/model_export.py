@@ -16,6 +16,8 @@ from pipeline.export.models import ExportModel, Origin
 from pipeline.export.simulators import DENSITY_KG_M3, simulator_files
 from pipeline.meshes import Units
 
+SOLIDS = frozenset({"bop", "urdf", "mjcf"})
+"""Formats whose readers take a surface for a solid with a volume."""
 MODEL_FORMATS = ("npz", "ply", "obj", "glb", "stl", "bop", "urdf", "mjcf")
 SIMULATORS = ("urdf", "mjcf")
 GROWING = (f"{MODELS}/models_info.json", IDS_FILE)

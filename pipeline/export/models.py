@@ -94,20 +94,26 @@ def learned_model(path: Path, *, shells: bool = False, unseen: Unseen = "fill") 
     )
 
 
-def looked_for_models(values: RunValues) -> list[ExportModel]:
+def looked_for_models(values: RunValues, *, closed: bool) -> list[ExportModel]:
     """The surfaces that a run's parse looked for, in their own frames.
 
+    Args:
+        values: of the run.
+        closed: whether they have to bound volumes.
+
     Raises:
-        PipelineError: one is not closed.
+        PipelineError: one does not that has to.
     """
     if values.surfaces is None:
         return []
+    meshes = {
+        name: trimesh.Trimesh(one.vertices_m, one.faces, vertex_colors=one.rgb, process=False)
+        for name, one in values.surfaces.by_name.items()
+    }
     return [
         ExportModel(
             name=name,
-            mesh=checked(
-                trimesh.Trimesh(one.vertices_m, one.faces, vertex_colors=one.rgb, process=False), name
-            ),
+            mesh=checked(meshes[name], name) if closed else meshes[name],
             learned=one.learned,
             facts={"frame": GRID_FRAME if one.learned else OWN_FRAME},
         )

@@ -61,7 +61,10 @@ def room_mesh(
             progress(count)
     vertices, triangles = grid.surface()
     if not len(triangles):
-        raise PipelineError("the frames show too little for a surface; try a larger --pitch")
+        raise PipelineError(
+            f"the frames show too little for a surface, which {FEWEST_VIEWS:g} have to see; track more, or "
+            "try a larger --pitch"
+        )
     colours = ColourSums(vertices, at_surface_m=2 * pitch_m)
     for frame, pose in _thinned(frames, COLOURED_FRAMES):
         colours.add(frame, intrinsics, pose)
@@ -105,7 +108,10 @@ class _Grid:
         """Vertices (V, 3) in metres and triangles (F, 3) of the zero level."""
         if self._empty:
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-        mesh = self._voxels.extract_triangle_mesh(weight_threshold=FEWEST_VIEWS)
+        try:
+            mesh = self._voxels.extract_triangle_mesh(weight_threshold=FEWEST_VIEWS)
+        except RuntimeError:  # Open3D raises where no voxel was seen often enough
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         if mesh.is_empty():
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         return (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import PipelineError
 from pipeline.export.files import write_files
 from pipeline.export.meshes import Geometry, Unseen, glb_bytes, mesh_bytes, moved, shape_mesh
-from pipeline.export.model_export import ExportOptions, export_models
+from pipeline.export.model_export import SOLIDS, ExportOptions, export_models
 from pipeline.export.models import ExportModel, learned_model, looked_for_models
 from pipeline.publishing.bop_poses import bop_lines
 from pipeline.publishing.values import RunValues
@@ -68,7 +68,7 @@ def export_run(
     paths = write_files(out, contents, entry, force=options.force) if contents else []
     if not one_by_one:
         return paths
-    models = _models(run, values, options)
+    models = _models(run, values, options, closed=not SOLIDS.isdisjoint(one_by_one))
     if not models:
         raise PipelineError(f"{run} holds no objects for --format {','.join(one_by_one)}")
     written = export_models(
@@ -77,7 +77,7 @@ def export_run(
     return list(dict.fromkeys([*paths[:-1], *written]))
 
 
-def _models(run: Path, values: RunValues, options: ExportOptions) -> list[ExportModel]:
+def _models(run: Path, values: RunValues, options: ExportOptions, *, closed: bool) -> list[ExportModel]:
     """The run's learned shapes, and what its parse looked for."""
     folder = RunFolder(run, force=False)
     learned = [
@@ -85,7 +85,7 @@ def _models(run: Path, values: RunValues, options: ExportOptions) -> list[Export
         for name in values.shapes
     ]
     names = {model.name for model in learned}
-    return learned + [model for model in looked_for_models(values) if model.name not in names]
+    return learned + [model for model in looked_for_models(values, closed=closed) if model.name not in names]
 
 
 def _numbered(options: ExportOptions, values: RunValues) -> ExportOptions:

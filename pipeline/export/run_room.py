@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.config import build
 from pipeline.errors import PipelineError
+from pipeline.evaluation.same_recording import check_recording
 from pipeline.export.room_mesh import MOST_FRAMES, room_mesh
 from pipeline.fingerprints import file_hash
 from pipeline.options import Common
@@ -53,7 +54,7 @@ def tracked_frames(run: Path, recording: Path | None = None) -> TrackedFrames:
         recording: that the run was made from; None looks for it near the run and in the working directory.
 
     Raises:
-        PipelineError: the run has no trajectory, lost every frame, or its recording is not found.
+        PipelineError: the run has no trajectory, lost every frame, or its recording is not found or another.
     """
     folder = RunFolder(run, force=False)
     record = folder.record("slam")
@@ -65,7 +66,7 @@ def tracked_frames(run: Path, recording: Path | None = None) -> TrackedFrames:
     if result.lost.all():
         raise PipelineError(f"slam lost every frame of {run}, there is no room to fuse")
     options = build(ReadOptions, record.settings.get("recording", {}), "recording")
-    path = recording or _recording_of(run)
+    path = _checked(run, recording)
     poses = dict(zip(result.times_ns[~result.lost].tolist(), result.mean[~result.lost], strict=True))
     return TrackedFrames(recording=open_recording(path, options), poses=poses)
 
@@ -78,11 +79,11 @@ def open_parsed(run: Path, recording: Path | None = None) -> McapRecording:
         recording: where it is; None looks for it near the run and in the working directory.
 
     Raises:
-        PipelineError: it is not found.
+        PipelineError: it is not found, or another.
     """
     record = RunFolder(run, force=False).record("parse")
     read = record.settings.get("recording", {}) if record else {}
-    return open_recording(recording or _recording_of(run), build(ReadOptions, read, "recording"))
+    return open_recording(_checked(run, recording), build(ReadOptions, read, "recording"))
 
 
 def run_room(run: Path, recording: Path | None, pitch_m: float, common: Common) -> trimesh.Trimesh:
@@ -97,6 +98,14 @@ def run_room(run: Path, recording: Path | None, pitch_m: float, common: Common) 
         return room_mesh(
             frames, frames.recording.intrinsics, pitch_m=pitch_m, progress=lambda done: progress(done, count)
         )
+
+
+def _checked(run: Path, recording: Path | None) -> Path:
+    """The recording that was named, if it shows what the run's does; else the one that is found."""
+    if recording is None:
+        return _recording_of(run)
+    check_recording(RunFolder(run, force=False), recording)
+    return recording
 
 
 def _recording_of(run: Path) -> Path:

@@ -6,6 +6,8 @@ from recordings.messages.types import CameraMessage
 from recordings.options import LARGEST_PX
 from recordings.types import CameraIntrinsics
 
+NO_CALIBRATION = "no usable calibration of its camera is recorded; give --intrinsics fx,fy,cx,cy"
+
 _ASPECT_TOLERANCE_PX = 1.5
 """Sizes of resized images are rounded to whole pixels."""
 _FOCAL_WIDTHS = (0.05, 100.0)

@@ -41,6 +41,13 @@ def _guarded(decode: Decoder) -> Decoder:
         except UndecodableMessage:
             raise
         except Exception as error:  # the decoders of three libraries raise all kinds on damaged bytes
-            raise UndecodableMessage(f"does not fit its schema ({type(error).__name__})") from error
+            raise UndecodableMessage(f"does not fit its schema ({_reason(error)})") from error
 
     return decode_or_explain
+
+
+def _reason(error: Exception) -> str:
+    """What a decoder of another library says, in one short line."""
+    if isinstance(error, AttributeError) and error.name:
+        return f"no {error.name}"
+    return f"{type(error).__name__}: {error}".partition("\n")[0][:80]

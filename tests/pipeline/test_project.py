@@ -49,6 +49,18 @@ def test_shapes_are_learned_before_they_are_looked_for(tmp_path: Path) -> None:
     assert found.settings == {"slam": {"particles": 16}}
 
 
+@pytest.mark.parametrize("above", ["", "{folder}/"])
+def test_signs_match_files_of_dated_names(tmp_path: Path, above: str) -> None:
+    """Relative to the project file or from the root; a name ends where .mcap begins."""
+    for name in ("bag.2024.mcap", "bag.2025.mcap.zstd", "bag.txt"):
+        (tmp_path / name).touch()
+
+    path = above.format(folder=tmp_path) + "*.mcap*"
+    found = project(tmp_path, f"[[recording]]\npath = '{path}'\nstage = 'slam'")
+
+    assert [one.stem for one in found.recordings] == ["bag.2024", "bag.2025"]
+
+
 def test_a_recording_may_have_settings_and_shapes_of_its_own(tmp_path: Path) -> None:
     """Beneath the command line's, over the project's."""
     found = project(
@@ -89,9 +101,12 @@ def test_the_command_lines_settings_stand_over_the_projects(tmp_path: Path) -> N
         ("[[recording]]\nstage = 'slam'", "recording 1.path: field required"),
         ("[[recording]]\npath = 'a'\nstage = 'slam'\nnmae = 'b'", "recording 1.nmae; did you mean 'name'?"),
         ("[[recording]]\npath = 'a'\nstage = 'learn'\nname = '../b'", "name must be up to 100 letters"),
+        ("[[recording]]\npath = 'a'\nstage = 'slam'\nreading = {every = 2}", "no setting"),
+        ("[[recording]]\npath = 'a'\nstage = 'slam'\nsettings = 3", "no setting"),
+        ("[[recording]]\npath = 'a'\nstage = 'slam'\nevrey = 2", "recording 1.evrey; did you mean 'every'?"),
         (
             "[[recording]]\npath = 'a'\nstage = 'slam'\n[[recording]]\npath = 'x/a'\nstage = 'slam'",
-            "two recordings are named a",
+            "two recordings are named a; give one of the files another name",
         ),
         (
             "[[recording]]\npath = 'a'\nstage = 'learn'\nname = 'c'\n"

@@ -73,6 +73,16 @@ def test_the_truth_of_another_recording_is_an_error(run: Path, other_file: Path)
     assert not (run / "run.truth.rrd").exists()
 
 
+def test_another_recording_is_not_exported(run: Path, other_file: Path, tmp_path: Path) -> None:
+    """The room of a run is not fused of what another camera saw."""
+    out = tmp_path / "out"
+    command = ["export", str(run), "--mesh", "--recording", str(other_file), "-o", str(out), "--quiet"]
+    result = CliRunner().invoke(voxscene, command)
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
+    assert f"{other_file} is not the recording of {run}, which was made from mug.mcap" in result.stderr
+    assert not out.exists()
+
+
 def test_a_recording_that_was_moved_or_cut_is_taken(
     run: Path, mug_file: Path, filmed_mug: SyntheticRecording, tmp_path: Path
 ) -> None:

@@ -14,6 +14,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
+from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.export.model_export import ExportOptions
 from pipeline.export.run_export import export_run
@@ -94,3 +95,20 @@ def test_the_error_of_what_bop_reads_is_that_of_what_we_found(run: Path, tmp_pat
     assert apart.mean() == pytest.approx(expected, abs=1e-4)
     middle = np.zeros(3) if mug.learned else own.bounds.mean(axis=0)
     np.testing.assert_allclose(models[14].bounds.mean(axis=0), middle, atol=1e-6)
+
+
+def test_an_open_mesh_is_written_where_no_volume_is_needed(parsed_run: RunValues, tmp_path: Path) -> None:
+    """As stl; bop, which needs one, says so and writes nothing."""
+    sheet = SceneSurface(vertices_m=np.eye(3), faces=np.array([[0, 1, 2]], np.int64), learned=False)
+    assert parsed_run.slam is not None
+    assert parsed_run.scene is not None
+    surfaces = Surfaces(dict.fromkeys(parsed_run.scene.names, sheet))
+    with open_run_folder(tmp_path / "run", {"rec": "hash"}) as folder:
+        for name, value in {"slam": parsed_run.slam, "objects": surfaces, "parse": parsed_run.scene}.items():
+            folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
+
+    with pytest.raises(PipelineError, match="bounds no volume"):
+        export_run(tmp_path / "run", ["bop"], tmp_path / "out", ExportOptions())
+    assert not (tmp_path / "out").exists()
+    written = export_run(tmp_path / "run", ["stl"], tmp_path / "out", ExportOptions())
+    assert len([path for path in written if path.suffix == ".stl"]) == len(surfaces.by_name)

@@ -64,3 +64,10 @@ def test_nothing_seen_is_told() -> None:
     """Instead of an empty file."""
     with pytest.raises(PipelineError, match="too little for a surface"):
         room_mesh(lambda: frames(returns=False), CAMERA)
+
+
+@pytest.mark.parametrize("colour", [True, False])
+def test_fewer_frames_than_have_to_see_a_surface_are_told(*, colour: bool) -> None:
+    """A room of two frames has no voxel that three saw."""
+    with pytest.raises(PipelineError, match="too little for a surface, which 3 have to see"):
+        room_mesh(lambda: frames(colour=colour)[:2], CAMERA, pitch_m=0.02)

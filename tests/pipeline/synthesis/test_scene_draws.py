@@ -26,6 +26,7 @@ def test_trees_are_as_frequent_as_their_weights_say(weight: float, seed: int) ->
     assert_frequencies(counts, expected / expected.sum())
 
 
+@pytest.mark.usefixtures("double_precision")
 def test_drawn_scenes_are_possible(seed: int) -> None:
     """Each has a prior density; what carries is placed before what it carries."""
     rng, model = np.random.default_rng(seed), cube_model(3, table=True)
