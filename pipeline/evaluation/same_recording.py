@@ -47,23 +47,12 @@ def check_truth(run: RunFolder, truth: Path) -> None:
         PipelineError: frames of the run's stamps show something else.
         RecordingError: the truth cannot be read.
     """
-    source = _recording_beside(run, truth) if is_trajectory_file(truth) else truth
-    share = 1.0 if source is None else _equal_share(run, source)
-    if source != truth:
+    if not is_trajectory_file(truth):
+        _judge(run, truth, "truth")
+    elif source := _recording_beside(run, truth):
+        share = _equal_share(run, source)
         if share is not None and share < SAME:
             log.warning("%s lies beside %s, not the recording of %s: is it right?", truth, source, run.path)
-    elif share is None:
-        said = "is not the file it was made from, and no frame tells whether both are of one recording"
-        log.warning("%s: %s %s", run.path, truth, said)
-    elif share < OTHER:
-        made_from = ", ".join(run.made_from) or "another one"
-        raise PipelineError(
-            f"{truth} is not the recording of {run.path}, which was made from {made_from}: at equal "
-            "stamps they show different things; name the truth of that one"
-        )
-    elif share < SAME:
-        said = f"{100 * share:.0f}% of the pixels of the recording of {run.path}"
-        log.warning("%s shows only %s: is it the right truth?", truth, said)
 
 
 def check_recording(run: RunFolder, recording: Path) -> None:
@@ -73,19 +62,23 @@ def check_recording(run: RunFolder, recording: Path) -> None:
         PipelineError: frames of the run's stamps show something else.
         RecordingError: the recording cannot be read.
     """
+    _judge(run, recording, "recording")
+
+
+def _judge(run: RunFolder, recording: Path, what: str) -> None:
     share = _equal_share(run, recording)
-    made_from = ", ".join(run.made_from) or "another one"
     if share is None:
-        said = "is not the file it was made from, and no frame tells whether both show the same"
+        said = "is not the file it was made from, and no frame tells whether both are of one recording"
         log.warning("%s: %s %s", run.path, recording, said)
     elif share < OTHER:
+        made_from = ", ".join(run.made_from) or "another one"
         raise PipelineError(
             f"{recording} is not the recording of {run.path}, which was made from {made_from}: at equal "
-            "stamps they show different things; name that one with --recording"
+            f"stamps they show different things; name the {what} of that one"
         )
     elif share < SAME:
         said = f"{100 * share:.0f}% of the pixels of the recording of {run.path}"
-        log.warning("%s shows only %s: is it the right one?", recording, said)
+        log.warning("%s shows only %s: is it the right %s?", recording, said, what)
 
 
 def _recording_beside(run: RunFolder, trajectory: Path) -> Path | None:
