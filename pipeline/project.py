@@ -42,6 +42,8 @@ Stage = Literal["slam", "learn", "parse"]
 STAGES = ("slam", "learn", "parse")
 OWN = ("path", "stage", "name", "objects", "shapes")
 """What a recording of a project has besides settings of reading and of the stages."""
+ONE_STAGE = {"objects": "parse", "shapes": "parse", "parse": "parse", "learn": "learn"}
+"""What only recordings of one stage have a use for."""
 FILES = ("mask", "sensor")
 """Settings of reading that name files."""
 
@@ -205,5 +207,8 @@ def _recording(path: Path, number: int, entry: Mapping[str, Any]) -> ProjectReco
     settings = {name: value for name, value in entry.items() if name in STAGES}
     own = {name: value for name, value in entry.items() if name in OWN}
     recording = build(ProjectRecording, {**own, "reading": reading, "settings": settings}, where)
+    for name, stage in ONE_STAGE.items():
+        if name in entry and recording.stage != stage:
+            raise ConfigError(f"{where}: {name} is for stage = {stage!r}, not {recording.stage!r}")
     shapes = None if recording.shapes is None else path.parent / recording.shapes
     return replace(recording, path=path.parent / recording.path, shapes=shapes)

@@ -103,6 +103,8 @@ def test_the_command_lines_settings_stand_over_the_projects(tmp_path: Path) -> N
         ("[[recording]]\npath = 'a'\nstage = 'learn'\nname = '../b'", "name must be up to 100 letters"),
         ("[[recording]]\npath = 'a'\nstage = 'slam'\nreading = {every = 2}", "no setting"),
         ("[[recording]]\npath = 'a'\nstage = 'slam'\nsettings = 3", "no setting"),
+        ("[[recording]]\npath = 'a'\nstage = 'slam'\nparse.frames = [0]", "parse is for stage = 'parse'"),
+        ("[[recording]]\npath = 'a'\nstage = 'learn'\nobjects = ['b']", "objects is for stage = 'parse'"),
         ("[[recording]]\npath = 'a'\nstage = 'slam'\nevrey = 2", "recording 1.evrey; did you mean 'every'?"),
         (
             "[[recording]]\npath = 'a'\nstage = 'slam'\n[[recording]]\npath = 'x/a'\nstage = 'slam'",
