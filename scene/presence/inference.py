@@ -77,4 +77,4 @@ def presence_in_scene(
         starts, is_round = (np.concatenate(part) for part in zip(*proposed, strict=True))
         solids = solids_near(rng, frames, priors, starts, is_round, MOST_SOLIDS * len(novel))
     alike = copies_among([one.name for one in objects])
-    return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike)
+    return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike, start.found)

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from scene.hidden.hidden_places import HiddenPlaces
-from scene.presence.counts import Visit, number_probabilities
+from scene.presence.counts import (
+    Visit,
+    more_than,
+    number_probabilities,
+    ranks_among_copies,
+    shares_by_rank,
+    sorted_by_rank,
+)
 from scene.presence.depth_candidates import PresenceFrames, candidates_of
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import SolidFits
@@ -243,8 +250,11 @@ def presence_posterior(
     chains: int,
     hidden: HiddenPlaces,
     alike: NDArray[np.bool_],
+    found: NDArray[np.bool_],
 ) -> Presence:
     """Presence of N objects by chains that start with the empty scene.
+
+    Of the copies of a shape the first, those that the search found, are there that many are there.
 
     Args:
         rng: random numbers.
@@ -255,6 +265,7 @@ def presence_posterior(
         chains: how many.
         hidden: what objects do to the likelihood out of sight.
         alike: (N, N) which objects are of one shape.
+        found: (N,) which the search found.
     """
     with np.errstate(divide="ignore"):
         log_hidden = np.log(hidden.share)
@@ -268,22 +279,23 @@ def presence_posterior(
         runs = [chain_presence(rng, again, last, DRAWN_AGAIN, SWEEPS_AGAIN) for _, last, _ in runs]
     by_chain, last, visits = zip(*runs, strict=True)
     there, unseen = np.moveaxis(np.stack(by_chain)[:, :objects], 2, 0)
+    ranks = ranks_among_copies(alike, found)
+    in_sight = shares_by_rank(there - unseen, alike, ranks)
+    by_number = [more_than(number_probabilities(run, alike), ranks) for run in visits]
+    there = np.where(alike.sum(axis=1) > 1, by_number, there)
     told = there.mean(axis=0)
-    of_share = (
-        unseen.mean(axis=0) * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
-    )
+    unseen_share = (told - in_sight.mean(axis=0)).clip(0)
+    of_share = unseen_share * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
     of_chains = there.std(axis=0, ddof=1) / np.sqrt(chains)
-    seen = (there - unseen).mean(axis=0) >= 0.5
+    seen = in_sight.mean(axis=0) >= 0.5
+    poses = np.stack([one.chosen for one in last])[:, :objects, :7]
+    in_use = np.stack([one.in_use for one in last])[:, :objects]
     return Presence(
         probability=told,
         number=number_probabilities([one for run in visits for one in run], alike),
         standard_error=np.hypot(of_chains, of_share),
         seen=seen,
-        poses=_in_one_scene(
-            np.stack([one.chosen for one in last])[:, :objects, :7],
-            np.stack([one.in_use for one in last])[:, :objects],
-            seen,
-        ),
+        poses=_in_one_scene(*sorted_by_rank(poses, in_use, alike, ranks), seen),
     )
 
 

@@ -180,7 +180,7 @@ class NothingSeen(PresenceFrames):
     "number",
     [
         BinomialNumber(0.5),
-        UncertainBinomialNumber(0.7),
+        UncertainBinomialNumber(0.7, weight=24.0),
     ],
 )
 def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int) -> None:
@@ -189,12 +189,12 @@ def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int)
     Within five standard errors, each 0.03 at most.
     """
     told = presence_without_data(priors_of(3, number), seed)
-    expected = np.exp(number.log_set_probabilities(3)) @ (np.array([1, 3, 3, 1]) * np.arange(4)) / 3
+    numbers = np.exp(number.log_set_probabilities(3)) * [1, 3, 3, 1]
+    expected = 1 - np.cumsum(numbers)[:3]  # of three copies the first is there if any is
 
     error = told.standard_error
     assert (error < 0.03).all()
     assert (np.abs(told.probability - expected) < 5 * np.maximum(error, 1e-9)).all()
-    numbers = np.exp(number.log_set_probabilities(3)) * [1, 3, 3, 1]  # three errors told of presence, at most
     np.testing.assert_allclose(told.number, np.tile(numbers, (3, 1)), atol=5 * 3 * error.max())
 
 
@@ -213,7 +213,7 @@ def presence_without_data(priors: PosePriors, seed: int, chains: int = 8) -> Pre
     )
     seen, nothing = NothingSeen(), HiddenPlaces.none(3)
     return presence_posterior(
-        rng, seen, priors, cloud, SolidFits.none(), chains, nothing, np.ones((3, 3), bool)
+        rng, seen, priors, cloud, SolidFits.none(), chains, nothing, np.ones((3, 3), bool), np.zeros(3, bool)
     )
 
 
