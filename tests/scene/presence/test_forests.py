@@ -180,7 +180,7 @@ class NothingSeen(PresenceFrames):
     "number",
     [
         BinomialNumber(0.5),
-        UncertainBinomialNumber(0.7, weight=24.0),
+        UncertainBinomialNumber(0.7),
     ],
 )
 def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int) -> None:
@@ -188,17 +188,30 @@ def test_no_data_returns_the_prior_on_the_number(number: NumberPrior, seed: int)
 
     Within five standard errors, each 0.03 at most.
     """
-    told = presence_without_data(priors_of(3, number), seed)
+    told = presence_without_data(priors_of(3, number), seed, chains=16)
     numbers = np.exp(number.log_set_probabilities(3)) * [1, 3, 3, 1]
     expected = 1 - np.cumsum(numbers)[:3]  # of three copies the first is there if any is
 
     error = told.standard_error
     assert (error < 0.03).all()
     assert (np.abs(told.probability - expected) < 5 * np.maximum(error, 1e-9)).all()
-    np.testing.assert_allclose(told.number, np.tile(numbers, (3, 1)), atol=5 * 3 * error.max())
+    atol = 5 * 3 * error.max()  # three errors told of presence, at most
+    np.testing.assert_allclose(told.number, np.tile(numbers, (3, 1)), atol=atol)
 
 
-def presence_without_data(priors: PosePriors, seed: int, chains: int = 8) -> Presence:
+def test_no_data_returns_the_prior_of_three_shapes(seed: int) -> None:
+    """Of other shapes than each other, whose presence is no matter of their number; likewise."""
+    number = UncertainBinomialNumber(0.7)
+    told = presence_without_data(priors_of(3, number), seed, np.eye(3, dtype=bool), chains=16)
+
+    error = told.standard_error
+    assert (error < 0.03).all()
+    assert (np.abs(told.probability - 0.7) < 5 * np.maximum(error, 1e-9)).all()
+
+
+def presence_without_data(
+    priors: PosePriors, seed: int, alike: NDArray[np.bool_] | None = None, chains: int = 8
+) -> Presence:
     """Of three slots, in a cloud of all rotations: round one alone draws would go all the way round."""
     rng = np.random.default_rng(seed)
     wxyz = Rotation.from_matrix(cube_rotations()).as_quat(scalar_first=True)
@@ -212,8 +225,9 @@ def presence_without_data(priors: PosePriors, seed: int, chains: int = 8) -> Pre
         ties=priors.sizes.ties,
     )
     seen, nothing = NothingSeen(), HiddenPlaces.none(3)
+    alike = np.ones((3, 3), bool) if alike is None else alike
     return presence_posterior(
-        rng, seen, priors, cloud, SolidFits.none(), chains, nothing, np.ones((3, 3), bool), np.zeros(3, bool)
+        rng, seen, priors, cloud, SolidFits.none(), chains, nothing, alike, np.zeros(3, bool)
     )
 
 
