@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -41,44 +42,48 @@ def number_probabilities(visits: Sequence[Visit], alike: NDArray[np.bool_]) -> N
     return together / together.sum(axis=1, keepdims=True)
 
 
-def ranks_among_copies(alike: NDArray[np.bool_], found: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Rank (N,) of each object among the copies of its shape: those that the search found come first.
+@dataclass(frozen=True, eq=False)
+class Copies:
+    """Which objects are copies of one shape, and in which order they count.
 
     Copies are exchangeable, and moves change their places: that the k-th is there says that k or more are.
 
-    Args:
-        alike: (N, N) which objects are copies of one shape, each of itself.
-        found: (N,) by the search.
+    Attributes:
+        alike: (N, N) which are of one shape, each of itself.
+        ranks: (N,) of each among those of its shape.
     """
-    order = np.lexsort([np.arange(len(found)), ~found])
-    place = np.argsort(order)
-    return (alike & (place[None] < place[:, None])).sum(axis=1)
 
+    alike: NDArray[np.bool_]
+    ranks: NDArray[np.intp]
 
-def more_than(number: NDArray[np.float64], ranks: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Probabilities (N,) that more are there than ranks (N,), of those of numbers (N, N + 1)."""
-    return 1 - np.take_along_axis(np.cumsum(number, axis=1), ranks[:, None], axis=1)[:, 0]
+    @classmethod
+    def of(cls, alike: NDArray[np.bool_], found: NDArray[np.bool_]) -> Copies:
+        """Those that the search `found` (N,) come first."""
+        place = np.argsort(np.lexsort([np.arange(len(found)), ~found]))
+        return cls(alike, (alike & (place[None] < place[:, None])).sum(axis=1))
 
+    def with_number(self, presence: NDArray[np.float64], number: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Presence (..., N), of copies that of numbers (..., N, N + 1): that more are there than its rank."""
+        fewer = np.cumsum(number, axis=-1)[..., np.arange(len(self.ranks)), self.ranks]
+        return np.where(self._several, 1 - fewer, presence)
 
-def shares_by_rank(
-    shares: NDArray[np.float64], alike: NDArray[np.bool_], ranks: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Shares (..., N) of the copies of a shape, given to the first of them: what is left over, at most 1."""
-    return np.where(alike.sum(axis=1) > 1, np.clip(shares @ alike - ranks, 0, 1), shares)
+    def shared(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Shares (..., N), those of copies given to the first of them: what is left over, at most 1."""
+        return np.where(self._several, np.clip(shares @ self.alike - self.ranks, 0, 1), shares)
 
+    def in_order(
+        self, poses: NDArray[np.float64], in_use: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Poses (C, N, 7) of scenes, and which are in use (C, N), those in use given to the first copies."""
+        poses, in_use = poses.copy(), in_use.copy()
+        for group in np.unique(self.alike, axis=0):
+            copies = np.flatnonzero(group)
+            copies = copies[np.argsort(self.ranks[copies])]
+            for scene in range(len(poses)):
+                first = copies[np.argsort(~in_use[scene, copies], kind="stable")]
+                poses[scene, copies], in_use[scene, copies] = poses[scene, first], in_use[scene, first]
+        return poses, in_use
 
-def sorted_by_rank(
-    poses: NDArray[np.float64],
-    in_use: NDArray[np.bool_],
-    alike: NDArray[np.bool_],
-    ranks: NDArray[np.intp],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Poses (C, N, 7) of scenes, and which are in use (C, N), those in use given to the first copies."""
-    poses, in_use = poses.copy(), in_use.copy()
-    for group in np.unique(alike, axis=0):
-        copies = np.flatnonzero(group)
-        copies = copies[np.argsort(ranks[copies])]
-        for scene in range(len(poses)):
-            first = copies[np.argsort(~in_use[scene, copies], kind="stable")]
-            poses[scene, copies], in_use[scene, copies] = poses[scene, first], in_use[scene, first]
-    return poses, in_use
+    @property
+    def _several(self) -> NDArray[np.bool_]:
+        return self.alike.sum(axis=1) > 1

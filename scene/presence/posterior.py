@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from scene.hidden.hidden_places import HiddenPlaces
-from scene.presence.counts import (
-    Visit,
-    more_than,
-    number_probabilities,
-    ranks_among_copies,
-    shares_by_rank,
-    sorted_by_rank,
-)
+from scene.presence.counts import Copies, Visit, number_probabilities
 from scene.presence.depth_candidates import PresenceFrames, candidates_of
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import SolidFits
@@ -279,10 +272,9 @@ def presence_posterior(
         runs = [chain_presence(rng, again, last, DRAWN_AGAIN, SWEEPS_AGAIN) for _, last, _ in runs]
     by_chain, last, visits = zip(*runs, strict=True)
     there, unseen = np.moveaxis(np.stack(by_chain)[:, :objects], 2, 0)
-    ranks = ranks_among_copies(alike, found)
-    in_sight = shares_by_rank(there - unseen, alike, ranks)
-    by_number = [more_than(number_probabilities(run, alike), ranks) for run in visits]
-    there = np.where(alike.sum(axis=1) > 1, by_number, there)
+    copies = Copies.of(alike, found)
+    in_sight = copies.shared(there - unseen)
+    there = copies.with_number(there, np.stack([number_probabilities(run, alike) for run in visits]))
     told = there.mean(axis=0)
     unseen_share = (told - in_sight.mean(axis=0)).clip(0)
     of_share = unseen_share * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
@@ -295,7 +287,7 @@ def presence_posterior(
         number=number_probabilities([one for run in visits for one in run], alike),
         standard_error=np.hypot(of_chains, of_share),
         seen=seen,
-        poses=_in_one_scene(*sorted_by_rank(poses, in_use, alike, ranks), seen),
+        poses=_in_one_scene(*copies.in_order(poses, in_use), seen),
     )
 
 

@@ -8,14 +8,7 @@ import pytest
 
 from scene.model.number_prior import BinomialNumber
 from scene.presence import posterior, toggling
-from scene.presence.counts import (
-    Visit,
-    more_than,
-    number_probabilities,
-    ranks_among_copies,
-    shares_by_rank,
-    sorted_by_rank,
-)
+from scene.presence.counts import Copies, Visit, number_probabilities
 from scene.presence.forests import ForestPrior
 from scene.presence.posterior import Ensemble, chain_presence
 from scene.presence.toggling import ABSENT, Candidates, SlotLayers, reseated
@@ -249,12 +242,12 @@ def test_copies_that_change_places_are_not_one_more() -> None:
     in_use = np.array([[1, 1, 0, 1], [0, 1, 1, 0], [1, 0, 1, 1]], bool)
     poses = np.arange(12.0).reshape(3, 4, 1)
 
-    ranks = ranks_among_copies(alike, np.array([True, False, True, False]))
-    sorted_poses, sorted_use = sorted_by_rank(poses, in_use, alike, ranks)
+    copies = Copies.of(alike, np.array([True, False, True, False]))
+    sorted_poses, sorted_use = copies.in_order(poses, in_use)
 
-    np.testing.assert_array_equal(ranks, [0, 2, 1, 0])
-    np.testing.assert_allclose(shares_by_rank(in_use.mean(axis=0), alike, ranks), [1, 0, 1, 2 / 3])
+    np.testing.assert_array_equal(copies.ranks, [0, 2, 1, 0])
+    np.testing.assert_allclose(copies.shared(in_use.mean(axis=0)), [1, 0, 1, 2 / 3])
     np.testing.assert_array_equal(sorted_use, [[1, 0, 1, 1], [1, 0, 1, 0], [1, 0, 1, 1]])
     assert [set(one) for one in sorted_poses[:, [0, 2], 0]] == [{0, 1}, {5, 6}, {8, 10}]
     number = np.array([[0.1, 0.2, 0.3, 0.4, 0]] * 3 + [[0.4, 0.6, 0, 0, 0]])
-    np.testing.assert_allclose(more_than(number, ranks), [0.9, 0.4, 0.7, 0.6])
+    np.testing.assert_allclose(copies.with_number(np.full(4, 0.6), number), [0.9, 0.4, 0.7, 0.6])
