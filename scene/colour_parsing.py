@@ -27,7 +27,7 @@ from scene.copies import slot_names
 from scene.model.contact import TOP_FACE
 from scene.model.scene_graph import ROOT
 from scene.result import SceneResult
-from scene.summary import MODES, pose_modes, second_moment
+from scene.summary import pose_modes, second_moment
 from shapes.geometry.poses import matrices_of, poses_of
 
 BOTTOM_FACE = 4
@@ -117,14 +117,14 @@ def _summary(
         covariance=np.stack([second_moment(poses[:, one], means[one]) for one in range(count)]),
         most_probable=poses[int(samples.log_posterior.argmax())],
         presence=shares.mean(axis=1),
-        presence_std=shares.std(axis=1) / np.sqrt(shares.shape[1]),
+        presence_std=shares.std(axis=1, ddof=int(chains > 1)) / np.sqrt(chains),
         number_probabilities=_numbers(shares.mean(axis=1).reshape(-1, world.most)),
         hidden_share=np.zeros(len(slots)),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(slots), 1, 1)),
         visible_fraction=shown,
         colour_nats=nats,
         mode_poses=np.stack([one.centres for one in modes]) @ bases[:, None],
-        mode_probabilities=np.stack([one.shares for one in modes]).reshape(count, MODES),
+        mode_probabilities=np.stack([one.shares for one in modes]),
         sample_modes=np.stack([one.labels for one in modes], axis=1),
         edge_probabilities=edges,
         edge_faces=faces,

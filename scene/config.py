@@ -13,6 +13,9 @@ from scene.copies import asked_copies, slot_names
 MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "sweeps": 10_000_000}
 """Beyond these nobody has the memory or the time: a slip of the hand."""
 
+MOST_FRAME = 2**31
+"""Beyond this number of a frame, at 30 Hz after two years: a slip of the hand, too."""
+
 MOST_EXACT = 2
 """Objects whose joint presence is computed: poses are drawn for each set of them."""
 
@@ -122,6 +125,8 @@ class ParseConfig:
             raise ValueError("objects: colour only takes up to `most` copies of every kind; name kinds alone")
         if min(self.frames, default=0) < 0 or list(self.frames) != sorted(set(self.frames)):
             raise ValueError(f"frames must be increasing numbers from 0, got {self.frames}")
+        if max(self.frames, default=0) > MOST_FRAME:
+            raise ValueError(f"frames must be numbers up to {MOST_FRAME}, got {max(self.frames)}")
         if self.support and (len(self.support) != 6 or not any(self.support[3:])):
             raise ValueError(f"support must be a point and a normal, x,y,z,nx,ny,nz, got {self.support}")
         if self.region and (len(self.region) != 6 or any(np.greater_equal(self.region[:3], self.region[3:]))):
@@ -145,6 +150,8 @@ class ParseConfig:
             raise ValueError(f"exact names {min(missing)!r}, which is none of the objects asked for")
         if self.exact and self.colour == "only":
             raise ValueError("exact needs depth images; it does not go with colour only")
+        if self.likelihood == "cloud" and self.colour == "add":
+            raise ValueError("colour add compares images; it does not go with likelihood cloud")
         check_within(self, 0.0, 1.0, ("colour_weight",))
         if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
             raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")

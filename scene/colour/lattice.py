@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from scene.colour.density import fit
+from scene.colour.density import fit, sums
 from scene.colour.rendering import SAMPLES, Layers, render_with_normals
 from scene.colour.surroundings import Placed, Surroundings, forbidden
 from scene.colour.world import Light, TableWorld
@@ -65,7 +65,7 @@ class Lattice:
     @cached_property
     def areas(self) -> NDArray[np.float32]:
         """(S,) sums of squares of the shares."""
-        return np.add.reduceat(self.layers.fill**2, self.layers.start[:-1]).astype(np.float32)
+        return sums(self.layers.start, self.layers.fill**2).astype(np.float32)
 
     @cached_property
     def fills(self) -> csr_array:

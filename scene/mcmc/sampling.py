@@ -174,7 +174,11 @@ def _sample(
         if block == BURN_IN_BLOCKS - 1 and config.shape_samples:
             likelihood = model.likelihood
             assert isinstance(likelihood, DepthLikelihood)
-            spread = [log_estimates(variance_key, likelihood, one.scene, ESTIMATES) for one in groups]
+            keys = jax.random.split(variance_key, len(groups))
+            spread = [
+                log_estimates(key, likelihood, one.scene, ESTIMATES)
+                for key, one in zip(keys, groups, strict=True)
+            ]
             variance = float(np.median(np.var(np.concatenate(spread, axis=1), axis=0, ddof=1)))
             share = CORRELATED_SHARE if variance > LARGEST_VARIANCE else 1.0
             share = jnp.asarray(share, likelihood.fresh_share.dtype)  # another one is another kernel

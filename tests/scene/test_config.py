@@ -25,6 +25,8 @@ from scene.config import ParseConfig
             "exact names 'can', which is none of the objects asked for",
         ),
         ({"exact": ("mug",), "colour": "only"}, "exact needs depth images"),
+        ({"likelihood": "cloud", "colour": "add"}, "does not go with likelihood cloud"),
+        ({"frames": (10**20,)}, "frames must be numbers up to 2147483648"),
         ({"region": (0.0, 0.0, 0.0, 1.0, 0.0, 1.0)}, "region must be xmin"),
     ],
 )

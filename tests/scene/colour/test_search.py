@@ -1,9 +1,11 @@
 """The search finds scenes at least as probable as the best of all scenes on a lattice."""
 
-from itertools import combinations_with_replacement
+from dataclasses import replace
+from itertools import combinations_with_replacement, pairwise
 
 import numpy as np
 import pytest
+import trimesh
 
 from pipeline.synthesis.air import photograph
 from scene.colour.density import sample
@@ -20,7 +22,7 @@ from scene.colour.posterior import (
 from scene.colour.refinement import refine
 from scene.colour.search import Searcher
 from scene.colour.surroundings import Surroundings
-from scene.colour.world import TableWorld
+from scene.colour.world import Kind, TableWorld
 from tests.scene.colour.worlds import small_world
 
 WORLD = small_world()
@@ -31,6 +33,16 @@ def picture(rng: np.random.Generator, scene: Scene, world: TableWorld = WORLD) -
     albedo = rng.choice([0.1, 0.35, 1.0], (len(scene), 3))
     clean, _ = photograph(world, scene, albedo)
     return np.clip(sample(rng, clean, world.noise), 0, 1)
+
+
+def test_states_that_cover_no_pixel_have_no_area() -> None:
+    """Of a thing smaller than a pixel most places show nothing, the last one too."""
+    crumb = Kind.standing("crumb", trimesh.creation.box((0.004, 0.004, 0.004)))
+    lattice = Lattice.of(replace(WORLD, kinds=(crumb,)))
+    start = lattice.layers.start
+    expected = [(lattice.layers.fill[one:end] ** 2).sum() for one, end in pairwise(start)]
+    assert start[-2] == start[-1] > 0
+    np.testing.assert_allclose(lattice.areas, expected, rtol=1e-6)
 
 
 def lattice_posterior(image: np.ndarray, lattice: Lattice) -> dict[tuple[int, ...], float]:
