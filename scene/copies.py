@@ -33,11 +33,17 @@ def slot_names(names: Sequence[str], copies: int) -> list[str]:
     return [name if copy == 0 else f"{name}_{copy + 1}" for name in names for copy in range(copies)]
 
 
-def copies_among(names: Sequence[str]) -> NDArray[np.bool_]:
-    """(N, N) which objects are of one shape by their names, each one with itself."""
+def copies_among(names: Sequence[str], points_m: Sequence[NDArray[np.floating]]) -> NDArray[np.bool_]:
+    """(N, N) which objects are of one shape, each one with itself: by their names and points of surfaces.
+
+    Other shapes may be named alike: box and box_2.
+    """
     originals = set(names) - {name for name in names if (copy := COPY.match(name)) and copy[1] in names}
     shapes = np.array([shape_of(name, originals) for name in names])
-    return shapes[:, None] == shapes[None]
+    alike = shapes[:, None] == shapes[None]
+    for one, other in np.argwhere(alike):
+        alike[one, other] = np.array_equal(points_m[one], points_m[other])
+    return alike
 
 
 def shape_of(name: str, shapes: Container[str]) -> str:

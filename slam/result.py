@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, DistortionField
 from recordings.sensor_profile import SensorProfile
-from recordings.types import CameraIntrinsics
+from recordings.types import CameraIntrinsics, Trajectory
 from shapes.archive import Archived
 from shapes.geometry.pose_sets import cluster
 from shapes.geometry.poses import matrices_of
@@ -83,6 +83,12 @@ class SlamResult(Archived):
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.times_ns)
+
+    @property
+    def tracked(self) -> Trajectory:
+        """Mean poses of the frames that were not lost."""
+        found = ~self.lost
+        return Trajectory(times_ns=self.times_ns[found], reference_from_camera=self.mean[found])
 
     @property
     def sensor(self) -> SensorProfile:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from pipeline.export.meshes import as_trimesh
 from pipeline.synthesis.world import Part, RayCaster
-from recordings.types import NO_RETURN, CameraIntrinsics, Frame
+from recordings.types import NO_RETURN, CameraIntrinsics, Frame, Trajectory
 from shapes.learning.config import LearnConfig
 from shapes.learning.distillation import select_views
 from shapes.prior import ShapePrior
-from slam.result import SlamResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,19 +33,18 @@ class HeldBack:
     quantile_90_m: float | None
 
 
-def held_back_times(slam: SlamResult, config: LearnConfig) -> NDArray[np.int64]:
-    """Stamps of the tracked frames that learning with these settings left out."""
-    tracked = slam.times_ns[~slam.lost]
-    return np.delete(tracked, select_views(len(tracked), config))
+def held_back_times(path: Trajectory, config: LearnConfig) -> NDArray[np.int64]:
+    """Stamps of the frames of a path that learning with these settings left out."""
+    return np.delete(path.times_ns, select_views(len(path), config))
 
 
 def held_back_errors(
-    shape: ShapePrior, frames: Iterable[Frame], intrinsics: CameraIntrinsics, slam: SlamResult
+    shape: ShapePrior, frames: Iterable[Frame], intrinsics: CameraIntrinsics, path: Trajectory
 ) -> HeldBack:
-    """Compare a shape with depth images, each from where slam says that it was taken."""
+    """Compare a shape with depth images, each from where the path says that it was taken."""
     surface = as_trimesh(shape.surface())
     caster = RayCaster([Part(name="shape", mesh=surface, world_from_part=shape.reference_from_grid)])
-    where = dict(zip(slam.times_ns.tolist(), slam.mean, strict=True))
+    where = dict(zip(path.times_ns.tolist(), path.reference_from_camera, strict=True))
     found = []
     for frame in frames:
         surface_m = caster.view(intrinsics, where[frame.time_ns]).depth_m

@@ -14,7 +14,6 @@ from pipeline.evaluation.trajectories import compared
 from recordings.poses.recorded import recorded_trajectory
 from recordings.truth import SceneTruth, TrueObject, recorded_scene_truth
 from recordings.types import Trajectory
-from slam.result import SlamResult
 
 MEDIAN_ROUNDS = 30
 SAME_ROTATION_RAD = 1e-4
@@ -73,18 +72,17 @@ class RecordedTruth:
             )
         return named[0]
 
-    def reference_from_object(self, one: TrueObject, slam: SlamResult) -> NDArray[np.float64]:
-        """Pose (4, 4) of a true object in a run's reference frame, as all frames together have it.
+    def reference_from_object(self, one: TrueObject, path: Trajectory) -> NDArray[np.float64]:
+        """Pose (4, 4) of a true object in a run's reference frame, as all its frames together have it.
 
         See `pose_in_reference`.
 
         Raises:
             PipelineError: fewer than two frames have a true pose.
         """
-        frames, world_from_camera = compared(slam.times_ns, self.trajectory)
-        tracked = ~slam.lost[frames]
-        camera_from_object = np.linalg.inv(world_from_camera[tracked]) @ one.world_from_object
-        return pose_in_reference(slam.mean[frames[tracked]] @ camera_from_object)
+        frames, world_from_camera = compared(path.times_ns, self.trajectory)
+        camera_from_object = np.linalg.inv(world_from_camera) @ one.world_from_object
+        return pose_in_reference(path.reference_from_camera[frames] @ camera_from_object)
 
 
 def pose_in_reference(reference_from_object: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,6 +23,8 @@ from pipeline.export.models import ExportModel
 MODELS = "bop/models"
 IDS_FILE = "bop/ids.json"
 """Which shape each model is; of our own, BOP has no names."""
+FEW_VERTICES = 1000
+"""All pairs of so many are compared within milliseconds."""
 
 
 def bop_models(
@@ -68,7 +70,9 @@ def bop_models(
 
 def model_info(vertices_mm: NDArray[np.float64]) -> dict[str, float]:
     """A model's entry in models_info.json: diameter and bounding box in millimetres."""
-    corners = vertices_mm[ConvexHull(vertices_mm).vertices]
+    corners = vertices_mm
+    if len(corners) > FEW_VERTICES:
+        corners = corners[ConvexHull(corners, qhull_options="QJ").vertices]  # joggled: it may be flat
     low, size = vertices_mm.min(axis=0), np.ptp(vertices_mm, axis=0)
     return {
         "diameter": float(pdist(corners).max()),

@@ -16,10 +16,11 @@ from pipeline.export.models import ExportModel, Origin
 from pipeline.export.simulators import DENSITY_KG_M3, simulator_files
 from pipeline.meshes import Units
 
-SOLIDS = frozenset({"bop", "urdf", "mjcf"})
+SIMULATORS = frozenset({"urdf", "mjcf"})
 """Formats whose readers take a surface for a solid with a volume."""
+SOLIDS = SIMULATORS | {"bop"}
+"""Formats that what was learned is closed for; meshes for BOP may have holes, as YCB-Video's own have."""
 MODEL_FORMATS = ("npz", "ply", "obj", "glb", "stl", "bop", "urdf", "mjcf")
-SIMULATORS = ("urdf", "mjcf")
 GROWING = (f"{MODELS}/models_info.json", IDS_FILE)
 """Files to which a second export adds."""
 

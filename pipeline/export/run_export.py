@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import PipelineError
 from pipeline.export.files import write_files
 from pipeline.export.meshes import Geometry, Unseen, glb_bytes, mesh_bytes, moved, shape_mesh
-from pipeline.export.model_export import SOLIDS, ExportOptions, export_models
+from pipeline.export.model_export import SIMULATORS, ExportOptions, export_models
 from pipeline.export.models import ExportModel, learned_model, looked_for_models
 from pipeline.publishing.bop_poses import bop_lines
 from pipeline.publishing.values import RunValues
@@ -63,12 +63,12 @@ def export_run(
         parts = dict(posed) if geometry is None else {"room": (geometry, np.eye(4)), **posed}
         contents["scene.glb"] = glb_bytes(parts, _up(values))
     one_by_one = [form for form in formats if form not in SCENE_FORMATS]
+    models = _models(run, values, options, closed=not SIMULATORS.isdisjoint(one_by_one)) if one_by_one else []
     files = [{"format": Path(name).suffix[1:], "units": "m", "file": name} for name in contents]
     entry = {run.resolve().name: {"frame": FRAME, "files": files}}
     paths = write_files(out, contents, entry, force=options.force) if contents else []
     if not one_by_one:
         return paths
-    models = _models(run, values, options, closed=not SOLIDS.isdisjoint(one_by_one))
     if not models:
         raise PipelineError(f"{run} holds no objects for --format {','.join(one_by_one)}")
     written = export_models(

@@ -166,7 +166,7 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
             }
             for one in np.flatnonzero(~scene.found).tolist()
         ],
-        "counts": _counts(scene),
+        "counts": _counts(scene, surfaces),
         "graph": [
             {
                 "child": names[child],
@@ -181,11 +181,12 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
     }
 
 
-def _counts(scene: SceneResult) -> list[dict[str, Any]]:
+def _counts(scene: SceneResult, surfaces: Surfaces) -> list[dict[str, Any]]:
     """Of shapes of which several were asked for: probabilities that none, one, two and so on are there."""
     names = scene.names.tolist()
     told = []
-    for first, copies in enumerate(copies_among(names)):
+    points = [surfaces.by_name[name].vertices_m for name in names]
+    for first, copies in enumerate(copies_among(names, points)):
         if copies.sum() > 1 and copies.argmax() == first:
             shares = scene.number_probabilities[first, : copies.sum() + 1]
             told.append({"name": names[first], "probabilities": shares.tolist()})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from shapes.geometry.poses import matrices_of
 from shapes.learning.config import LearnConfig
 
 if TYPE_CHECKING:
+    from recordings.options import ReadOptions
     from recordings.types import Trajectory
     from shapes.prior import ShapePrior
     from slam.result import SlamResult
@@ -65,7 +66,7 @@ def learn_stage(
             _load,
             lambda: _learn(session, name, _posed(poses), config),
             {"learn": config},
-            {"poses": hashlib.sha256(poses.times_ns.tobytes() + _relative(poses).tobytes()).hexdigest()},
+            {"poses": _hash(poses)},
             sources=SOURCES,
         )
     trajectory = slam_stage(session)
@@ -140,21 +141,28 @@ def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig)
 
 def _recorded(session: Session) -> Trajectory:
     """The poses that the recording brings."""
-    from recordings.poses.recorded import recorded_trajectory
-
     options = session.source.read_options(session.common.settings)
-    trajectory = recorded_trajectory(session.source.path, options)
+    trajectory = recorded_path(session.source.path, options)
     if trajectory is None:
         raise PipelineError(f"{session.source.path} has no recorded poses; leave out --poses recorded")
     return trajectory
 
 
+def _hash(path: Trajectory) -> str:
+    return hashlib.sha256(path.times_ns.tobytes() + path.reference_from_camera.tobytes()).hexdigest()
+
+
+def recorded_path(recording: Path, options: ReadOptions) -> Trajectory | None:
+    """The poses that a recording brings, in the first frame's camera; None where it brings none."""
+    from recordings.poses.recorded import recorded_trajectory
+
+    trajectory = recorded_trajectory(recording, options)
+    if trajectory is None:
+        return None
+    poses = trajectory.reference_from_camera
+    return replace(trajectory, reference_from_camera=np.linalg.inv(poses[0]) @ poses)
+
+
 def _posed(trajectory: Trajectory) -> PosedFrames:
-    return PosedFrames(
-        times_ns=trajectory.times_ns, trajectories=_relative(trajectory)[None], log_weights=np.zeros(1)
-    )
-
-
-def _relative(trajectory: Trajectory) -> NDArray[np.float64]:
-    """Poses (T, 4, 4) in the first frame's camera."""
-    return np.linalg.inv(trajectory.reference_from_camera[0]) @ trajectory.reference_from_camera
+    poses = trajectory.reference_from_camera
+    return PosedFrames(times_ns=trajectory.times_ns, trajectories=poses[None], log_weights=np.zeros(1))

@@ -241,10 +241,10 @@ def drawn_shapes(
         return [[] for _ in surfaces.by_name]
     import jax
 
-    from pipeline.shape_folder import drawn_surfaces, surface_hashes
+    from pipeline.shape_folder import drawn_surfaces, shape_names
     from scene.copies import shape_of
 
-    keys, known = jax.random.split(key, len(surfaces.by_name)), surface_hashes(folder)
+    keys, known = jax.random.split(key, len(surfaces.by_name)), shape_names(folder)
     drawn = [
         drawn_surfaces(folder, shape_of(name, known), key, SHAPE_DRAWS)
         for name, key in zip(surfaces.by_name, keys, strict=True)

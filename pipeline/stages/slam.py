@@ -126,9 +126,11 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
             lost = f"; {recording.problems[0]}" if recording.problems else ""
             raise PipelineError(f"{session.source.path}: {error}{lost}") from error
         if contested:
+            frames = f"in frame {contested[0]}"
+            if len(contested) > 1:
+                frames = f"in {len(contested)} frames, {contested[0]} to {contested[-1]}"
             session.warn(
-                f"in {len(contested)} frames, {contested[0]} to {contested[-1]}, two things move against "
-                "each other and which is the room is open: the reported uncertainty reaches to both. What "
-                "moves along with the camera is left out by --mask FILE.png"
+                f"{frames}, two things move against each other and which is the room is open: the reported "
+                "uncertainty reaches to both. What moves along with the camera is left out by --mask FILE.png"
             )
         return result

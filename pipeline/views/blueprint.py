@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
 from pipeline.views.framing import Eye, chosen_eye, eye_before
-from pipeline.views.scene_view import found_places_m, graph_bounds
+from pipeline.views.scene_view import found_places_m, graph_bounds, object_path
 from pipeline.views.timelines import ELAPSED
 from pipeline.views.trajectory_view import PLOTS
 from pipeline.views.truth_view import ERROR_PLOT
@@ -101,7 +101,7 @@ def _switched_off(values: RunValues) -> list[str]:
     paths = ["world/path/uncertainty_10x"] if values.slam is not None else []
     if values.scene is not None:
         names = [name for name, _ in values.scene.found_poses]
-        paths += [f"world/objects/{name}/uncertainty_10x" for name in names]
+        paths += [f"{object_path(name)}/uncertainty_10x" for name in names]
     return paths
 
 

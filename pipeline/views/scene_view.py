@@ -42,6 +42,11 @@ ABOVE = 1.3
 """Radii of the bounding box above an object's middle where its label and ellipsoid stand, outside of it."""
 
 
+def object_path(name: str) -> str:
+    """Entity of an object that was found; what Rerun's paths cannot hold in its name is escaped."""
+    return f"world/objects/{rr.escape_entity_path_part(name)}"
+
+
 def log_scene(
     recording: rr.RecordingStream,
     values: RunValues,
@@ -59,7 +64,8 @@ def log_scene(
         flags: labels of the objects that were found, by name.
     """
     for one, colour in object_colours(scene.found).items():
-        name, path = str(scene.names[one]), f"world/objects/{scene.names[one]}"
+        name = str(scene.names[one])
+        path = object_path(name)
         surface = surfaces.by_name[name]
         pose = values.reference_from_parsed @ scene.camera_from_object[one]
         recording.log(path, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]), static=True)
@@ -116,7 +122,7 @@ def _log_hidden(
     for one in np.flatnonzero(~scene.found & (scene.hidden_share > 0) & (scene.presence >= LIKELY)).tolist():
         name, surface = str(scene.names[one]), surfaces.by_name[str(scene.names[one])]
         poses = values.reference_from_parsed @ matrices_of(scene.hidden_poses[one])
-        path, colour = f"world/hidden/{name}", UNSEEN
+        path, colour = f"world/hidden/{rr.escape_entity_path_part(name)}", UNSEEN
         recording.log(f"{path}/samples", _outlines(poses, surface, colour), static=True)
         label = rr.Points3D(
             [poses[0, :3, :3] @ surface.middle_m + poses[0, :3, 3]],
@@ -151,7 +157,7 @@ def _log_flag(
     flag: Flag,
 ) -> None:
     """Label and 95% region of an object's middle, above it, where nothing hides them; a line leads there."""
-    path, colour = f"world/objects/{scene.names[one]}", object_colours(scene.found)[one]
+    path, colour = object_path(str(scene.names[one])), object_colours(scene.found)[one]
     reference_from_object = values.reference_from_parsed @ scene.camera_from_object[one]
     above = surface.middle_m + flag.height_m * reference_from_object[:3, :3].T @ values.up
     own = scene.camera_from_object[one, :3, :3]

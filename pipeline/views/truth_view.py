@@ -133,7 +133,7 @@ def log_truth(recording: rr.RecordingStream, values: RunValues, truth: RunTruth)
             radii=BOX_WIDTH,
             fill_mode=rr.components.FillMode.MajorWireframe,
         )
-        path = f"world/truth/objects/{name}"
+        path = f"world/truth/objects/{rr.escape_entity_path_part(name)}"
         recording.log(path, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]), static=True)
         recording.log(path, outline, static=True)
     picture = rr.EncodedImage(contents=calibration_picture(truth), media_type="image/png")

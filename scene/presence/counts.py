@@ -38,7 +38,7 @@ def number_probabilities(visits: Sequence[Visit], alike: NDArray[np.bool_]) -> N
             beside = int((others[:count] & alike[slot]).sum())
             sums[slot, beside] += 1 - probability
             sums[slot, beside + 1] += probability
-    together = alike @ sums
+    together = np.maximum(alike @ sums, 0.0)  # probabilities may be above one by rounding
     return together / together.sum(axis=1, keepdims=True)
 
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.copies import copies_among
 from scene.execution import map_parallel
-from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.search.assignment import log_density_of_choice
 from scene.search.hypotheses import PosePools
@@ -42,19 +39,12 @@ def best_of(pools: PosePools, *scenes: NDArray[np.integer]) -> NDArray[np.int32]
     return found[int(np.argmax(log_densities))]
 
 
-def copies_of(objects: Sequence[SceneObject]) -> NDArray[np.bool_]:
-    """(N, N) which objects are of one shape, each one with itself: by their names and surfaces."""
-    copies = copies_among([one.name for one in objects])
-    for one, other in np.argwhere(copies):
-        copies[one, other] = np.array_equal(objects[one].points_m, objects[other].points_m)
-    return copies
-
-
 def rivals_of(
     pools: PosePools, scene: NDArray[np.integer]
 ) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
     """For every object the best scene (N, N) with or without it, and its log odds (N,)."""
-    others, log_odds = rivals(pools.layers, scene, copies_of(pools.objects))
+    alike = copies_among([one.name for one in pools.objects], [one.points_m for one in pools.objects])
+    others, log_odds = rivals(pools.layers, scene, alike)
     return np.asarray(others), np.asarray(log_odds)
 
 

@@ -21,7 +21,7 @@ from shapes.geometry.poses import relative_pose
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.noise_calibration import NoiseCalibration
-from slam.registration.second_motion import TwoMotions, two_motions
+from slam.registration.second_motion import TwoMotions, explained_share, two_motions
 
 LEAST_EXPLAINED = 0.5
 """Of the returns, what an earlier view must explain by either motion to say anything of a frame: most."""
@@ -94,6 +94,11 @@ class RivalMotion:
         here = jnp.asarray(IDENTITY, jnp.float32)
         return RivalMotion(surface, pose, doubt.displacements, here, of_keyframes)
 
+    def with_doubt(self, keyframe: int, displacements: NDArray[np.float32]) -> RivalMotion:
+        """With other displacements (6, 8) of a keyframe."""
+        before, after = self.of_keyframes[:keyframe], self.of_keyframes[keyframe + 1 :]
+        return replace(self, of_keyframes=(*before, displacements, *after))
+
 
 def doubt_of_frame(
     rival: RivalMotion,
@@ -105,23 +110,34 @@ def doubt_of_frame(
 ) -> tuple[RivalMotion, Doubt]:
     """Whether a second motion says otherwise of a frame, and what is compared from then on.
 
+    Where none does, the frame shares the doubt of the earlier view, if that explains most of it, and so does
+    the keyframe next to it: a single image said otherwise. Else it shares that keyframe's.
+
     Args:
         rival: after the frame before.
         view: the frame.
         calibration: the sensor.
         found: (7,) where it was found.
-        anchor: the keyframe next to it, whose doubt it shares where nothing moves.
+        anchor: the keyframe next to it.
         anchor_pose: (7,) of that keyframe.
     """
     first = relative_pose(rival.pose, found)
-    of_anchor = jnp.asarray(rival.of_keyframes[anchor])
     two = two_motions(rival.reference, view, calibration.noise, first, rival.second)
     if two is not None:
         displacements, share, second = _judged(two, first, jnp.asarray(rival.of_reference))
         if float(share) > 0:
             return replace(rival, second=second), Doubt(np.asarray(displacements), float(share))
-    seen_here = pose_gaussian.carried_along(relative_pose(anchor_pose, found)) @ of_anchor
-    return replace(rival, second=jnp.asarray(IDENTITY, jnp.float32)), Doubt(np.asarray(seen_here), 0.0)
+    rival = replace(rival, second=jnp.asarray(IDENTITY, jnp.float32))
+    of_anchor = rival.of_keyframes[anchor]
+    if of_anchor.any() and explained_share(rival.reference, view, calibration.noise, first) > LEAST_EXPLAINED:
+        seen_here = _carried(rival.of_reference, rival.pose, found)
+        return rival.with_doubt(anchor, _carried(seen_here, found, anchor_pose)), Doubt(seen_here, 0.0)
+    return rival, Doubt(_carried(of_anchor, anchor_pose, found), 0.0)
+
+
+def _carried(displacements: NDArray[np.float32], origin: jax.Array, pose: jax.Array) -> NDArray[np.float32]:
+    """Displacements (6, 8) of what is at one pose (7,), as those of what moves with it at another."""
+    return np.asarray(pose_gaussian.carried_along(relative_pose(origin, pose)) @ displacements)
 
 
 @jax.jit

@@ -123,6 +123,16 @@ def two_motions(
 
 
 @jax.jit
+def explained_share(
+    reference: SurfelImage, view: CanvasView, noise: DepthNoise, pose: jax.Array
+) -> jax.Array:
+    """Share of a frame's returns that lie on an earlier view's surface, the frame being at a pose (7,)."""
+    compared = ViewComparison(reference, view, noise)
+    terms, _ = compared.terms(pose, 1.0)
+    return terms.inlier.sum() / jnp.maximum(compared.returned().sum(), 1)
+
+
+@jax.jit
 def _log_factors(compared: ViewComparison, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     """`ViewComparison.log_factors` at poses (n, 7): in a kernel of its own each takes thrice as long."""
     return jax.lax.map(compared.log_factors, poses)

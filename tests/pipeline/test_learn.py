@@ -61,6 +61,14 @@ def test_the_shape_agrees_with_the_truth(can_file: Path, can_run: tuple[Path, di
     assert document["seconds"] > 0
 
 
+def test_the_shape_is_judged_along_the_recorded_path(can_file: Path, can_run: tuple[Path, dict]) -> None:
+    """With which it was learned: slam never ran."""
+    run, _ = can_run
+    result = CliRunner().invoke(voxscene, ["eval", "shapes", str(run), "--truth", str(can_file), "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["can"]["solid"] > 0.9
+
+
 def test_the_extent_is_that_of_what_was_seen_and_two_voxels(can_run: tuple[Path, dict]) -> None:
     """On every side but below, where the grid starts on the plane."""
     shape = ShapePrior.load(can_run[0] / "shapes" / "can.npz")

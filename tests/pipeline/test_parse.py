@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -14,6 +15,8 @@ from scipy.special import expit
 from pipeline import interface
 from pipeline.cli import voxscene
 from pipeline.evaluation.object_poses import add_s_m, model_points
+from pipeline.stages.parse import drawn_shapes
+from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.synthesis.filming import film_table
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paths import PathConfig
@@ -25,6 +28,7 @@ from pipeline.synthesis.writing import write_recording
 from recordings.truth import write_scene_truth
 from recordings.types import Frame
 from recordings.writer import RecordingWriter
+from scene.config import ParseConfig
 from scene.result import SceneResult
 from shapes.prior import ShapePrior
 
@@ -269,6 +273,18 @@ def test_learned_shapes_are_averaged_over_their_draws(
     )
     points = model_points(mesh)
     assert add_s_m(points, camera_from_world @ true.world_from_object, camera_from_mesh) < 0.006
+
+
+def test_copies_of_learned_shapes_are_drawn_from_their_shape(tmp_path: Path) -> None:
+    """And each copy has draws of its own."""
+    voxel_shape("box").save(tmp_path / "box.npz")
+    surface = SceneSurface(vertices_m=np.eye(3), faces=np.array([[0, 1, 2]]))
+    surfaces = Surfaces({"box": surface, "box_2": surface})
+    key = jax.random.key(0)
+    first, second = drawn_shapes(tmp_path, surfaces, key, ParseConfig(shape_samples=2))
+    assert len(first) == len(second) > 1
+    assert not np.array_equal(first[0][0], second[0][0])
+    assert drawn_shapes(tmp_path, surfaces, key, ParseConfig()) == [[], []]
 
 
 def test_meshes_have_no_shape_samples(parsed: Path, meshes: Path, tmp_path: Path) -> None:

@@ -26,7 +26,14 @@ def test_copies_are_asked_for_by_number() -> None:
             asked_copies(entry)
 
 
-def test_copies_are_told_by_their_names() -> None:
-    """Of mug, mug_2 and can the first two; part_1 and part_2 without a part are shapes of their own."""
-    np.testing.assert_array_equal(copies_among(["mug", "mug_2", "can"]), [[1, 1, 0], [1, 1, 0], [0, 0, 1]])
-    np.testing.assert_array_equal(copies_among(["part_1", "part_2"]), np.eye(2))
+def test_copies_are_told_by_their_names_and_surfaces() -> None:
+    """Of mug, mug_2 and can the first two; part_1 and part_2 without a part are shapes of their own.
+
+    So are a box and a box_2 of another size.
+    """
+    one, other = np.zeros((4, 3)), np.ones((4, 3))
+    pairs = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
+    np.testing.assert_array_equal(copies_among(["mug", "mug_2", "can"], [one, one, other]), pairs)
+    np.testing.assert_array_equal(copies_among(["part_1", "part_2"], [one, one]), np.eye(2))
+    np.testing.assert_array_equal(copies_among(["box", "box_2"], [one, other]), np.eye(2))
+    np.testing.assert_array_equal(copies_among(["box", "box_2"], [one, one[:3]]), np.eye(2))

@@ -81,6 +81,8 @@ def _mesh(one: TrueObject, surfaces: Surfaces) -> trimesh.Trimesh:
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
+    from pipeline.evaluation.object_poses import MISSING_M
+
     lines = [f"{'object':<24} {'ADD-S mm':>9} {'visible':>8} {'parent':>7}"]
     for one in document["objects"]:
         error = f"{1000 * one['add_s_m']:.1f}" if one["found"] else "missing"
@@ -93,7 +95,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
     found = [one["add_s_m"] for one in document["objects"] if one["found"]]
     missing = len(document["objects"]) - len(found)
     largest = f"largest {1000 * max(found):.1f} mm" if found else "none found"
-    largest += f", {missing} missing" if missing else ""
+    largest += f", {missing} missing, in the median as {MISSING_M:g} m" if missing else ""
     if document["not_looked_for"]:
         lines.append(f"not looked for, and left out: {', '.join(document['not_looked_for'])}")
     if document["not_there"]:

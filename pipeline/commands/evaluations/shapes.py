@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ from pipeline.options import AnyPath, Common, common_options
 
 if TYPE_CHECKING:
     from pipeline.run_folder import RunFolder
+    from recordings.options import ReadOptions
+    from recordings.types import Trajectory
     from shapes.prior import ShapePrior
     from slam.result import SlamResult
 
@@ -52,7 +55,7 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
         raise ConfigError("say what to compare with: --truth REC or --held-back REC")
     folder = RunFolder(run, force=False)
     values = RunValues.load(folder)
-    if values.slam is None or not values.shapes:
+    if not values.shapes:
         raise PipelineError(f"{run} holds no learned shape; make one with voxscene learn")
     for source in filter(None, (truth, held_back)):
         check_truth(folder, source)
@@ -61,46 +64,66 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
     if truth is not None:
         lines.append(f"{'shape':<20} {'solid':>7} {'shell':>7} {'observed':>9}")
         for name, shape in values.shapes.items():
-            document[name] |= _agreement(name, shape, values.slam, truth)
+            document[name] |= _agreement(name, shape, _path(folder, name, values.slam, truth), truth)
             figures = (document[name][key] for key in ("solid", "shell", "observed"))
             lines.append(f"{name:<20} {'{:>7.3f} {:>7.3f} {:>9.3f}'.format(*figures)}")
         lines += COLUMNS
     if held_back is not None:
         lines.append(f"{'shape':<20} {'held-back frames':>16} {'median mm':>10} {'90% mm':>8}")
         for name, shape in values.shapes.items():
-            found = _held_back(folder, name, shape, values.slam, held_back)
+            path = _path(folder, name, values.slam, held_back)
+            found = _held_back(folder, name, shape, path, held_back)
             document[name]["held_back"] = found
             sizes = f"{1000 * found['median_m']:>10.2f} {1000 * found['quantile_90_m']:>8.2f}"
             lines.append(f"{name:<20} {found['frames']:>16} {sizes}")
     common.report(document, lines)
 
 
-def _agreement(name: str, shape: ShapePrior, slam: SlamResult, truth: Path) -> dict[str, float]:
+def _path(folder: RunFolder, name: str, slam: SlamResult | None, recording: Path) -> Trajectory:
+    """The camera's path that a shape was learned with, in the run's reference frame."""
+    from pipeline.stages.learn import recorded_path
+
+    record = folder.record(f"learn/{name}")
+    if slam is not None and (record is None or "slam" in record.uses):
+        return slam.tracked
+    recorded = recorded_path(recording, _read_options({} if record is None else record.settings))
+    if recorded is None:
+        raise PipelineError(f"{recording} has no recorded poses, with which {name} was learned")
+    return recorded
+
+
+def _read_options(settings: Mapping[str, Any]) -> ReadOptions:
+    """How a stage with these settings read its recording."""
+    from pipeline.config import build
+    from recordings.options import ReadOptions
+
+    return build(ReadOptions, settings.get("recording", {}), "recording")
+
+
+def _agreement(name: str, shape: ShapePrior, path: Trajectory, truth: Path) -> dict[str, float]:
     from pipeline.evaluation.shapes import shape_agreement
     from pipeline.evaluation.truth import RecordedTruth, true_mesh
 
     known = RecordedTruth(truth)
     one = known.object_of_shape(name)
-    return vars(shape_agreement(shape, true_mesh(one), known.reference_from_object(one, slam)))
+    return vars(shape_agreement(shape, true_mesh(one), known.reference_from_object(one, path)))
 
 
 def _held_back(
-    folder: RunFolder, name: str, shape: ShapePrior, slam: SlamResult, recording: Path
+    folder: RunFolder, name: str, shape: ShapePrior, path: Trajectory, recording: Path
 ) -> dict[str, Any]:
     from pipeline.config import build
     from pipeline.evaluation.held_back import held_back_errors, held_back_times
     from pipeline.evaluation.trajectories import FramesAt
-    from recordings.options import ReadOptions
     from shapes.learning.config import LearnConfig
 
     record = folder.record(f"learn/{name}")
     settings = {} if record is None else record.settings
-    times_ns = held_back_times(slam, build(LearnConfig, settings.get("learn", {}), "learn"))
+    times_ns = held_back_times(path, build(LearnConfig, settings.get("learn", {}), "learn"))
     if not len(times_ns):
         raise PipelineError(f"{name} was learned from every frame; hold some back with -s learn.views=N")
-    options = build(ReadOptions, settings.get("recording", {}), "recording")
-    frames = FramesAt(recording, options, times_ns)
-    found = held_back_errors(shape, frames, frames.intrinsics, slam)
+    frames = FramesAt(recording, _read_options(settings), times_ns)
+    found = held_back_errors(shape, frames, frames.intrinsics, path)
     if not found.frames:
         raise PipelineError(f"no frame of {recording} that was held back shows {name}")
     return vars(found)

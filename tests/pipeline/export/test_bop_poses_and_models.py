@@ -98,7 +98,7 @@ def test_the_error_of_what_bop_reads_is_that_of_what_we_found(run: Path, tmp_pat
 
 
 def test_an_open_mesh_is_written_where_no_volume_is_needed(parsed_run: RunValues, tmp_path: Path) -> None:
-    """As stl; bop, which needs one, says so and writes nothing."""
+    """As stl and for BOP; simulators, which need one, say so and write nothing, scene.glb neither."""
     sheet = SceneSurface(vertices_m=np.eye(3), faces=np.array([[0, 1, 2]], np.int64), learned=False)
     assert parsed_run.slam is not None
     assert parsed_run.scene is not None
@@ -108,7 +108,8 @@ def test_an_open_mesh_is_written_where_no_volume_is_needed(parsed_run: RunValues
             folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
 
     with pytest.raises(PipelineError, match="bounds no volume"):
-        export_run(tmp_path / "run", ["bop"], tmp_path / "out", ExportOptions())
+        export_run(tmp_path / "run", ["glb", "urdf"], tmp_path / "out", ExportOptions())
     assert not (tmp_path / "out").exists()
-    written = export_run(tmp_path / "run", ["stl"], tmp_path / "out", ExportOptions())
+    written = export_run(tmp_path / "run", ["stl", "bop"], tmp_path / "out", ExportOptions())
     assert len([path for path in written if path.suffix == ".stl"]) == len(surfaces.by_name)
+    assert len([path for path in written if path.match("models/obj_*.ply")]) == len(surfaces.by_name)
