@@ -35,7 +35,8 @@ class DepthStatistics:
     Attributes:
         frames: messages that were selected.
         looked_at: frames that were decoded.
-        identical_frames: messages with the same pixels as the one before them.
+        identical_frames: messages with the same pixels as the one before them, others than zeros.
+        blank_frames: messages that hold nothing but zeros.
         stamp_steps_back: messages with an earlier stamp than the one before them in the file.
         first_step_back_s: when the first of them came, after the first frame.
         largest_step_back_s: by how much they step back at most; None where only the recorder's clock tells.
@@ -49,6 +50,7 @@ class DepthStatistics:
     frames: int = 0
     looked_at: int = 0
     identical_frames: int = 0
+    blank_frames: int = 0
     stamp_steps_back: int = 0
     first_step_back_s: float | None = None
     largest_step_back_s: float | None = None
@@ -83,7 +85,10 @@ class DepthStatistics:
     def add_message(self, data: bytes) -> None:
         """A selected message in the order of stamps."""
         self.frames += 1
-        self.identical_frames += self.frames > 1 and data == self._last_data
+        if data and not data.strip(b"\0"):
+            self.blank_frames += 1
+        else:
+            self.identical_frames += self.frames > 1 and data == self._last_data
         self._last_data = data
 
     def add_frame(
@@ -166,6 +171,8 @@ class DepthStatistics:
                 f"{self.identical_frames} of {self.frames} depth frames repeat the one before them, as a "
                 "stalled driver does; the camera seems to stand still there"
             )
+        if self.blank_frames:
+            found.append(f"{self.blank_frames} of {self.frames} depth frames hold no depth at all, but zeros")
         if self.stamp_steps_back:
             found.append(self._step_back())
         if self.camera_changes:

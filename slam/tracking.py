@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, PRIOR_SD_PER_M
 from recordings.sensor_profile import SensorProfile
-from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise, Frame
+from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from slam.checkpoint import Checkpoint
 from slam.config import SlamConfig
 from slam.filter.init import info_before_map, init
 from slam.filter.state import FilterState, FrameInfo
 from slam.filter.step import step
 from slam.history import History
-from slam.keyframes.depth_view import FINE_CANVAS, CanvasView, view_of_frame
+from slam.keyframes.depth_view import FINE_CANVAS, LEAST_RETURNS, CanvasView, shows_enough, view_of_frame
 from slam.keyframes.pages import Paged, PageFile
 from slam.map_hypotheses.mode_jump import are_sparse_views, choose_map
 from slam.odometry import KissOdometry
@@ -33,9 +33,6 @@ from slam.smoothing import smoothed
 
 OnFrame = Callable[[FrameInfo], None]
 OnCheckpoint = Callable[[Checkpoint], None]
-
-LEAST_RETURNS = 0.01
-"""Share of the pixels of the first view of a map that must have returned."""
 
 
 def track(
@@ -118,7 +115,7 @@ class _Tracker:
     ) -> list[FrameInfo]:
         """One frame more, by its number; reports of it and of those that waited."""
         config, state, told = self.config, self.state, []
-        if state is None and not _can_be_mapped(view):
+        if state is None and not shows_enough(view):
             self.waiting.append(frame.time_ns)
             return []
         if state is None:
@@ -178,13 +175,6 @@ class _Tracker:
         if field is None:
             return result
         return replace(result, disparity_per_m=field.disparity_per_m + result.disparity_per_m)
-
-
-def _can_be_mapped(view: CanvasView) -> bool:
-    """Whether a view shows enough to begin a map with: sensors start with images of (next to) nothing."""
-    measured = np.asarray(view.measured)
-    returns = (np.asarray(view.depth_m) != NO_RETURN) & measured
-    return bool(returns.sum() > LEAST_RETURNS * measured.sum())
 
 
 def _views_ahead(frames: Iterable[Frame], intrinsics: CameraIntrinsics) -> Iterator[tuple[Frame, CanvasView]]:

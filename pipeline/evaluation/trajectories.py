@@ -73,7 +73,7 @@ def _read_tum(path: Path) -> Trajectory:
 
 
 def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:
-    """Errors and coverage of a run, as they are printed.
+    """Errors and coverage of a run, as they are printed; where frames are lost, errors of the others, too.
 
     Raises:
         PipelineError: fewer than two frames have a reference pose.
@@ -81,9 +81,14 @@ def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:
     frames, poses = compared(result.times_ns, reference)
     errors = trajectory_errors(result.mean[frames], poses)
     squared = _squared_from_first(result, frames, poses)
+    found = ~result.lost[frames]
+    of_found = (
+        trajectory_errors(result.mean[frames[found]], poses[found]) if 1 < found.sum() < len(found) else None
+    )
     return {
         **asdict(errors),
         "lost_frames": int(result.lost.sum()),
+        **({} if of_found is None else {"found": asdict(of_found)}),
         "coverage": {
             f"{level:g}": share
             for level, share in coverage(squared, float(result.degrees_of_freedom)).items()

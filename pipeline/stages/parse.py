@@ -41,6 +41,8 @@ SOURCES = (
 )
 SURFACE_SOURCES = ("pipeline.shape_folder", "pipeline.meshes", "pipeline.surfaces", "pipeline.bop_numbers")
 
+MOSTLY = 0.5
+"""Share of a frame's returns; less is told."""
 SHAPE_DRAWS = 16
 """Draws of a learned shape among which the likelihood's estimates choose."""
 
@@ -165,6 +167,7 @@ def parse_recording(
     key, draw_key = keys
     config = replace(config, unknown_solids=config.unknown_solids and not holds_learned_shapes(shapes))
     numbered = frames_to_parse(recording, config.frames)
+    _warn_of_far_frames(numbered, warn)
     if config.adds_colour:
         check_colours(recording, numbered, surfaces.by_name, warn)
     objects = _objects(surfaces, drawn_shapes(shapes, surfaces, draw_key, config))
@@ -183,6 +186,19 @@ def parse_recording(
         progress,
         unknown=sensor.unknown,
     )
+
+
+def _warn_of_far_frames(numbered: Sequence[tuple[int, Frame]], warn: Callable[[str], None]) -> None:
+    """Of a frame most of which lies beyond where objects are looked for: what is there counts as absent."""
+    from scene.observation.segmentation import FARTHEST_M, near_share
+
+    for number, frame in numbered:
+        if (share := near_share(frame.depth_m)) < MOSTLY:
+            warn(
+                f"only {share:.0%} of what frame {number} shows lies within {FARTHEST_M:g} m of the camera, "
+                "where objects are looked for: film them from nearer"
+            )
+            return
 
 
 def _objects(

@@ -28,6 +28,8 @@ MOSTLY_LOST = 0.5
 """Share of frames without a place from which a run is no whole path. Chosen by hand."""
 TOLD_DISPLACEMENT_M = 0.02
 """By which a second motion must widen the told spread of a frame to be worth a warning. Chosen by hand."""
+MANY_CONTESTED = 3
+"""Frames that are told so: of a kitchen at rest, every second to eighth frame of it, two were at most."""
 CAUSES = (
     "tracking is slow and doubtful there: is it the right unit (--depth-scale), camera and depth topic, do "
     "few frames a second leave out much of the way, does something large move, is there but a bare wall?"
@@ -125,12 +127,10 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
         except ValueError as error:
             lost = f"; {recording.problems[0]}" if recording.problems else ""
             raise PipelineError(f"{session.source.path}: {error}{lost}") from error
-        if contested:
-            frames = f"in frame {contested[0]}"
-            if len(contested) > 1:
-                frames = f"in {len(contested)} frames, {contested[0]} to {contested[-1]}"
+        if len(contested) >= MANY_CONTESTED:
             session.warn(
-                f"{frames}, two things move against each other and which is the room is open: the reported "
-                "uncertainty reaches to both. What moves along with the camera is left out by --mask FILE.png"
+                f"in {len(contested)} frames, {contested[0]} to {contested[-1]}, two things move against "
+                "each other and which is the room is open: the reported uncertainty reaches to both. What "
+                "moves along with the camera is left out by --mask FILE.png"
             )
         return result

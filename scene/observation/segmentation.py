@@ -40,6 +40,7 @@ SEEN_SHARE = 0.6
 """Of a table's rectangle that nothing hides; a round one shows 79%."""
 
 FARTHEST_M = 2.5
+"""From the camera: objects are looked for up to here."""
 
 FEWEST_PIXELS = 100
 
@@ -49,6 +50,11 @@ _SAME = np.eye(4)
 def shows_enough(depth_m: NDArray[np.float32]) -> bool:
     """Whether a depth image (H, W) can be parsed."""
     return bool(_near(depth_m).sum() >= FEWEST_PIXELS)
+
+
+def near_share(depth_m: NDArray[np.float32]) -> float:
+    """Share of a depth image's returns (H, W) that lie where objects are looked for."""
+    return float(_near(depth_m).sum() / max((depth_m != NO_RETURN).sum(), 1))
 
 
 def scene_data(

@@ -13,7 +13,7 @@ from shapes.geometry.poses import matrices_of, poses_of
 from slam.config import SlamConfig
 from slam.filter.motion import LONGEST_RATIO, is_wide_step, velocity_ratio
 from slam.filter.state import FilterState, Hypothesis
-from slam.keyframes.depth_view import CanvasView, central_depth
+from slam.keyframes.depth_view import CanvasView, central_depth, shows_enough
 from slam.registration import pose_grids
 from slam.registration.registered import Registration, prune_improbable, suppress_duplicates
 from slam.registration.search import Searcher
@@ -87,7 +87,7 @@ def find_places(
 
     Each hypothesis looks near its own prediction. Where none finds a convincing place, or the
     camera was lost and predictions mean little, all look where it was last found, and everywhere; after
-    a wide step already where none finds an unmistakable one.
+    a wide step already where none finds an unmistakable one. A view of nothing is not searched.
     """
     hypotheses, noise = state.population.histories, state.calibration.noise
     searchers = [
@@ -96,7 +96,8 @@ def find_places(
     ]
     found: list[list[Registration]] = [[] for _ in hypotheses]
     contradicted = False
-    if not state.lost_frames:
+    is_searched = shows_enough(view)
+    if not state.lost_frames or not is_searched:
         hold = PREDICTION_WEIGHT if prediction.trusted else 0.0
         for index, (searcher, one) in enumerate(zip(searchers, hypotheses, strict=True)):
             starts = _starts(one, prediction.poses[index], config, odometry)
@@ -104,9 +105,10 @@ def find_places(
             found[index].append(near)
             contradicted |= contradicts
     near = [located for of_one in found for located in of_one]
-    unexpected = not any(located.is_accepted for located in near)
+    unexpected = is_searched and not any(located.is_accepted for located in near)
     doubtful = not any(located.is_unambiguous for located in near)
-    if unexpected or (doubtful and _step_may_be_wide(state.population.heaviest)):
+    wide = is_searched and doubtful and _step_may_be_wide(state.population.heaviest)
+    if unexpected or wide:
         distances = np.asarray(pose_grids.ORBIT_DISTANCES) * central_depth(view)
         for of_one, searcher, one in zip(found, searchers, hypotheses, strict=True):
             of_one.append(searcher.near([one.pose]))

@@ -33,6 +33,10 @@ ONE_SURFACE_BAND = 0.03
 and behind which a keyframe saw through the space in front."""
 
 
+LEAST_RETURNS = 0.01
+"""Share of the pixels that must have returned for a view to begin a map, or to be sought anywhere in one."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class CanvasView:
@@ -54,6 +58,13 @@ class CanvasView:
         """Depth (n,) and rays (3, n) of every so many of its pixels in both directions."""
         every = slice(first, None, stride_px)
         return self.depth_m[every, every].ravel(), self.rays[:, every, every].reshape(3, -1)
+
+
+def shows_enough(view: CanvasView) -> bool:
+    """Whether a view begins a map or is worth a search: sensors give images of (next to) nothing, too."""
+    measured = np.asarray(view.measured)
+    returns = (np.asarray(view.depth_m) != NO_RETURN) & measured
+    return bool(returns.sum() > LEAST_RETURNS * measured.sum())
 
 
 def framing(view: CanvasView) -> NDArray[np.float64]:

@@ -204,11 +204,15 @@ def _improve(
     settle: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     poses: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The joint optimum, with keyframes that contradict it where all images agree with them more."""
+    """The joint optimum, with keyframes that contradict it where all images agree with them more.
+
+    The joint density has several optima within centimetres: it is climbed again from where each image agrees
+    most with all the others, as long as all agree more.
+    """
     poses = settle(poses)
     log_composite = registrar.log_composite(poses)
     for _ in range(IMPROVEMENTS):
-        other = settle(_seek_contradicting(registrar, poses))
+        other = settle(_align_in_turn(registrar, _seek_contradicting(registrar, poses)))
         if not (log_other := registrar.log_composite(other)) > log_composite + LEAST_GAIN:
             break
         poses, log_composite = other, log_other

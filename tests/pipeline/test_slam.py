@@ -108,9 +108,10 @@ def test_frames_in_which_two_things_move_are_told(monkeypatch: pytest.MonkeyPatc
     contested = SimpleNamespace(unexpected=False, doubt=Doubt(wide, 0.4))
     hardly = SimpleNamespace(unexpected=False, doubt=Doubt(narrow, 0.1))
 
-    said = _warnings(monkeypatch, [still, contested, still, contested, hardly])
+    assert _warnings(monkeypatch, [still, contested, still, contested, hardly]) == []
+    said = _warnings(monkeypatch, [still, contested, still, contested, hardly, contested])
 
     assert len(said) == 1
-    assert said[0].startswith("in 2 frames, 1 to 3, two things move")
+    assert said[0].startswith("in 3 frames, 1 to 5, two things move")
     assert "--mask" in said[0]
     assert _warnings(monkeypatch, [still, hardly]) == []

@@ -78,7 +78,7 @@ def test_depths_that_can_hardly_be_are_told(recording_path, images, change, enco
     warnings = [
         one
         for one in recording.statistics().warnings(recording.size, recording.intrinsics)
-        if "repeat" not in one
+        if "repeat" not in one and "but zeros" not in one
     ]
 
     assert len(warnings) == 1
@@ -93,6 +93,17 @@ def test_frames_that_repeat_are_counted(recording_path, images):
 
     assert found.identical_frames == 8
     assert "8 of 12 depth frames repeat" in found.warnings(recording.size, recording.intrinsics)[0]
+
+
+def test_frames_without_depth_are_counted(recording_path, images):
+    """They do not repeat each other as those of a driver that stalls."""
+    recording = recorded(recording_path, [*images[:6], *(0 * one for one in images[:4]), *images[6:8]])
+    found = recording.statistics()
+
+    assert (found.blank_frames, found.identical_frames) == (4, 0)
+    assert found.warnings(recording.size, recording.intrinsics) == [
+        "4 of 12 depth frames hold no depth at all, but zeros"
+    ]
 
 
 @pytest.mark.parametrize("logged_by_stamp", [False, True])

@@ -157,6 +157,8 @@ def _peer_document(one: ComparedTrajectory | str) -> dict[str, Any]:
 def _lines(document: dict[str, Any]) -> list[str]:
     rows: list[tuple[str, ...]] = [("", "ATE cm", "first-pose cm", "RPE mm", "RPE deg")]
     rows.append(("voxscene", *_figures(document)))
+    if "found" in document:
+        rows.append(("  without lost frames", *_figures(document["found"])))
     for name, errors in document.get("peers", {}).items():
         rows.append((errors.get("setting", name), *(("lost",) * 4 if "lost" in errors else _figures(errors))))
     width = max(len(row[0]) for row in rows)
