@@ -73,16 +73,20 @@ def test_equal_seeds_give_equal_bytes_and_survive_saving(key, tmp_path):
 
 
 def test_blank_frames_are_lost_and_the_camera_is_found_again(key):
-    """A covered lens loses the camera, says so, and later frames are placed against the whole map."""
+    """A covered lens loses the camera, says so, and later frames are placed against the whole map.
+
+    Nothing is searched for an image of nothing.
+    """
     poses = box_room.walk(9)
     frames = box_room.frames(poses, seed=7)
     for index in (4, 5):
         blank = np.zeros_like(frames[index].depth_m)
         frames[index] = Frame(time_ns=frames[index].time_ns, depth_m=blank)
 
-    result, _ = _track(key, frames)
+    result, infos = _track(key, frames)
 
     assert result.lost.tolist() == [False] * 4 + [True] * 2 + [False] * 3
+    assert not any(info.unexpected for info in infos[:6])
     found = ~result.lost
     errors = np.linalg.norm((result.mean - _from_first(poses))[found, :3, 3], axis=1)
     assert errors.max() < 0.01

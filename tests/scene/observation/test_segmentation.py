@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import binary_erosion
 
 from recordings.types import NO_RETURN, CameraIntrinsics
-from scene.observation.segmentation import scene_data
+from scene.observation.segmentation import near_share, scene_data
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=300.0, fy=300.0, cx=159.5, cy=119.5)
 CAMERA_FROM_TABLE = np.array([[1, 0, 0, 0.0], [0, -0.6, -0.8, 0.0], [0, 0.8, -0.6, 0.9], [0, 0, 0, 1.0]])
@@ -120,3 +120,12 @@ def test_what_carries_things_has_sides_where_they_are_seen(solid: bool) -> None:
     assert inner.sum() > 1000
     within = data.window.of(inner)
     np.testing.assert_allclose(data.support_m[within], data.window.of(expected_m)[within], atol=0.006)
+
+
+def test_how_much_of_an_image_is_near_enough() -> None:
+    """Of its returns; an image of nothing shows nothing near."""
+    depth_m = np.full((4, 5), NO_RETURN, np.float32)
+    assert near_share(depth_m) == 0
+    depth_m[0] = 2.0
+    depth_m[1:4] = 3.0
+    assert near_share(depth_m) == 0.25
