@@ -124,28 +124,24 @@ def doubt_of_frame(
         anchor: the keyframe next to it.
         anchor_pose: (7,) of that keyframe.
     """
-    first, noise = relative_pose(rival.pose, found), _with_distortion(calibration.noise)
-    two = two_motions(rival.reference, view, noise, first, rival.second)
+    first = relative_pose(rival.pose, found)
+    two = two_motions(rival.reference, view, calibration.noise, first, rival.second)
     if two is not None:
         displacements, share, second = _judged(two, first, jnp.asarray(rival.of_reference))
         if float(share) > 0:
             return replace(rival, second=second), Doubt(np.asarray(displacements), float(share))
     rival = replace(rival, second=jnp.asarray(IDENTITY, jnp.float32))
-    of_anchor = rival.of_keyframes[anchor]
-    if of_anchor.any() and explained_share(rival.reference, view, noise, first) > LEAST_EXPLAINED:
+    of_anchor, bent = rival.of_keyframes[anchor], _with_distortion(calibration.noise)
+    if of_anchor.any() and explained_share(rival.reference, view, bent, first) > LEAST_EXPLAINED:
         seen_here = _carried(rival.of_reference, rival.pose, found)
         return rival.with_doubt(anchor, _carried(seen_here, found, anchor_pose)), Doubt(seen_here, 0.0)
     return rival, Doubt(_carried(of_anchor, anchor_pose, found), 0.0)
 
 
 def _with_distortion(noise: DepthNoise) -> DepthNoise:
-    """The noise with what a sensor's unknown distortion makes of depths that two of its pixels measure.
-
-    To bend is not to move: without it 3 cm of second motions were told of a kitchen at rest.
-    """
-    return replace(
-        noise, sigma_growth_per_m=math.hypot(noise.sigma_growth_per_m, math.sqrt(2) * PRIOR_SD_PER_M)
-    )
+    """The noise with what a sensor's unknown distortion makes of depths that two of its pixels measure."""
+    bent = math.sqrt(2) * PRIOR_SD_PER_M
+    return replace(noise, sigma_growth_per_m=math.hypot(noise.sigma_growth_per_m, bent))
 
 
 def _carried(displacements: NDArray[np.float32], origin: jax.Array, pose: jax.Array) -> NDArray[np.float32]:
