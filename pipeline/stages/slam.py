@@ -28,8 +28,8 @@ MOSTLY_LOST = 0.5
 """Share of frames without a place from which a run is no whole path. Chosen by hand."""
 TOLD_DISPLACEMENT_M = 0.02
 """By which a second motion must widen the told spread of a frame to be worth a warning. Chosen by hand."""
-MANY_CONTESTED = 3
-"""Frames that are told so: of a kitchen at rest, every second to eighth frame of it, two were at most."""
+MANY_CONTESTED = 5
+"""Frames that are told so: of a kitchen at rest, every second to eighth frame of it, four were at most."""
 CAUSES = (
     "tracking is slow and doubtful there: is it the right unit (--depth-scale), camera and depth topic, do "
     "few frames a second leave out much of the way, does something large move, is there but a bare wall?"

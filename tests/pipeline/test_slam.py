@@ -108,10 +108,10 @@ def test_frames_in_which_two_things_move_are_told(monkeypatch: pytest.MonkeyPatc
     contested = SimpleNamespace(unexpected=False, doubt=Doubt(wide, 0.4))
     hardly = SimpleNamespace(unexpected=False, doubt=Doubt(narrow, 0.1))
 
-    assert _warnings(monkeypatch, [still, contested, still, contested, hardly]) == []
-    said = _warnings(monkeypatch, [still, contested, still, contested, hardly, contested])
+    assert _warnings(monkeypatch, [still, *[contested] * 4, hardly]) == []
+    said = _warnings(monkeypatch, [still, contested, still, *[contested] * 3, hardly, contested])
 
     assert len(said) == 1
-    assert said[0].startswith("in 3 frames, 1 to 5, two things move")
+    assert said[0].startswith("in 5 frames, 1 to 7, two things move")
     assert "--mask" in said[0]
     assert _warnings(monkeypatch, [still, hardly]) == []
