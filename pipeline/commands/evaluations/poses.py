@@ -36,7 +36,6 @@ def command(common: Common, run: Path, truth: Path) -> None:
     from pipeline.evaluation.truth import RecordedTruth
     from pipeline.publishing.values import RunValues
     from pipeline.run_folder import RunFolder
-    from scene.copies import shape_of
 
     folder = RunFolder(run)
     values = RunValues.load(folder)
@@ -49,8 +48,8 @@ def command(common: Common, run: Path, truth: Path) -> None:
     if not objects:
         raise PipelineError(f"{run} looked for none of the objects of {truth}: {', '.join(left_out)}")
     check_truth(folder, truth)
-    shapes = {one.shape for one in objects}
-    found = [(shape_of(name, shapes), pose) for name, pose in scene.found_poses]
+    shapes, shape_of = {one.shape for one in objects}, _shapes(values.surfaces)
+    found = [(name if name in shapes else shape_of[name], pose) for name, pose in scene.found_poses]
     errors = object_errors(
         objects,
         {one.shape: _mesh(one, values.surfaces) for one in objects},
@@ -62,6 +61,15 @@ def command(common: Common, run: Path, truth: Path) -> None:
         "not_there": [name for name, _ in found if name not in shapes],
     }
     common.report(document, _lines(document))
+
+
+def _shapes(surfaces: Surfaces) -> dict[str, str]:
+    """The shape of each name that was looked for: that of a copy is the first one's."""
+    from scene.copies import copies_among
+
+    names = list(surfaces.by_name)
+    alike = copies_among(names, [one.vertices_m for one in surfaces.by_name.values()])
+    return dict(zip(names, [names[first] for first in alike.argmax(axis=1)], strict=True))
 
 
 def _mesh(one: TrueObject, surfaces: Surfaces) -> trimesh.Trimesh:
