@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import trimesh
 from scipy.special import expit, logit
 
 from pipeline.atomic import write_table
+from pipeline.benchmarks.point_proposals import draws_through_points
 from pipeline.benchmarks.seen_object import seen_posterior
 from pipeline.evaluation.calibration import PRESENCE_BINS, expected_calibration_error
 from pipeline.synthesis.objects import built_in_object
@@ -31,7 +33,7 @@ from pipeline.synthesis.occlusion import (
     random_box_pose,
 )
 from scene.hidden.depth_evidence import DepthImages, SeenImage
-from scene.hidden.hidden_objects import hidden_posterior
+from scene.hidden.hidden_objects import HiddenPosterior, hidden_posterior
 from scene.hidden.pose_priors import EulerUniformPoses
 from scene.model.number_prior import BinomialNumber
 from scene.objects.scene_object import SceneObject, scene_object
@@ -135,8 +137,7 @@ def occlusion_row(
     """The box's posterior round the truth, then the mug's against draws of it."""
     started = time.perf_counter()
     behind, log_ratio_of_box = evidence_behind(scene, objects[BOX], rng)
-    number = BinomialNumber(PRESENCE)
-    found = hidden_posterior(rng, [objects[MUG]], PRIOR, behind, number, draws=draws)
+    found = mug_posterior(rng, objects[MUG], behind, draws)
     ratio = found.ratios[(0,)]
     return OcclusionRow(
         scene=scene.name,
@@ -149,6 +150,15 @@ def occlusion_row(
         box=float(expit(logit(PRESENCE) + log_ratio_of_box)),
         seconds=time.perf_counter() - started,
     )
+
+
+def mug_posterior(
+    rng: np.random.Generator, mug: SceneObject, images: DepthImages, draws: int
+) -> HiddenPosterior:
+    """Of the mug alone, by draws through unexplained points too."""
+    draws_of = partial(draws_through_points, rng)
+    number = BinomialNumber(PRESENCE)
+    return hidden_posterior(rng, [mug], PRIOR, images, number, draws=draws, draws_of=draws_of)
 
 
 def evidence_behind(

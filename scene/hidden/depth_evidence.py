@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics, DepthNoise
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import unproject
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import transform_points
@@ -29,9 +28,6 @@ ROUGH_POINTS = 24
 
 ROUGH_NATS = 3.0
 """Most that one of them tells: a point near an outline may project into a pixel that the object leaves."""
-
-UNEXPLAINED_NATS = 3.0
-"""By which a surface at the measured depth explains a pixel better than what is known, or more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,15 +119,6 @@ class DepthImages:
             total += image.weight * np.asarray(gains, np.float64)
         return total
 
-    def unexplained_points_m(self) -> NDArray[np.float64]:
-        """Measured points (P, 3) in the world, before what is known, that it does not explain."""
-        points = []
-        for image in self.images:
-            unexplained = np.asarray(_is_unexplained(self.noise, image.observed_m, image.rest_m))
-            in_camera_m = unproject(image.observed_m, image.camera)[unexplained]
-            points.append(transform_points(np.linalg.inv(image.camera_from_world), in_camera_m))
-        return np.concatenate(points)
-
     def log_ratios_behind(
         self,
         one: SceneObject,
@@ -186,15 +173,6 @@ def rendered_m(
     """Depth (n, H, W) of an object alone at poses (n, 4, 4); +inf where it is not. `shape` is (H, W)."""
     posed = _posed(camera_from_world, world_from_box, np.zeros(len(world_from_box), int))
     return np.asarray(render_layers(_library(one), posed, _cameras(camera, 1), *shape))
-
-
-@jax.jit
-def _is_unexplained(noise: DepthNoise, observed_m: jax.Array, rest_m: jax.Array) -> jax.Array:
-    """(H, W) where a depth was measured before the rest (R, H, W) that is not the sensor's noise of it."""
-    of_rest = depth_noise.log_density(noise, observed_m[None], rest_m).max(axis=0)
-    of_surface = depth_noise.log_density_of_hit(noise, observed_m, observed_m)
-    before = (observed_m > 0) & (observed_m < rest_m.max(axis=0))
-    return before & (of_surface - of_rest > UNEXPLAINED_NATS)
 
 
 @jax.jit

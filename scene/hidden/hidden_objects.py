@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scene.config import MOST_EXACT
 from scene.hidden.depth_evidence import DepthImages
-from scene.hidden.pose_draws import pose_draws
+from scene.hidden.pose_draws import DrawsOf, pose_draws
 from scene.hidden.pose_priors import PosePrior
 from scene.model.number_prior import NumberPrior
 from scene.objects.scene_object import SceneObject
@@ -79,6 +79,7 @@ def hidden_posterior(
     *,
     draws: int,
     keep: int = 256,
+    draws_of: DrawsOf = pose_draws,
 ) -> HiddenPosterior:
     """Presence and place of one hidden object or two.
 
@@ -90,6 +91,7 @@ def hidden_posterior(
         number: prior on how many of them are there.
         draws: of poses for each set of objects.
         keep: K, draws of the posterior.
+        draws_of: where poses come from.
 
     Raises:
         ValueError: there are more, or no room for one.
@@ -102,7 +104,9 @@ def hidden_posterior(
         )
     sets = [(one,) for one in range(count)] + ([(0, 1)] if count == 2 else [])
     ratios = {
-        members: mean_ratio(rng, [objects[one] for one in members], prior, images, draws=draws, keep=keep)
+        members: mean_ratio(
+            rng, [objects[one] for one in members], prior, images, draws=draws, keep=keep, draws_of=draws_of
+        )
         for members in sets
     }
     return _joined(rng, ratios, number.log_set_probabilities(count), keep)
@@ -116,14 +120,14 @@ def mean_ratio(
     *,
     draws: int,
     keep: int,
+    draws_of: DrawsOf = pose_draws,
 ) -> MeanRatio:
     """The mean over these objects' prior poses; memory does not grow with the number of draws.
 
-    One object's poses under a prior whose density is known are drawn through unexplained points, too. Each of
-    `keep` places holds a draw of the posterior: where a batch has share s of all weight so far, each is
-    replaced with probability s by a draw from the batch.
+    Each of `keep` places holds a draw of the posterior: where a batch has share s of all weight so far, each
+    is replaced with probability s by a draw from the batch.
     """
-    sampler = pose_draws(rng, objects, prior, images, draws)
+    sampler = draws_of(objects, prior, images, draws)
     log_total, log_squares = -np.inf, -np.inf
     poses = np.tile(np.eye(4), (len(objects), keep, 1, 1))
     done = 0

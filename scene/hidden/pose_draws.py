@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.hidden.depth_evidence import DepthImages
-from scene.hidden.point_proposals import PosesThroughPoints
-from scene.hidden.pose_priors import EulerUniformPoses, PosePrior
+from scene.hidden.pose_priors import PosePrior
 from scene.objects.scene_object import SceneObject
 
 RENDERED_TOGETHER = 1024
@@ -26,10 +25,6 @@ for seen."""
 
 LEAST_KEPT = 1 / 64
 """Chance of being rendered that every pose has: the rough look errs about what is smaller than a pixel."""
-
-PILOT_ROUNDS = 4
-"""Of `LOOKED_AT_TOGETHER` draws, or of all if those are fewer, after each of which the shares of points are
-fitted: those of points that matter are then known to a tenth or two. The mean does not count these draws."""
 
 WeighedPoses = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Poses (n, K, 4, 4) of n objects, and the log (K,) of prior over proposal times likelihood ratio."""
@@ -76,26 +71,21 @@ class RouletteDraws:
         one: the object.
         prior: of its poses.
         images: what was seen.
-        proposal: from which poses are drawn; the prior where None.
     """
 
     one: SceneObject
     prior: PosePrior
     images: DepthImages
-    proposal: PosesThroughPoints | None = None
     together: int = LOOKED_AT_TOGETHER
 
     def draw(self, rng: np.random.Generator, count: int) -> WeighedPoses:
         """As `PoseDraws`."""
-        given = self.proposal
-        poses = given.draw(rng, self.one, count) if given else self.prior.draw(rng, [self.one], count)[0]
+        poses = self.prior.draw(rng, [self.one], count)[0]
         rough = self.images.rough_log_ratios(self.one, poses)
         log_kept = np.clip(rough + SURE_NATS, np.log(LEAST_KEPT), 0.0)
         kept = np.log(rng.uniform(size=count)) < log_kept
-        poses, log_weights = poses[kept], -log_kept[kept]
-        if given:
-            log_weights += given.log_weights(poses)
-        return poses[None], log_weights + self._rendered(poses)
+        poses = poses[kept]
+        return poses[None], self._rendered(poses) - log_kept[kept]
 
     def _rendered(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log ratios (n,), in batches of one size: one kernel serves them all."""
@@ -107,38 +97,14 @@ class RouletteDraws:
         return np.concatenate(ratios)[: len(poses)]
 
 
+DrawsOf = Callable[[Sequence[SceneObject], PosePrior, DepthImages, int], PoseDraws]
+"""Of objects, their prior, what was seen, and the number of draws: where poses come from."""
+
+
 def pose_draws(
-    rng: np.random.Generator,
-    objects: Sequence[SceneObject],
-    prior: PosePrior,
-    images: DepthImages,
-    draws: int,
+    objects: Sequence[SceneObject], prior: PosePrior, images: DepthImages, draws: int
 ) -> PoseDraws:
-    """What suits so many draws; through unexplained points where there are any and the prior is uniform."""
+    """From the prior, as suits so many draws."""
     if len(objects) > 1 or draws <= RENDERED_TOGETHER:
         return PriorDraws(objects=objects, prior=prior, images=images)
-    one = objects[0]
-    proposal = None
-    if isinstance(prior, EulerUniformPoses):
-        proposal = PosesThroughPoints.even(one, prior, images.unexplained_points_m())
-    if proposal:
-        proposal = _fitted(rng, one, prior, images, proposal, min(LOOKED_AT_TOGETHER, draws))
-    return RouletteDraws(one=one, prior=prior, images=images, proposal=proposal)
-
-
-def _fitted(
-    rng: np.random.Generator,
-    one: SceneObject,
-    prior: PosePrior,
-    images: DepthImages,
-    proposal: PosesThroughPoints,
-    draws: int,
-) -> PosesThroughPoints:
-    """The proposal fitted to all rounds of so many draws so far, each of which weighs the same."""
-    poses, log_weights = np.zeros((0, 4, 4)), np.zeros(0)
-    for _ in range(PILOT_ROUNDS):
-        pilot = RouletteDraws(one=one, prior=prior, images=images, proposal=proposal)
-        drawn, log_drawn = pilot.draw(rng, draws)
-        poses, log_weights = np.concatenate([poses, drawn[0]]), np.concatenate([log_weights, log_drawn])
-        proposal = proposal.fitted(rng, poses, log_weights)
-    return proposal
+    return RouletteDraws(one=objects[0], prior=prior, images=images)

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from scene.objects.orientations import resting_rotations
 from scene.objects.scene_object import SceneObject
-from shapes.geometry.poses import transform_points
 
 POINTS = 128
 """Of an object's surface, that are tested for lying in another's box."""
@@ -80,12 +79,6 @@ class EulerUniformPoses:
     def volume_m3(self) -> float:
         """Of the cuboid."""
         return float(np.prod(np.asarray(self.high_m) - self.low_m))
-
-    def distances_m(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of points (n, 3) in the world from the cuboid; 0 inside."""
-        cuboid_from_world = np.linalg.inv(self.world_from_cuboid)
-        points = transform_points(cuboid_from_world, points_m)
-        return np.linalg.norm(points - np.clip(points, self.low_m, self.high_m), axis=1)
 
     def log_density(self, world_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log density (...) of poses (..., 4, 4), Lebesgue in metres times the Haar measure of mass pi^2."""

@@ -4,10 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from pipeline.benchmarks.occlusion import BOX, MUG, PRIOR, evidence_against, photographed
+from pipeline.benchmarks.occlusion import BOX, MUG, PRIOR, evidence_against, mug_posterior, photographed
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.occlusion import FAR_M, PRESENCE, SCENES, box_pose
-from scene.hidden.hidden_objects import hidden_posterior
 from scene.model.number_prior import BinomialNumber
 from scene.objects.scene_object import scene_object
 from scene.presence.forests import ForestPrior
@@ -32,7 +31,7 @@ def test_moves_tell_what_the_sum_tells(name: str, seed: int) -> None:
         box = empty.layers(objects[BOX], scene.camera_from_object[BOX][None])
         behind = evidence_against(scene, np.minimum(box, FAR_M))
         number = BinomialNumber(PRESENCE)
-        exact = hidden_posterior(rng, [objects[MUG]], PRIOR, behind, number, draws=2**16)
+        exact = mug_posterior(rng, objects[MUG], behind, 2**16)
 
         def draw(before: Ensemble | None) -> Ensemble:
             drawn = PRIOR.draw(rng, [objects[MUG]], COUNT)

@@ -7,15 +7,32 @@ carry a part of the mean. A mixture of the prior and of poses through such point
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from scene.hidden.pose_kernels import PoseKernels
-from scene.hidden.pose_priors import EulerUniformPoses
+from pipeline.benchmarks.pose_kernels import PoseKernels
+from recordings.types import DepthNoise
+from scene.hidden.depth_evidence import DepthImages
+from scene.hidden.pose_draws import (
+    LOOKED_AT_TOGETHER,
+    PoseDraws,
+    RouletteDraws,
+    WeighedPoses,
+    pose_draws,
+)
+from scene.hidden.pose_priors import EulerUniformPoses, PosePrior
 from scene.objects.scene_object import SceneObject
+from scene.observation.depth_view import unproject
+from shapes import depth_noise
+from shapes.geometry.poses import transform_points
+
+UNEXPLAINED_NATS = 3.0
+"""By which a surface at the measured depth explains a pixel better than what is known, or more."""
 
 PRIOR_SHARE = 0.25
 """Of the mixture's draws: it bounds the weights."""
@@ -28,6 +45,10 @@ KERNELS = 128
 
 LEAST_SHARE = 0.3
 """Of those draws, that is spread evenly over the points after their shares are fitted."""
+
+PILOT_ROUNDS = 4
+"""Of `LOOKED_AT_TOGETHER` draws, or of all if those are fewer, after each of which the shares of points are
+fitted: those of points that matter are then known to a tenth or two. The mean does not count these draws."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,15 +122,19 @@ class PosesThroughPoints:
         cls, one: SceneObject, prior: EulerUniformPoses, points_m: NDArray[np.float64]
     ) -> PosesThroughPoints | None:
         """Through all points (P, 3) alike that the object can reach; None where there is none."""
-        reached = points_m[prior.distances_m(points_m) < np.linalg.norm(one.half_extents_m)]
+        in_cuboid = transform_points(np.linalg.inv(prior.world_from_cuboid), points_m)
+        apart_m = np.linalg.norm(in_cuboid - np.clip(in_cuboid, prior.low_m, prior.high_m), axis=1)
+        reached = points_m[apart_m < np.linalg.norm(one.half_extents_m)]
         if not len(reached):
             return None
         shares = np.full(len(reached), 1 / len(reached))
         return cls(prior=prior, shell=Shell.of(one), points_m=reached, shares=shares)
 
-    def draw(self, rng: np.random.Generator, one: SceneObject, count: int) -> NDArray[np.float64]:
-        """Poses (count, 4, 4) world_from_box."""
-        poses = self.prior.draw(rng, [one], count)[0]
+    def draw(
+        self, rng: np.random.Generator, objects: Sequence[SceneObject], count: int
+    ) -> NDArray[np.float64]:
+        """Poses (1, count, 4, 4) world_from_box of one object, as of a prior."""
+        poses = self.prior.draw(rng, objects, count)[0]
         kind = rng.uniform(size=count)
         near = kind < self._kernel_share
         through = kind > self._kernel_share + PRIOR_SHARE
@@ -118,7 +143,7 @@ class PosesThroughPoints:
         poses[through, :3, 3] = points_m - np.einsum("nij,nj->ni", poses[through, :3, :3], in_box_m)
         if self.kernels:
             poses[near] = self.kernels.draw(rng, int(near.sum()))
-        return poses
+        return poses[None]
 
     def log_weights(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log density (n,) of the prior over that of the mixture at poses (n, 4, 4)."""
@@ -163,3 +188,71 @@ class PosesThroughPoints:
         """(n, P) whether the object's surface at poses (n, 4, 4) passes through each point."""
         in_box_m = (self.points_m - poses[:, None, :3, 3]) @ poses[:, :3, :3]
         return self.shell.holds(in_box_m)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrawsThroughPoints:
+    """One object, from such a mixture; those alone are rendered that a rough look does not rule out.
+
+    Attributes:
+        one: the object.
+        images: what was seen.
+        proposal: from which poses are drawn.
+    """
+
+    one: SceneObject
+    images: DepthImages
+    proposal: PosesThroughPoints
+    together: int = LOOKED_AT_TOGETHER
+
+    def draw(self, rng: np.random.Generator, count: int) -> WeighedPoses:
+        """As `PoseDraws`."""
+        roulette = RouletteDraws(one=self.one, prior=self.proposal, images=self.images)
+        poses, log_weights = roulette.draw(rng, count)
+        return poses, log_weights + self.proposal.log_weights(poses[0])
+
+
+def draws_through_points(
+    rng: np.random.Generator,
+    objects: Sequence[SceneObject],
+    prior: PosePrior,
+    images: DepthImages,
+    draws: int,
+) -> PoseDraws:
+    """As `pose_draws`; many of one object through unexplained points where there are any."""
+    plain = pose_draws(objects, prior, images, draws)
+    if not isinstance(plain, RouletteDraws) or not isinstance(prior, EulerUniformPoses):
+        return plain
+    proposal = PosesThroughPoints.even(plain.one, prior, unexplained_points_m(images))
+    return _fitted(rng, plain.one, images, proposal, min(LOOKED_AT_TOGETHER, draws)) if proposal else plain
+
+
+def unexplained_points_m(images: DepthImages) -> NDArray[np.float64]:
+    """Measured points (P, 3) in the world, before what is known, that it does not explain."""
+    points = []
+    for image in images.images:
+        unexplained = np.asarray(_is_unexplained(images.noise, image.observed_m, image.rest_m))
+        in_camera_m = unproject(image.observed_m, image.camera)[unexplained]
+        points.append(transform_points(np.linalg.inv(image.camera_from_world), in_camera_m))
+    return np.concatenate(points)
+
+
+def _fitted(
+    rng: np.random.Generator, one: SceneObject, images: DepthImages, proposal: PosesThroughPoints, draws: int
+) -> DrawsThroughPoints:
+    """From the proposal fitted to all rounds of so many draws so far, each of which weighs the same."""
+    poses, log_weights = np.zeros((0, 4, 4)), np.zeros(0)
+    for _ in range(PILOT_ROUNDS):
+        drawn, log_drawn = DrawsThroughPoints(one=one, images=images, proposal=proposal).draw(rng, draws)
+        poses, log_weights = np.concatenate([poses, drawn[0]]), np.concatenate([log_weights, log_drawn])
+        proposal = proposal.fitted(rng, poses, log_weights)
+    return DrawsThroughPoints(one=one, images=images, proposal=proposal)
+
+
+@jax.jit
+def _is_unexplained(noise: DepthNoise, observed_m: jax.Array, rest_m: jax.Array) -> jax.Array:
+    """(H, W) where a depth was measured before the rest (R, H, W) that is not the sensor's noise of it."""
+    of_rest = depth_noise.log_density(noise, observed_m[None], rest_m).max(axis=0)
+    of_surface = depth_noise.log_density_of_hit(noise, observed_m, observed_m)
+    before = (observed_m > 0) & (observed_m < rest_m.max(axis=0))
+    return before & (of_surface - of_rest > UNEXPLAINED_NATS)
