@@ -21,6 +21,7 @@ from scene.config import ParseConfig
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.mcmc.chain_model import carrying, pose_prior, prior_space
+from scene.mcmc.local_multiple_try import LEAST_SPIN_RAD, MOST_SPIN_RAD, SPIN_SHARE
 from scene.objects.scene_object import SceneObject
 from scene.objects.symmetry import turns_alike
 from scene.presence.depth_candidates import PresenceFrames, gain_before, nearest_shown
@@ -28,6 +29,7 @@ from scene.presence.pose_priors import PosePriors
 from scene.search.importance_sampling import distinct, largest_power
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
+from shapes.resampling import resampled
 
 PARTICLES, MOVES = 128, 4
 """Of an object, and moves at each exponent: of 16 objects drawn from the model two end over six nats below
@@ -46,9 +48,6 @@ LEAST_SIGMA = np.repeat([2e-5, 2e-4], 3)
 
 SMALLEST, LARGEST = 0.15, 1.0
 """Scales of steps over the particles' standard deviations, log-uniform between these."""
-
-SPIN_SHARE, LEAST_SPIN_RAD, MOST_SPIN_RAD = 0.25, 0.01, 2.0
-"""Of the steps of what spins freely; scales of their angles, log-uniform."""
 
 WORSE, SOUGHT = 25.0, 8
 """Nats by which a pose in the pool may be worse to be a start, and how many of these are."""
@@ -193,7 +192,7 @@ def anneal(
     while exponent < 1:
         rise = largest_power(log_likelihood, ALIVE * PARTICLES, 1 - exponent)
         exponent = min(exponent + rise, 1.0)
-        kept = _resampled(rng, softmax(rise * log_likelihood))
+        kept = resampled(rng, softmax(rise * log_likelihood), PARTICLES)
         poses, seed = poses[kept], seed[kept]
         log_likelihood, log_prior = log_likelihood[kept], log_prior[kept]
         for _ in range(MOVES if exponent < 1 else 2 * MOVES):
@@ -206,13 +205,6 @@ def anneal(
             log_likelihood = np.where(accepted, likelihood_there, log_likelihood)
             log_prior = np.where(accepted, prior_there, log_prior)
     return poses, log_likelihood + log_prior
-
-
-def _resampled(rng: np.random.Generator, weights: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Systematic resampling: numbers (S,) of the particles that go on, of weights (S,)."""
-    count = len(weights)
-    places = (np.arange(count) + rng.random()) / count
-    return np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
 
 def resample_systematically(key: jax.Array, log_weights: jax.Array, count: int | None = None) -> jax.Array:
@@ -21,3 +23,9 @@ def resample_systematically(key: jax.Array, log_weights: jax.Array, count: int |
     offset = jax.random.uniform(key, dtype=weights.dtype)
     points = (jnp.arange(count, dtype=weights.dtype) + offset) / count * cumulative[-1]
     return jnp.minimum(jnp.searchsorted(cumulative, points, side="right"), last_alive).astype(jnp.int32)
+
+
+def resampled(rng: np.random.Generator, weights: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """The same in NumPy, of weights (K,) whose sum is 1."""
+    places = (np.arange(count) + rng.random()) / count
+    return np.minimum(np.searchsorted(np.cumsum(weights), places), len(weights) - 1)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.colour.density import laplace_evidence
 from scene.colour.posterior import ColourImage, Scene, seen_together, segments_of
-from scene.colour.rendering import Layers, render_with_normals
+from scene.colour.rendering import render_with_normals
 from scene.colour.world import Light, TableWorld
 
 DIRECTIONS = 32
@@ -57,14 +57,9 @@ class LampShares:
         tried = [world.light, *lights()]
         layers, normals = render_with_normals(world, scene.kinds, scene.poses)
         tiled, things = len(tried), len(scene)
-        every = Layers(
-            np.append(0, np.cumsum(np.tile(np.diff(layers.start), tiled))),
-            np.tile(layers.pixel, tiled),
-            np.tile(layers.depth_m, tiled),
-            np.concatenate([light.shade(normals) for light in tried]),
-            np.tile(layers.tint, (tiled, 1)),
-            np.tile(layers.fill, tiled),
-            np.tile(layers.kinds, tiled),
+        every = replace(
+            layers.of(np.tile(np.arange(things), tiled)),
+            shade=np.concatenate([light.shade(normals) for light in tried]),
         )
         view = seen_together(world, every, np.repeat(np.arange(tiled), things))
         values, _ = laplace_evidence(segments_of(world, image, view), world.noise)

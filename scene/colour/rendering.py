@@ -60,15 +60,12 @@ class Layers:
         counts = np.diff(self.start)[things]
         start = np.concatenate([[0], np.cumsum(counts)])
         rows = np.arange(start[-1]) + np.repeat(self.start[things] - start[:-1], counts)
-        return Layers(
-            start=start,
-            pixel=self.pixel[rows],
-            depth_m=self.depth_m[rows],
-            shade=self.shade[rows],
-            tint=self.tint[rows],
-            fill=self.fill[rows],
-            kinds=self.kinds[things],
-        )
+        of_pixels = {name: getattr(self, name)[rows] for name in OF_PIXELS}
+        return Layers(start=start, kinds=self.kinds[things], **of_pixels)
+
+
+OF_PIXELS = "pixel", "depth_m", "shade", "tint", "fill"
+"""What `Layers` tell of each pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,16 +139,10 @@ def render_with_normals(
         for first in range(0, len(kinds), TOGETHER)
     ]
     every = [layers for layers, _ in parts]
-    layers = Layers(
-        start=np.append(0, np.cumsum(np.concatenate([np.diff(one.start) for one in every]))),
-        pixel=np.concatenate([one.pixel for one in every]),
-        depth_m=np.concatenate([one.depth_m for one in every]),
-        shade=np.concatenate([one.shade for one in every]),
-        tint=np.concatenate([one.tint for one in every]),
-        fill=np.concatenate([one.fill for one in every]),
-        kinds=kinds,
-    )
-    return layers, np.concatenate([normals for _, normals in parts])
+    start = np.append(0, np.cumsum(np.concatenate([np.diff(one.start) for one in every])))
+    of_pixels = {name: np.concatenate([getattr(one, name) for one in every]) for name in OF_PIXELS}
+    normals = np.concatenate([normals for _, normals in parts])
+    return Layers(start=start, kinds=kinds, **of_pixels), normals
 
 
 def render_with_motion(

@@ -20,6 +20,7 @@ from scene.colour.posterior import ColourImage, Scene, log_posterior
 from scene.colour.proposals import FoundThings
 from scene.colour.weighing import FoundScene, Weighed
 from scene.colour.world import TableWorld
+from shapes.resampling import resampled
 
 FAR = 1e3
 """Metres between things of different kinds, when those of two scenes are paired."""
@@ -101,9 +102,8 @@ def _starts(rng: np.random.Generator, found: FoundScene, chains: int) -> list[We
     """Scenes found, systematically in proportion to their shares, the best one first."""
     by_kinds = {tuple(sorted(one.scene.kinds.tolist())): one for one in found.weighed}
     ordered = sorted(found.kinds, key=lambda kinds: -found.kinds[kinds])
-    edges = np.cumsum([found.kinds[kinds] for kinds in ordered])
-    places = (np.arange(chains) + rng.random()) / chains
-    return [by_kinds[ordered[min(int(np.searchsorted(edges, one)), len(edges) - 1)]] for one in places]
+    chosen = resampled(rng, np.array([found.kinds[kinds] for kinds in ordered]), chains)
+    return [by_kinds[ordered[one]] for one in chosen]
 
 
 def _of_best(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics, DepthNoise
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.objects.scene_object import SceneObject
+from scene.observation.depth_view import project
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import transform_points
@@ -58,16 +59,10 @@ def project_into(
     camera: Camera | CameraIntrinsics, shape: tuple[int, ...], points_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Whether points (n, 3) in a camera's frame project into its image of that shape (H, W)."""
-    x, y, z = np.moveaxis(points_m, -1, 0)
     height, width = shape
-    ahead = np.where(z > 0, z, np.inf)
-    column = x / ahead * float(camera.fx) + float(camera.cx)
-    row = y / ahead * float(camera.fy) + float(camera.cy)
-    return (
-        (z > 0)
-        & (np.abs(column - (width - 1) / 2) <= width / 2)
-        & (np.abs(row - (height - 1) / 2) <= height / 2)
-    )
+    row, column, ahead = project(points_m, camera)
+    inside = (np.abs(column - (width - 1) / 2) <= width / 2) & (np.abs(row - (height - 1) / 2) <= height / 2)
+    return ahead & inside
 
 
 class DepthImages:

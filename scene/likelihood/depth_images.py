@@ -179,7 +179,7 @@ class DepthLikelihood:
         shown = jax.lax.fori_loop(0, jnp.where(anew, turns, 1), some, blank)
         stands = scenes.present[:, :objects] & ~moved
         shown = replace(shown, log_tiles=self.weighed(shown, stands, moved, anew))
-        log_likelihood = _log_mean_exp(jax.vmap(self._log_each)(shown.log_tiles))
+        log_likelihood = _log_mean_exp(jnp.sum(shown.log_tiles, axis=2, dtype=self.fresh_share.dtype))
         is_kept = (jnp.arange(count) == 0) & ~anew
         return Estimate(jnp.where(is_kept, current.log_likelihood, log_likelihood), shown)
 
@@ -260,10 +260,6 @@ class DepthLikelihood:
         )
         log_pixels = jnp.where(depth_m < self.rest_m[tile], log_nearest, self.log_rest[tile])
         return jnp.sum(log_pixels, axis=1, dtype=jnp.float32)
-
-    def _log_each(self, log_tiles: jax.Array) -> jax.Array:
-        """Log likelihood (R,) under each draw."""
-        return jnp.sum(log_tiles, axis=1, dtype=self.fresh_share.dtype)
 
     def _seen(self, poses: jax.Array) -> jax.Array:
         """Poses (n, F, 7) float32 in every camera of poses (n, 7) in the world."""

@@ -71,11 +71,6 @@ def _touched_before(touches: jax.Array) -> jax.Array:
 
 def _four_beside(image: jax.Array, outside: float | bool) -> tuple[jax.Array, ...]:
     """The pixels (..., H, W) above, below, to the left and to the right of each."""
-    wide = _wide(image, outside)
-    return wide[..., :-2, 1:-1], wide[..., 2:, 1:-1], wide[..., 1:-1, :-2], wide[..., 1:-1, 2:]
-
-
-def _wide(image: jax.Array, outside: float | bool) -> jax.Array:
-    """An image (..., H, W) with one more pixel on each side."""
     sides = [(0, 0)] * (image.ndim - 2) + [(1, 1), (1, 1)]
-    return jnp.pad(image, sides, constant_values=outside)
+    wide = jnp.pad(image, sides, constant_values=outside)
+    return wide[..., :-2, 1:-1], wide[..., 2:, 1:-1], wide[..., 1:-1, :-2], wide[..., 1:-1, 2:]

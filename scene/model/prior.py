@@ -240,30 +240,20 @@ def densities_on(
 
 def contact_of(bodies: Bodies, scene: SceneGraph, child: jax.Array) -> Contact:
     """The contact parameters of a child under its parent and faces."""
-    parent = scene.parents[child]
-    half_extents = bodies.half_extents_m
-    return contact_from_poses(
-        scene.poses[parent],
-        scene.poses[child],
-        half_extents[parent],
-        half_extents[child],
-        scene.parent_faces[child],
-        scene.child_faces[child],
-    )
+    parent_pose, *ends = _ends(bodies, scene, child)
+    return contact_from_poses(parent_pose, scene.poses[child], *ends)
 
 
 def pose_in_contact(bodies: Bodies, scene: SceneGraph, child: jax.Array, contact: Contact) -> jax.Array:
     """The pose (7,) that a child would have with other contact parameters under its parent and faces."""
-    parent = scene.parents[child]
-    half_extents = bodies.half_extents_m
-    return pose_from_contact(
-        contact,
-        scene.poses[parent],
-        half_extents[parent],
-        half_extents[child],
-        scene.parent_faces[child],
-        scene.child_faces[child],
-    )
+    return pose_from_contact(contact, *_ends(bodies, scene, child))
+
+
+def _ends(bodies: Bodies, scene: SceneGraph, child: jax.Array) -> tuple[jax.Array, ...]:
+    """The parent's pose, both half extents and both faces of a child's edge."""
+    parent, half_extents = scene.parents[child], bodies.half_extents_m
+    faces = scene.parent_faces[child], scene.child_faces[child]
+    return scene.poses[parent], half_extents[parent], half_extents[child], *faces
 
 
 def log_parameters(prior: PosePrior, bodies: Bodies, scene: SceneGraph, child: jax.Array) -> jax.Array:

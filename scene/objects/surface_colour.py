@@ -7,7 +7,6 @@ is added to them. They are kept in the voxels along the surface, each the mean o
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from scene.objects.symmetry import SPINS, leaves_alike, spins_freely, turns_about
+from scene.objects.symmetry import SPINS, even_turns, leaves_alike, products, spins_freely
 
 DARK = 0.01
 """Of full light, added before logs are taken: what is darker differs by noise and reflections alone."""
@@ -205,27 +204,13 @@ def alike_turns(
     """
     tree = KDTree(points)
     free = spins_freely(points, spin_line)
-    generators = [_about(spin_line, SPINS) if free else [np.eye(4)]]
-    generators += [_about(line, int(order)) for line, order in zip(lines, orders, strict=True) if order]
+    generators = [even_turns(spin_line, SPINS) if free else np.eye(4)[None]]
+    generators += [even_turns(line, int(order)) for line, order in zip(lines, orders, strict=True) if order]
     chosen: list[NDArray[np.float64]] = []
-    for turn in _products(generators):
+    for turn in products(reversed(generators)):
         known = np.array([one[:3, :3] for one in chosen]).reshape(-1, 3, 3)
         traces = np.einsum("tij,ij->t", known, turn[:3, :3])
         if not (traces > 1 + 2 * np.cos(APART_RAD)).any():
             chosen.append(turn)
     chosen = chosen[:MOST_TURNS]
     return np.stack(chosen), free, all(leaves_alike(tree, points, turn) for turn in chosen)
-
-
-def _about(line: NDArray[np.float64], order: int) -> list[NDArray[np.float64]]:
-    """All turns (4, 4) of an order about a line (2, 3), none first."""
-    return list(turns_about(line, 2 * np.pi * np.arange(order) / order))
-
-
-def _products(generators: list[list[NDArray[np.float64]]]) -> Iterator[NDArray[np.float64]]:
-    """Every product of one turn of each list, the first list's turning fastest."""
-    for parts in itertools.product(*reversed(generators)):
-        product = np.eye(4)
-        for part in parts:
-            product = product @ part
-        yield product

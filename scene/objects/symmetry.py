@@ -19,6 +19,8 @@ rotations misses. Refinement begins at all turns after which an object looks nea
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -119,6 +121,19 @@ def turns_about(line: NDArray[np.float64], angles: NDArray[np.floating]) -> NDAr
     return turns
 
 
+def even_turns(line: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+    """All turns (order, 4, 4) about a line (2, 3) by parts of a full one, none first."""
+    return turns_about(line, 2 * np.pi * np.arange(order) / order)
+
+
+def products(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Every product (T, 4, 4) of one turn of each part, in their order, the last part's changing fastest."""
+    turns = np.eye(4)[None]
+    for part in parts:
+        turns = (turns[:, None] @ part[None]).reshape(-1, 4, 4)
+    return turns
+
+
 def symmetry_lines(
     points: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
@@ -212,8 +227,8 @@ def spins_freely(points: NDArray[np.float64], line: NDArray[np.float64]) -> bool
     """
     if not line[0].any():
         return False
-    tree, turns = KDTree(points), turns_about(line, 2 * np.pi * np.arange(SPINS) / SPINS)
-    return all(leaves_alike(tree, points, turn) for turn in turns)
+    tree = KDTree(points)
+    return all(leaves_alike(tree, points, turn) for turn in even_turns(line, SPINS))
 
 
 def leaves_alike(tree: KDTree, points: NDArray[np.float64], turn: NDArray[np.float64]) -> bool:
@@ -238,10 +253,5 @@ def turns_alike(
         orders: (3,), likewise.
         spun: (2, 3) the line about which it is round but for what tells the spin; zeros without one.
     """
-    turns = np.eye(4)[None]
-    for line, order in zip(lines[orders > 0], orders[orders > 0], strict=True):
-        parts = turns_about(line, 2 * np.pi * np.arange(order) / order)
-        turns = (turns[:, None] @ parts[None]).reshape(-1, 4, 4)
-    if not spun[0].any():
-        return turns
-    return np.concatenate([turns, turns_about(spun, 2 * np.pi * np.arange(1, LOOKED) / LOOKED)])
+    turns = products(map(even_turns, lines[orders > 0], orders[orders > 0]))
+    return np.concatenate([turns, even_turns(spun, LOOKED)[1:]]) if spun[0].any() else turns

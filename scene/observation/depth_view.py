@@ -45,12 +45,9 @@ class PooledView:
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
         """Row and column of camera points (..., 3), 0 outside the image, and whether they are inside."""
         height, width = self.depth_m.shape
-        z = np.where(points_m[..., 2] > 0, points_m[..., 2], np.inf)
-        columns = np.rint(points_m[..., 0] / z * float(self.camera.fx) + float(self.camera.cx)).astype(
-            np.intp
-        )
-        rows = np.rint(points_m[..., 1] / z * float(self.camera.fy) + float(self.camera.cy)).astype(np.intp)
-        inside = np.isfinite(z) & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        *places, ahead = project(points_m, self.camera)
+        rows, columns = (np.rint(place).astype(np.intp) for place in places)
+        inside = ahead & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
 
 
@@ -64,6 +61,16 @@ def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, widt
     normals = _normals(pooled, camera)
     assert normals.shape == (rows, columns, 3)
     return PooledView(camera, jax.device_put(pooled), normals, jax.device_put(pooled != NO_RETURN))
+
+
+def project(
+    points_m: NDArray[np.float64], camera: CameraIntrinsics | Camera
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Row and column of points (..., 3) in the camera frame, and whether they are before the camera."""
+    x, y, z = np.moveaxis(points_m, -1, 0)
+    ahead = z > 0
+    z = np.where(ahead, z, np.inf)
+    return y / z * float(camera.fy) + float(camera.cy), x / z * float(camera.fx) + float(camera.cx), ahead
 
 
 def unproject(depth_m: NDArray[np.float32], camera: CameraIntrinsics | Camera) -> NDArray[np.float64]:

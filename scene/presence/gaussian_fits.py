@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from scene.search.importance_sampling import WIDER, tempered
+from scene.search.importance_sampling import WIDER, moments, tempered
 
 ALIVE = 1 / 3
 """Effective number of draws to which weights are tempered, over the draws of a turn."""
@@ -76,7 +76,7 @@ def fitted(
         steps = np.concatenate([steps, fresh], axis=1)
         log_target = np.concatenate([log_target, log_density(moved(centres, fresh))], axis=1)
         log_weights = log_target - _log_offered(steps, offered)
-        means, covariances = _moments(steps, np.stack([tempered(one, draws * ALIVE) for one in log_weights]))
+        means, covariances = moments(steps, np.stack([tempered(one, draws * ALIVE) for one in log_weights]))
         covariances[:, np.arange(size), np.arange(size)] += least**2
         factors = np.asarray(WIDER * np.linalg.cholesky(covariances), np.float64)
     masses = logsumexp(log_weights, axis=1) - np.log(log_weights.shape[1])
@@ -89,15 +89,6 @@ def _log_offered(
     """Log densities (n, S) of steps (n, S, d) under the even mixture of what they were drawn from."""
     of_each = np.stack([_log_normal(steps, *one) for one in offered])
     return np.asarray(logsumexp(of_each, axis=0) - np.log(len(offered)))
-
-
-def _moments(
-    steps: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Means (n, d) and covariances (n, d, d) of steps (n, S, d) by their weights (n, S)."""
-    means = np.asarray(np.einsum("ns,nsi->ni", weights, steps), np.float64)
-    spread = steps - means[:, None]
-    return means, np.asarray(np.einsum("ns,nsi,nsj->nij", weights, spread, spread), np.float64)
 
 
 def _log_normal(

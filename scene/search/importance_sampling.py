@@ -153,11 +153,18 @@ def _fitted(
     tangents: NDArray[np.float64], log_weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Means (J, 6) and lower factors (J, 6, 6) of weighted draws (J, S, 6)."""
-    weights = np.stack([tempered(one, ALIVE) for one in log_weights])
-    steps = np.einsum("ns,nsi->ni", weights, tangents)
-    spread = tangents - steps[:, None]
-    covariances = np.einsum("ns,nsi,nsj->nij", weights, spread, spread) + np.diag(LEAST_SIGMA**2)
-    return steps, WIDER * np.linalg.cholesky(covariances)
+    steps, covariances = moments(tangents, np.stack([tempered(one, ALIVE) for one in log_weights]))
+    factors = WIDER * np.linalg.cholesky(covariances + np.diag(LEAST_SIGMA**2))
+    return steps, np.asarray(factors, np.float64)
+
+
+def moments(
+    steps: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means (n, d) and covariances (n, d, d) of steps (n, S, d) by their weights (n, S)."""
+    means = np.asarray(np.einsum("ns,nsi->ni", weights, steps), np.float64)
+    spread = steps - means[:, None]
+    return means, np.asarray(np.einsum("ns,nsi,nsj->nij", weights, spread, spread), np.float64)
 
 
 def tempered(log_weights: NDArray[np.float64], least: float) -> NDArray[np.float64]:

@@ -97,11 +97,13 @@ def _without_any(layers: PoseLayers, choice: jax.Array) -> jax.Array:
 
     def leave_out(choice: jax.Array, one: jax.Array) -> tuple[jax.Array, None]:
         def without() -> jax.Array:
-            return _better(layers, choice, _without(layers, choice, one))
+            others = filled(layers, choice.at[one].set(absent), objects == one)
+            return _better(layers, choice, others)
 
-        return jax.lax.cond(choice[one] == no_object(layers), lambda: choice, without), None
+        return jax.lax.cond(choice[one] == absent, lambda: choice, without), None
 
-    return jax.lax.scan(leave_out, choice, jnp.arange(len(choice)))[0]
+    absent, objects = no_object(layers), jnp.arange(len(choice))
+    return jax.lax.scan(leave_out, choice, objects)[0]
 
 
 def _with_replacements(layers: PoseLayers, choice: jax.Array) -> jax.Array:
@@ -112,11 +114,6 @@ def _with_replacements(layers: PoseLayers, choice: jax.Array) -> jax.Array:
 
     objects = jnp.arange(len(choice))
     return jax.lax.scan(put, choice, objects)[0]
-
-
-def _without(layers: PoseLayers, choice: jax.Array, one: jax.Array) -> jax.Array:
-    """The scene without an object, its gap filled with others."""
-    return filled(layers, choice.at[one].set(no_object(layers)), jnp.arange(len(choice)) == one)
 
 
 def _replaced(layers: PoseLayers, choice: jax.Array, one: jax.Array, kept: jax.Array) -> jax.Array:

@@ -83,16 +83,9 @@ class Initialisation:
         rows, atoms = found.placed, self.atoms
         if atoms is not None:
             atoms = replace(atoms, poses=atoms.poses[rows], log_weights=atoms.log_weights[rows])
-        return replace(
-            self,
-            poses=found.poses(self.poses),
-            found=found.present,
-            rivals=self.rivals[rows],
-            pools=self.pools[rows],
-            log_gains=self.log_gains[rows],
-            log_alone=self.log_alone[rows],
-            atoms=atoms,
-        )
+        told = {name: getattr(self, name)[rows] for name in _OF_OBJECTS}
+        told |= {"poses": found.poses(self.poses), "found": found.present}
+        return replace(self, **told, atoms=atoms)
 
 
 _OF_OBJECTS = "poses", "found", "rivals", "pools", "log_gains", "log_alone"
