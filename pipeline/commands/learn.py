@@ -24,7 +24,6 @@ from pipeline.options import (
 if TYPE_CHECKING:
     from pipeline.stages.region import LearnedRegion
 
-BOX_NUMBERS = 6
 LARGE_M = 0.4
 """Larger regions are as a rule several things, or a piece of furniture."""
 
@@ -86,7 +85,11 @@ def command(
         raise ConfigError(f"--name {name}: use letters, digits, dots, dashes and underscores")
     if preview is not None and preview.suffix.lower() != ".png":
         raise ConfigError(f"--preview {preview}: name a file that ends in .png")
-    options = {"box": _box(box), "pixel": _pixel(pixel), "pitch_m": pitch_m}
+    options = {
+        "box": _numbers("--box", box, 6, "six numbers, xmin,ymin,zmin,xmax,ymax,zmax in metres"),
+        "pixel": _numbers("--pixel", pixel, 2, "column,row of the object in the first depth frame"),
+        "pitch_m": pitch_m,
+    }
     if preview is not None:
         with open_session(common, source, run_path, force=force) as session:
             region = preview_region(session, options, preview, recorded_poses=poses == "recorded")
@@ -118,12 +121,12 @@ def _region_told(region: LearnedRegion, picture: Path) -> tuple[dict[str, Any], 
     return document, lines
 
 
-def _pixel(text: str | None) -> tuple[float, ...] | None:
+def _numbers(option: str, text: str | None, count: int, meant: str) -> tuple[float, ...] | None:
     if text is None:
         return None
-    values = numbers("--pixel", text)
-    if len(values) != 2:
-        raise ConfigError(f"--pixel {text}: write column,row of the object in the first depth frame")
+    values = numbers(option, text)
+    if len(values) != count:
+        raise ConfigError(f"{option} {text}: write {meant}")
     return values
 
 
@@ -139,12 +142,3 @@ def _surface(document: dict[str, Any]) -> list[str]:
         ]
     )
     return told + [f"warning: {warning}" for warning in document["warnings"]]
-
-
-def _box(text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    values = numbers("--box", text)
-    if len(values) != BOX_NUMBERS:
-        raise ConfigError(f"--box {text}: write six numbers, xmin,ymin,zmin,xmax,ymax,zmax in metres")
-    return values

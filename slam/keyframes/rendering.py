@@ -127,10 +127,14 @@ def _drawing_order(points: jax.Array, pixel: jax.Array, camera: Camera) -> jax.A
 
 def _fill_gaps(front: jax.Array, empty: int) -> jax.Array:
     """Empty pixels take the nearest element of the eight around them: its plane continues there."""
-    padded = jnp.pad(front, 1, constant_values=empty)
-    height, width = front.shape
-    around = [padded[r : r + height, c : c + width] for r in range(3) for c in range(3)]
-    return jnp.where(front < empty, front, reduce(jnp.minimum, around))
+    return jnp.where(front < empty, front, reduce(jnp.minimum, around(front, empty)))
+
+
+def around(image: jax.Array, outside: int | bool) -> list[jax.Array]:
+    """An image (H, W) and its eight shifts by a pixel, with what lies outside."""
+    padded = jnp.pad(image, 1, constant_values=outside)
+    height, width = image.shape
+    return [padded[r : r + height, c : c + width] for r in range(3) for c in range(3)]
 
 
 def render(

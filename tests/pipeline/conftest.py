@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from pipeline.publishing.values import RunValues
+from pipeline.room import view_room
 from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.synthesis.filming import film_object
 from pipeline.synthesis.objects import built_in_object
@@ -122,3 +123,10 @@ def small_shape() -> ShapePrior:
         seen_occupied=occupied,
         enclosed=np.zeros((2, 3, 4), bool),
     )
+
+
+@pytest.fixture(scope="session")
+def values(filmed_mug: SyntheticRecording, true_trajectory: SlamResult, small_shape: ShapePrior) -> RunValues:
+    """A run with a trajectory, a room and a shape of 2 x 3 x 4 voxels."""
+    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
+    return RunValues(slam=true_trajectory, room=room, shapes={"mug": small_shape})

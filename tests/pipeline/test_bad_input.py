@@ -2,11 +2,9 @@
 
 import json
 import os
-import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -115,17 +113,6 @@ def write(path: Path, message: Write, frames: int = 3) -> Path:
             scribe.ros2("/c/camera_info", camera_info(stamp, (40, 30), K), stamp)
             message(scribe, stamp)
     return path
-
-
-@contextmanager
-def file_size_limit(size: int) -> Iterator[None]:
-    """Writing a file beyond this many bytes fails as on a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("command", ["info", "slam"])
@@ -315,10 +302,10 @@ def test_a_job_without_output_does_its_work(closed: str, tmp_path: Path) -> None
     assert subprocess.run(["sh", "-c", command], check=False).returncode == 0
 
 
-def test_a_full_disk_leaves_no_recording(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_recording(tmp_path: Path, limited_files) -> None:
     """Neither whole nor partial."""
     source = seven_scenes(tmp_path / "source")
-    with file_size_limit(4000):
+    with limited_files(4000):
         result = run("import", "7scenes", source, tmp_path / "o.mcap", "--quiet")
     assert_one_line(result, f"cannot write {tmp_path / 'o.mcap'}: File too large")
     assert [file.name for file in tmp_path.iterdir()] == ["source"]
@@ -326,7 +313,7 @@ def test_a_full_disk_leaves_no_recording(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [0, 200, 2000])
 def test_a_full_disk_leaves_no_run(
-    size: int, mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+    size: int, mug_file: Path, true_trajectory: SlamResult, tmp_path: Path, limited_files
 ) -> None:
     """Whichever file of it does not fit; the same command works once there is room."""
     from pipeline.errors import PipelineError
@@ -337,7 +324,7 @@ def test_a_full_disk_leaves_no_run(
         with open_session(common(), RecordingSource(path=mug_file, said={}), tmp_path / "run") as session:
             tracker.stage(session, SlamConfig(particles=3))
 
-    with pytest.raises(PipelineError, match="File too large") as caught, file_size_limit(size):
+    with pytest.raises(PipelineError, match="File too large") as caught, limited_files(size):
         work()
     assert str(tmp_path) in str(caught.value)
     assert not (tmp_path / "run").exists()

@@ -15,11 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.values import RunValues
-from pipeline.room import view_room
-from pipeline.synthesis.recording import SyntheticRecording
 from recordings.images.point_clouds import OPTICAL_FROM_BODY
-from shapes.prior import ShapePrior
-from slam.result import SlamResult
 
 WHOLE = (
     "/transforms/map",
@@ -31,13 +27,6 @@ WHOLE = (
     "/scene",
     "/summary",
 )
-
-
-@pytest.fixture(scope="module")
-def values(filmed_mug: SyntheticRecording, true_trajectory: SlamResult, small_shape: ShapePrior) -> RunValues:
-    """A run with a trajectory, a room and a shape of 2 x 3 x 4 voxels."""
-    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
-    return RunValues(slam=true_trajectory, room=room, shapes={"mug": small_shape})
 
 
 def read(path: Path) -> dict[str, list]:

@@ -19,7 +19,6 @@ from pipeline.publishing.messages import write_messages
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.publishing.values import RunValues
-from pipeline.room import view_room
 from pipeline.surfaces import SceneSurface
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.views.blueprint import room_eye
@@ -29,18 +28,10 @@ from pipeline.views.scene_view import _boxes, _mesh, _node_places, _places_on_ed
 from pipeline.views.screenshot import SOFTWARE_DRIVER, frames_in, take_screenshot
 from pipeline.views.truth_view import _object_levels, truth_of
 from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of
-from shapes.prior import ShapePrior
 from slam.result import SlamResult
 from tests.scene.results import scene_result
 
 rr.set_strict_mode(True)
-
-
-@pytest.fixture(scope="module")
-def values(filmed_mug: SyntheticRecording, true_trajectory: SlamResult, small_shape: ShapePrior) -> RunValues:
-    """A run with a trajectory, a room and a small shape."""
-    room = view_room(filmed_mug, filmed_mug.intrinsics, true_trajectory.mean)
-    return RunValues(slam=true_trajectory, room=room, shapes={"mug": small_shape})
 
 
 def rows_of(rrd: Path) -> dict[str, int]:
