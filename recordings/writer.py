@@ -85,7 +85,6 @@ class RecordingWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[MessageSchema, int] = {}
         self._sequences: Counter[str] = Counter()
-        self._last_time_ns = 0
         if self._path.exists() and not self._path.is_file():
             raise RecordingError(f"cannot write {self._path}: it exists and is not a file")
         if _is_of_others(self._path):

@@ -29,7 +29,6 @@ class ChunkHead:
     """What stands before a chunk's payload; no checksum covers it."""
 
     start_time_ns: int
-    end_time_ns: int
     unpacked_size: int
     crc: int
     compression: str
@@ -55,7 +54,7 @@ def parse_chunk_head(body: bytes, body_size: int) -> ChunkHead:
         MalformedRecord: the sizes contradict each other.
     """
     try:
-        start, end, unpacked_size, crc, name_size = _SIZES.unpack_from(body)
+        start, _, unpacked_size, crc, name_size = _SIZES.unpack_from(body)
         name = body[_SIZES.size : _SIZES.size + name_size]
         if len(name) != name_size:
             raise MalformedRecord("the compression's name is cut off")
@@ -68,7 +67,6 @@ def parse_chunk_head(body: bytes, body_size: int) -> ChunkHead:
         raise MalformedRecord(f"a chunk claims {stored_size} bytes in a record of {body_size}")
     return ChunkHead(
         start_time_ns=start,
-        end_time_ns=end,
         unpacked_size=unpacked_size,
         crc=crc,
         compression=compression,

@@ -92,19 +92,21 @@ class SeenSpace:
         return EvidenceGrid(evidence=evidence, pitch_m=self.pitch_m, camera_from_grid=self.camera_from_grid)
 
 
-def seen_space(data: SceneData, radius_m: float, pitch_m: float = PITCH_M) -> SeenSpace | None:
+def seen_space(data: SceneData, radius_m: float) -> SeenSpace | None:
     """The cells round a frame's foreground, as far as an object may reach; None without a foreground.
+
+    Where there would be too many they are enlarged, which is told in the log.
 
     Args:
         data: the frame.
         radius_m: of the largest object.
-        pitch_m: edge of a cell; enlarged, which is told in the log, where there would be too many.
     """
     if not (data.near.any() and data.foreground.any()):
         return None
     camera_from_axes = data.table.camera_from_table if data.table else np.eye(4)
     rotation, origin_m = camera_from_axes[:3, :3], camera_from_axes[:3, 3]
     shown_m = (unproject(data.depth_m, data.intrinsics)[data.near] - origin_m) @ rotation
+    pitch_m = PITCH_M
     shown_m = _in_company(shown_m, 2 * pitch_m)
     low_m, high_m = shown_m.min(axis=0) - radius_m, shown_m.max(axis=0) + radius_m
     low_m, size = _bounds(low_m, high_m, pitch_m, data)

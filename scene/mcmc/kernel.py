@@ -22,6 +22,9 @@ from scene.model.posterior import ChainState, Estimate, NoData, SceneModel
 
 Recorded = TypeVar("Recorded")
 
+WALK_SPREAD = 30.0
+"""The largest scale of a walk's step over the smallest."""
+
 _ANEW, _CANDIDATES = range(2)
 """Kinds of steps: the candidates by their place from the last on, and then the others."""
 
@@ -82,7 +85,6 @@ def scene_kernel(
     rotation_rad: jax.Array,
     lines: SpinLines,
     symmetries: Symmetries,
-    spread: float = 30.0,
     candidates: int = 6,
     repeats: int = 4,
     structure: Move | None = None,
@@ -96,13 +98,12 @@ def scene_kernel(
         rotation_rad: (C,) the same for angles.
         lines: about which objects are round.
         symmetries: lines about which parts of a turn leave objects nearly as they are.
-        spread: the largest scale over the smallest.
         candidates: poses that are weighed together, the present one among them.
         repeats: of candidates in a sweep, far and near ones in turn.
         structure: the structure move; None keeps the graph fixed.
     """
     dtype = translation_m.dtype
-    walk = WalkMove(translation_m, rotation_rad, jnp.asarray(spread, dtype))
+    walk = WalkMove(translation_m, rotation_rad, jnp.asarray(WALK_SPREAD, dtype))
     far = IndependenceMultipleTry(mixture, jnp.asarray(prior_share, dtype), candidates)
     near = LocalMultipleTry(mixture, lines, symmetries, candidates, grafts=structure is not None)
     return Kernel(structure, (far, near), (walk, FlipMove()), repeats)

@@ -52,12 +52,10 @@ class VoxelStates(NamedTuple):
     Attributes:
         probability: (V, C) of each state.
         reach: (V,) largest posterior probability, over the rays, that one came as far as the voxel.
-        change: (sweeps,) largest change of a site in each sweep, in nats.
     """
 
     probability: jax.Array
     reach: jax.Array
-    change: jax.Array
 
 
 @partial(jax.jit, static_argnames="sweeps")
@@ -81,22 +79,20 @@ def voxel_states(
     def beliefs(sites: jax.Array) -> jax.Array:
         return padded.at[rays.voxel].add(sites)
 
-    def sweep(sites: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+    def sweep(_: int, sites: jax.Array) -> jax.Array:
         cavity = jax.nn.softmax(beliefs(sites)[rays.voxel] - sites, axis=-1)
         ended, open_, beyond = _ray_messages(rays, (cavity * ends).sum(axis=-1))
         here = ends * rays.density[..., None] + (1 - ends) * beyond[..., None]
         refined = jnp.log(ended[..., None] + open_[..., None] * here + TINY)
         refined -= jnp.log(ended + open_ * beyond + TINY)[..., None]
-        step = damping * jnp.where(real, refined - sites, 0.0)
-        return sites + step, jnp.abs(step).max(initial=0.0)
+        return sites + damping * jnp.where(real, refined - sites, 0.0)
 
-    nothing = jnp.zeros(ends.shape, log_prior.dtype)
-    sites, change = jax.lax.scan(sweep, nothing, length=sweeps)
+    sites = jax.lax.fori_loop(0, sweeps, sweep, jnp.zeros(ends.shape, log_prior.dtype))
     total = beliefs(sites)
     cavity = jax.nn.softmax(total[rays.voxel] - sites, axis=-1)
     reached = jnp.where(real[..., 0], _came_as_far(rays, (cavity * ends).sum(axis=-1)), 0.0)
     reach = jnp.zeros(count + 1, log_prior.dtype).at[rays.voxel].max(reached)
-    return VoxelStates(jax.nn.softmax(total[:count], axis=-1), reach[:count], change)
+    return VoxelStates(jax.nn.softmax(total[:count], axis=-1), reach[:count])
 
 
 def _ray_messages(rays: SensorRays, ends: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
