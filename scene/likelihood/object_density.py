@@ -20,7 +20,7 @@ from shapes.rendering.ray_casting import sort_chosen_first
 PIXELS_TOGETHER = 2**12
 """Of a list that are computed together, so that they stay in a core's cache: speed."""
 
-LAYERS = 64
+WEIGHED_TOGETHER = 64
 """Of a kernel; kernels run side by side, each on a core, and one size serves any number."""
 
 Layers = tuple[jax.Array, jax.Array]
@@ -32,20 +32,20 @@ def layer_densities(
     """What `object_densities` gives for any number of layers (n, H, W) in one image."""
 
     def weighed(first: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        count = min(LAYERS, len(layers_m) - first)
-        filled = np.full((LAYERS, *layers_m.shape[1:]), np.float32(np.inf))
+        count = min(WEIGHED_TOGETHER, len(layers_m) - first)
+        filled = np.full((WEIGHED_TOGETHER, *layers_m.shape[1:]), np.float32(np.inf))
         filled[:count] = layers_m[first : first + count]
         log_density, depth_m = jax.device_get(_layer_densities(density, filled))
         return log_density[:count], depth_m[:count]
 
-    parts = map_parallel(weighed, range(0, len(layers_m), LAYERS))
+    parts = map_parallel(weighed, range(0, len(layers_m), WEIGHED_TOGETHER))
     log_density, depth_m = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
     return log_density, depth_m
 
 
 def compile_layer_densities(density: PixelDensity) -> None:
     """What `layer_densities` runs."""
-    nothing = np.full((LAYERS, *density.log_rest.shape), np.float32(np.inf))
+    nothing = np.full((WEIGHED_TOGETHER, *density.log_rest.shape), np.float32(np.inf))
     _layer_densities.lower(density, nothing).compile()
 
 

@@ -152,14 +152,14 @@ def symmetry_lines(
     for number, axis in enumerate(axes):
         across = np.delete(extents, number)
         for order in (4, 2) if np.ptp(across) < SQUARE * across.max() else (2,):
-            line, share = _fitted(tree, points, normals, axis, 2 * np.pi / order)
+            line, share = _turn_line(tree, points, normals, axis, 2 * np.pi / order)
             if share > MOSTLY:
                 lines[number], orders[number] = line, order
                 break
     return lines, orders
 
 
-def _fitted(
+def _turn_line(
     tree: KDTree,
     points: NDArray[np.float64],
     normals: NDArray[np.float64],

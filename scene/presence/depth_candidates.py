@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scene.execution import map_parallel
 from scene.likelihood.compared_frames import ComparedFrames
-from scene.likelihood.object_density import LAYERS, layer_densities
+from scene.likelihood.object_density import WEIGHED_TOGETHER, layer_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_half_sizes, solid_layers
@@ -71,7 +71,8 @@ class PresenceFrames:
 
         def in_frame(frame: int, in_camera: NDArray[np.float64]) -> Shown:
             window, count = self.compared.views[frame].window, len(in_camera)
-            fill = np.resize(np.arange(count), LAYERS * -(-count // LAYERS)).reshape(-1, LAYERS)
+            batches = -(-count // WEIGHED_TOGETHER)
+            fill = np.resize(np.arange(count), (batches, WEIGHED_TOGETHER))
             given = in_camera.astype(np.float32), solid_half_sizes(states).astype(np.float32), is_round
 
             def rendered(some: NDArray[np.intp]) -> NDArray[np.float32]:

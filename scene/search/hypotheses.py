@@ -22,7 +22,7 @@ from scene.observation.frame_data import SceneData
 from scene.search.assignment import PoseLayers, gain_of, nearest_layer
 from scene.search.pixel_sample import ComparedPixels
 from scene.search.support_prior import Gravity, log_not_buried
-from scene.search.template_matching import distinct
+from scene.search.template_matching import best_distinct
 from shapes.geometry.poses import matrices_of
 
 
@@ -126,7 +126,7 @@ class PosePools:
         (log_prior,) = log_not_buried(table, [self.objects[one]], poses[None], sigma_m)
         gains = gain_of(front, *map(jnp.asarray, self.pixels.shown(depth_m))) + log_prior
         rotations = matrices_of(poses)[:, :3, :3].astype(np.float32)
-        return poses[np.asarray(distinct(rotations, poses[:, 4:], gains, self.config.pool))]
+        return poses[np.asarray(best_distinct(rotations, poses[:, 4:], gains, self.config.pool))]
 
     def _told_by_depth(
         self, numbers: NDArray[np.integer], found: NDArray[np.float32], turned: NDArray[np.float32]

@@ -116,7 +116,7 @@ def refine(
             drawn = np.asarray(_moved(means[mine], tangents), np.float64)
             log_weights = PIXEL_WEIGHT * frame.log_ratio(mine, drawn, rest_m)
             log_weights += 0.5 * (normal**2).sum(axis=-1)
-            steps, factors[mine] = _fitted(tangents, log_weights)
+            steps, factors[mine] = _gaussians(tangents, log_weights)
             means[mine] = np.asarray(_moved(means[mine], steps[:, None]), np.float64)[:, 0]
     return means
 
@@ -149,7 +149,7 @@ def distinct(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return sites
 
 
-def _fitted(
+def _gaussians(
     tangents: NDArray[np.float64], log_weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Means (J, 6) and lower factors (J, 6, 6) of weighted draws (J, S, 6)."""

@@ -26,7 +26,7 @@ from scene.search.assignment import PoseLayers, choose, log_conditional
 from scene.search.competing_scenes import best_of
 from scene.search.hypotheses import PosePools
 from scene.search.search_result import BoltzmannAtoms
-from scene.search.template_matching import CANDIDATES, distinct, match_templates
+from scene.search.template_matching import CANDIDATES, best_distinct, match_templates
 from shapes.geometry.poses import matrices_of
 
 FROM_MASKS = {"points": 0, "masks": CANDIDATES, "both": CANDIDATES // 2}
@@ -146,7 +146,7 @@ def _apart(atoms: Atoms, count: int) -> NDArray[np.integer]:
     if not len(atoms.poses):
         return np.zeros(0, np.int32)
     rotations = matrices_of(atoms.poses)[:, :3, :3].astype(np.float32)
-    return np.asarray(distinct(rotations, atoms.poses[:, 4:], atoms.scores, count))
+    return np.asarray(best_distinct(rotations, atoms.poses[:, 4:], atoms.scores, count))
 
 
 def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:

@@ -135,7 +135,7 @@ def _matched(
     places = _best_everywhere(coarse, len(anchors_m))
     turned, placed = rotations[places // offsets.shape[1]], offsets.reshape(-1, 3)[places]
     scores = jax.vmap(partial(_score, view, points_m, normals, tolerance_m))(turned, placed)
-    chosen = distinct(turned, placed, scores, count)
+    chosen = best_distinct(turned, placed, scores, count)
     return jax.vmap(_pose)(turned[chosen], placed[chosen])
 
 
@@ -247,7 +247,7 @@ def _best_everywhere(coarse: jax.Array, anchors: int) -> jax.Array:
 
 
 @partial(jax.jit, static_argnames="count")
-def distinct(rotations: jax.Array, offsets_m: jax.Array, scores: jax.Array, count: int) -> jax.Array:
+def best_distinct(rotations: jax.Array, offsets_m: jax.Array, scores: jax.Array, count: int) -> jax.Array:
     """Places (count,) of the best scores, none next to a better one; repeats the best when few differ."""
 
     def take(index: int, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
