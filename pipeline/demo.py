@@ -151,7 +151,7 @@ def evaluate(project: Project, run: Path) -> DemoResult:
         values, truth = _values(recording, run), RecordedTruth(recording.path)
         slam, shape, one = values.slam, values.shapes[recording.shape], truth.scene.objects[0]
         assert slam is not None  # learning needs it
-        reference_from_object = truth.reference_from_object(one, slam.tracked)
+        reference_from_object = truth.reference_from_object(one, slam.tracked_path)
         learned[recording.shape] = LearnedObject(
             trajectory_error_cm=100 * slam_errors(slam, truth.trajectory)["ate_first_pose_m"],
             iou=shape_agreement(shape, true_mesh(one), reference_from_object).solid,

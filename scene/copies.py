@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +33,20 @@ def slot_names(names: Sequence[str], copies: int) -> list[str]:
     return [name if copy == 0 else f"{name}_{copy + 1}" for name in names for copy in range(copies)]
 
 
-def copies_among(names: Sequence[str], points_m: Sequence[NDArray[np.floating]]) -> NDArray[np.bool_]:
-    """(N, N) which objects are of one shape, each one with itself: by their names and points of surfaces.
+def copies_among(points_m: Mapping[str, NDArray[np.floating]]) -> NDArray[np.bool_]:
+    """(N, N) which objects are of one shape, each one with itself: by their names and surfaces.
 
     Other shapes may be named alike: box and box_2.
+
+    Args:
+        points_m: of each object's surface, in its own frame, by its name.
     """
+    names, points = list(points_m), list(points_m.values())
     originals = set(names) - {name for name in names if (copy := COPY.match(name)) and copy[1] in names}
     shapes = np.array([shape_of(name, originals) for name in names])
     alike = shapes[:, None] == shapes[None]
     for one, other in np.argwhere(alike):
-        alike[one, other] = np.array_equal(points_m[one], points_m[other])
+        alike[one, other] = np.array_equal(points[one], points[other])
     return alike
 
 

@@ -29,7 +29,7 @@ from scene.presence.pose_priors import PosePriors
 from scene.search.importance_sampling import distinct, largest_power
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
-from shapes.resampling import resampled
+from shapes.resampling import draw_systematically
 
 PARTICLES, MOVES = 128, 4
 """Of an object, and moves at each exponent: of 16 objects drawn from the model two end over six nats below
@@ -192,7 +192,7 @@ def anneal(
     while exponent < 1:
         rise = largest_power(log_likelihood, ALIVE * PARTICLES, 1 - exponent)
         exponent = min(exponent + rise, 1.0)
-        kept = resampled(rng, softmax(rise * log_likelihood), PARTICLES)
+        kept = draw_systematically(rng, softmax(rise * log_likelihood), PARTICLES)
         poses, seed = poses[kept], seed[kept]
         log_likelihood, log_prior = log_likelihood[kept], log_prior[kept]
         for _ in range(MOVES if exponent < 1 else 2 * MOVES):

@@ -90,7 +90,7 @@ def summarise(
     radii_m = np.array([np.linalg.norm(one.half_extents_m) for one in objects], np.float64)
     there = with_common_errors(rng, boxes, radii_m, config.scale_error, config.model_error_m)
     poses = np.where(start.found[:, None, None], there, boxes) @ box_from_object
-    alike = copies_among([one.name for one in objects], [one.points_m for one in objects])
+    alike = copies_among({one.name: one.points_m for one in objects})
     exact = {one: told for one, told in hidden.exact.items() if not presence.seen[one]}
     presence = presence.with_exact(exact, hidden.both, alike)
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))

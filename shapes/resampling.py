@@ -25,7 +25,9 @@ def resample_systematically(key: jax.Array, log_weights: jax.Array, count: int |
     return jnp.minimum(jnp.searchsorted(cumulative, points, side="right"), last_alive).astype(jnp.int32)
 
 
-def resampled(rng: np.random.Generator, weights: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+def draw_systematically(
+    rng: np.random.Generator, weights: NDArray[np.float64], count: int
+) -> NDArray[np.intp]:
     """The same in NumPy, of weights (K,) whose sum is 1."""
     places = (np.arange(count) + rng.random()) / count
     return np.minimum(np.searchsorted(np.cumsum(weights), places), len(weights) - 1)

@@ -85,7 +85,7 @@ class SlamResult(Archived):
         return len(self.times_ns)
 
     @property
-    def tracked(self) -> Trajectory:
+    def tracked_path(self) -> Trajectory:
         """Mean poses of the frames that were not lost."""
         found = ~self.lost
         return Trajectory(times_ns=self.times_ns[found], reference_from_camera=self.mean[found])

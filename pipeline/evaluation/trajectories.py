@@ -81,19 +81,18 @@ def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:
     frames, poses = compared(result.times_ns, reference)
     errors = trajectory_errors(result.mean[frames], poses)
     squared = _squared_from_first(result, frames, poses)
-    found = ~result.lost[frames]
-    of_found = (
-        trajectory_errors(result.mean[frames[found]], poses[found]) if 1 < found.sum() < len(found) else None
-    )
-    return {
+    document = {
         **asdict(errors),
         "lost_frames": int(result.lost.sum()),
-        **({} if of_found is None else {"found": asdict(of_found)}),
         "coverage": {
             f"{level:g}": share
             for level, share in coverage(squared, float(result.degrees_of_freedom)).items()
         },
     }
+    found = ~result.lost[frames]
+    if 1 < found.sum() < len(found):
+        document["found"] = asdict(trajectory_errors(result.mean[frames[found]], poses[found]))
+    return document
 
 
 def levels_of_truth(result: SlamResult, reference: Trajectory) -> NDArray[np.float64]:

@@ -64,13 +64,13 @@ def export_run(
         contents["scene.glb"] = glb_bytes(parts, _up(values))
     one_by_one = [form for form in formats if form not in SCENE_FORMATS]
     models = _models(run, values, options, closed=not SIMULATORS.isdisjoint(one_by_one)) if one_by_one else []
+    if one_by_one and not models:
+        raise PipelineError(f"{run} holds no objects for --format {','.join(one_by_one)}")
     files = [{"format": Path(name).suffix[1:], "units": "m", "file": name} for name in contents]
     entry = {run.resolve().name: {"frame": FRAME, "files": files}}
     paths = write_files(out, contents, entry, force=options.force) if contents else []
     if not one_by_one:
         return paths
-    if not models:
-        raise PipelineError(f"{run} holds no objects for --format {','.join(one_by_one)}")
     written = export_models(
         models, one_by_one, out, _numbered(options, values), _poses(values, models, one_by_one, options)
     )

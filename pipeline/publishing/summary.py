@@ -185,8 +185,8 @@ def _counts(scene: SceneResult, surfaces: Surfaces) -> list[dict[str, Any]]:
     """Of shapes of which several were asked for: probabilities that none, one, two and so on are there."""
     names = scene.names.tolist()
     told = []
-    points = [surfaces.by_name[name].vertices_m for name in names]
-    for first, copies in enumerate(copies_among(names, points)):
+    alike = copies_among({name: surfaces.by_name[name].vertices_m for name in names})
+    for first, copies in enumerate(alike):
         if copies.sum() > 1 and copies.argmax() == first:
             shares = scene.number_probabilities[first, : copies.sum() + 1]
             told.append({"name": names[first], "probabilities": shares.tolist()})

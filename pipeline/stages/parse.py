@@ -41,8 +41,8 @@ SOURCES = (
 )
 SURFACE_SOURCES = ("pipeline.shape_folder", "pipeline.meshes", "pipeline.surfaces", "pipeline.bop_numbers")
 
-MOSTLY = 0.5
-"""Share of a frame's returns; less is told."""
+LEAST_NEAR_SHARE = 0.5
+"""Share of a frame's returns near enough to look for objects; of less a warning is given. Chosen by hand."""
 SHAPE_DRAWS = 16
 """Draws of a learned shape among which the likelihood's estimates choose."""
 
@@ -193,7 +193,7 @@ def _warn_of_far_frames(numbered: Sequence[tuple[int, Frame]], warn: Callable[[s
     from scene.observation.segmentation import FARTHEST_M, near_share
 
     for number, frame in numbered:
-        if (share := near_share(frame.depth_m)) < MOSTLY:
+        if (share := near_share(frame.depth_m)) < LEAST_NEAR_SHARE:
             warn(
                 f"only {share:.0%} of what frame {number} shows lies within {FARTHEST_M:g} m of the camera, "
                 "where objects are looked for: film them from nearer"

@@ -29,7 +29,8 @@ MOSTLY_LOST = 0.5
 TOLD_DISPLACEMENT_M = 0.02
 """By which a second motion must widen the told spread of a frame to be worth a warning. Chosen by hand."""
 MANY_CONTESTED = 5
-"""Frames that are told so: of a kitchen at rest, every second to eighth frame of it, four were at most."""
+"""Such frames that are worth the warning: of one kitchen at rest, read at five rates, four at most had a
+second motion by mistake. Chosen by that recording alone."""
 CAUSES = (
     "tracking is slow and doubtful there: is it the right unit (--depth-scale), camera and depth topic, do "
     "few frames a second leave out much of the way, does something large move, is there but a bare wall?"

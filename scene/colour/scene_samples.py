@@ -20,7 +20,7 @@ from scene.colour.posterior import ColourImage, Scene, log_posterior
 from scene.colour.proposals import FoundThings
 from scene.colour.weighing import FoundScene, Weighed
 from scene.colour.world import TableWorld
-from shapes.resampling import resampled
+from shapes.resampling import draw_systematically
 
 FAR = 1e3
 """Metres between things of different kinds, when those of two scenes are paired."""
@@ -102,7 +102,7 @@ def _starts(rng: np.random.Generator, found: FoundScene, chains: int) -> list[We
     """Scenes found, systematically in proportion to their shares, the best one first."""
     by_kinds = {tuple(sorted(one.scene.kinds.tolist())): one for one in found.weighed}
     ordered = sorted(found.kinds, key=lambda kinds: -found.kinds[kinds])
-    chosen = resampled(rng, np.array([found.kinds[kinds] for kinds in ordered]), chains)
+    chosen = draw_systematically(rng, np.array([found.kinds[kinds] for kinds in ordered]), chains)
     return [by_kinds[ordered[one]] for one in chosen]
 
 

@@ -76,5 +76,5 @@ def presence_in_scene(
         proposed = [proposed_solids(view, compared.world_from(number)) for number, view in novel.items()]
         starts, is_round = (np.concatenate(part) for part in zip(*proposed, strict=True))
         solids = solids_near(rng, frames, priors, starts, is_round, MOST_SOLIDS * len(novel))
-    alike = copies_among([one.name for one in objects], [one.points_m for one in objects])
+    alike = copies_among({one.name: one.points_m for one in objects})
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike, start.found)

@@ -43,7 +43,7 @@ def rivals_of(
     pools: PosePools, scene: NDArray[np.integer]
 ) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
     """For every object the best scene (N, N) with or without it, and its log odds (N,)."""
-    alike = copies_among([one.name for one in pools.objects], [one.points_m for one in pools.objects])
+    alike = copies_among({one.name: one.points_m for one in pools.objects})
     others, log_odds = rivals(pools.layers, scene, alike)
     return np.asarray(others), np.asarray(log_odds)
 

@@ -32,7 +32,6 @@ ONE_SURFACE_BAND = 0.03
 """Relative depth within which the pixels of a block, or the elements of several keyframes, are one surface,
 and behind which a keyframe saw through the space in front."""
 
-
 LEAST_RETURNS = 0.01
 """Share of the pixels that must have returned for a view to begin a map, or to be sought anywhere in one."""
 

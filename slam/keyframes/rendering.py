@@ -127,10 +127,10 @@ def _drawing_order(points: jax.Array, pixel: jax.Array, camera: Camera) -> jax.A
 
 def _fill_gaps(front: jax.Array, empty: int) -> jax.Array:
     """Empty pixels take the nearest element of the eight around them: its plane continues there."""
-    return jnp.where(front < empty, front, reduce(jnp.minimum, around(front, empty)))
+    return jnp.where(front < empty, front, reduce(jnp.minimum, neighbours(front, empty)))
 
 
-def around(image: jax.Array, outside: int | bool) -> list[jax.Array]:
+def neighbours(image: jax.Array, outside: int | bool) -> list[jax.Array]:
     """An image (H, W) and its eight shifts by a pixel, with what lies outside."""
     padded = jnp.pad(image, 1, constant_values=outside)
     height, width = image.shape

@@ -25,7 +25,7 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.poses import transformed
 from slam.keyframes.depth_view import ONE_SURFACE_BAND, CanvasView
-from slam.keyframes.rendering import MapImage, around, depth_from, pixels_of
+from slam.keyframes.rendering import MapImage, depth_from, neighbours, pixels_of
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.unmapped_depth import (
     PredictedDepth,
@@ -150,7 +150,7 @@ def scored_pixels(
 
 def _beside_nothing(shown: jax.Array) -> jax.Array:
     """Pixels (H, W) of whose neighbours some are not `shown`; beyond the image all are."""
-    return ~jnp.stack(around(shown, True)).all(0)
+    return ~jnp.stack(neighbours(shown, True)).all(0)
 
 
 def _seen_through(

@@ -33,7 +33,7 @@ def test_copies_are_told_by_their_names_and_surfaces() -> None:
     """
     one, other = np.zeros((4, 3)), np.ones((4, 3))
     pairs = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
-    np.testing.assert_array_equal(copies_among(["mug", "mug_2", "can"], [one, one, other]), pairs)
-    np.testing.assert_array_equal(copies_among(["part_1", "part_2"], [one, one]), np.eye(2))
-    np.testing.assert_array_equal(copies_among(["box", "box_2"], [one, other]), np.eye(2))
-    np.testing.assert_array_equal(copies_among(["box", "box_2"], [one, one[:3]]), np.eye(2))
+    np.testing.assert_array_equal(copies_among({"mug": one, "mug_2": one, "can": other}), pairs)
+    np.testing.assert_array_equal(copies_among({"part_1": one, "part_2": one}), np.eye(2))
+    np.testing.assert_array_equal(copies_among({"box": one, "box_2": other}), np.eye(2))
+    np.testing.assert_array_equal(copies_among({"box": one, "box_2": one[:3]}), np.eye(2))

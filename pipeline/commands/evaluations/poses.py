@@ -68,7 +68,7 @@ def _shapes(surfaces: Surfaces) -> dict[str, str]:
     from scene.copies import copies_among
 
     names = list(surfaces.by_name)
-    alike = copies_among(names, [one.vertices_m for one in surfaces.by_name.values()])
+    alike = copies_among({name: one.vertices_m for name, one in surfaces.by_name.items()})
     return dict(zip(names, [names[first] for first in alike.argmax(axis=1)], strict=True))
 
 

@@ -85,7 +85,7 @@ def _path(folder: RunFolder, name: str, slam: SlamResult | None, recording: Path
 
     record = folder.record(f"learn/{name}")
     if slam is not None and (record is None or "slam" in record.uses):
-        return slam.tracked
+        return slam.tracked_path
     recorded = recorded_path(recording, _read_options({} if record is None else record.settings))
     if recorded is None:
         raise PipelineError(f"{recording} has no recorded poses, with which {name} was learned")

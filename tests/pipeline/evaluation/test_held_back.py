@@ -37,7 +37,7 @@ def test_distances_are_those_along_the_rays(cube: ShapePrior, true_trajectory: S
     depth = np.full((48, 64), FACE_M + 0.003, np.float32)
     depth[:, :32] = NO_RETURN
     frame = Frame(time_ns=int(true_trajectory.times_ns[0]), depth_m=depth, rgb=None)
-    found = held_back_errors(cube, [frame], INTRINSICS, true_trajectory.tracked)
+    found = held_back_errors(cube, [frame], INTRINSICS, true_trajectory.tracked_path)
     assert found.frames == 1
     assert found.median_m == pytest.approx(0.003, abs=2e-4)
     assert 16 <= found.pixels <= 64
@@ -47,11 +47,11 @@ def test_a_view_without_the_shape_does_not_count(cube: ShapePrior, true_trajecto
     """Nothing is known where no ray with a return meets the surface."""
     empty = np.full((48, 64), NO_RETURN, np.float32)
     frame = Frame(time_ns=int(true_trajectory.times_ns[0]), depth_m=empty, rgb=None)
-    assert held_back_errors(cube, [frame], INTRINSICS, true_trajectory.tracked).median_m is None
+    assert held_back_errors(cube, [frame], INTRINSICS, true_trajectory.tracked_path).median_m is None
 
 
 def test_only_tracked_frames_that_were_not_used_are_held_back(true_trajectory: SlamResult) -> None:
     """Of six frames one is lost and three are learned from."""
     lost = np.array([False, True, False, False, False, False])
-    times = held_back_times(replace(true_trajectory, lost=lost).tracked, LearnConfig(views=3))
+    times = held_back_times(replace(true_trajectory, lost=lost).tracked_path, LearnConfig(views=3))
     np.testing.assert_array_equal(times, true_trajectory.times_ns[[2, 4]])

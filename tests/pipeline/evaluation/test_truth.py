@@ -75,8 +75,10 @@ def test_one_bad_frame_does_not_move_the_truth(mug_file: Path, true_trajectory: 
     mean[4] = np.eye(4)
     shaken = replace(true_trajectory, mean=mean, lost=lost)
 
-    np.testing.assert_allclose(truth.reference_from_object(one, true_trajectory.tracked), exact, atol=1e-9)
-    np.testing.assert_allclose(truth.reference_from_object(one, shaken.tracked), exact, atol=1e-9)
+    np.testing.assert_allclose(
+        truth.reference_from_object(one, true_trajectory.tracked_path), exact, atol=1e-9
+    )
+    np.testing.assert_allclose(truth.reference_from_object(one, shaken.tracked_path), exact, atol=1e-9)
 
 
 def test_what_has_no_truth_is_named(mug_file: Path, tmp_path: Path) -> None:
