@@ -178,8 +178,7 @@ def parse(
 
 
 def _prepare() -> None:
-    """Keep compiled kernels from now on."""
-    from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+    """Set JAX up as the commands do."""
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
-    trace_without_pauses()
+    set_up_jax()

@@ -125,10 +125,9 @@ class Session:
         """The same with JAX set up before it: a run with nothing to do never imports it."""
 
         def prepare_and_compute() -> V:
-            from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+            from pipeline.jax_setup import set_up_jax
 
-            keep_compiled_kernels()
-            trace_without_pauses()
+            set_up_jax()
             return compute()
 
         return prepare_and_compute

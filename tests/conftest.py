@@ -13,7 +13,7 @@ os.environ.setdefault("CI", "1")  # silences Rerun's usage statistics
 import jax
 import pytest
 
-from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+from pipeline.jax_setup import set_up_jax
 from scene.execution import FAST_COMPILE
 
 ROOT = Path(__file__).parent.parent
@@ -23,8 +23,7 @@ os.environ.setdefault("XLA_FLAGS", _ALL_COMPILED_FAST)  # of commands too; tests
 
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-keep_compiled_kernels("tests")  # once a machine, not once a checkout: that is half of the time of the tests
-trace_without_pauses()
+set_up_jax("tests")  # once a machine, not once a checkout: that is half of the time of the tests
 
 
 @pytest.fixture

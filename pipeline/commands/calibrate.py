@@ -56,14 +56,13 @@ def command(
     from pipeline.atomic import check_output
     from pipeline.calibration.calibrate import calibrate
     from pipeline.calibration.told import document_of, lines_of, warnings_of
-    from pipeline.jax_setup import keep_compiled_kernels, trace_without_pauses
+    from pipeline.jax_setup import set_up_jax
     from pipeline.quiet_stdout import stdout_to_stderr
     from pipeline.stored_profile import StoredProfile
     from recordings.reading import open_recording
 
     check_output(sensor_path)
-    keep_compiled_kernels()
-    trace_without_pauses()
+    set_up_jax()
     opened = [(one.path, open_recording(one.path, one.read_options(common.settings))) for one in sources]
     with stdout_to_stderr():
         found = calibrate(opened, common, frames, field=field)

@@ -59,9 +59,9 @@ def command(
     With --meshes the page says how well it works on your own objects. An interrupted run goes on with the
     same command.
     """  # noqa: D301  (click reads the \b)
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
+    set_up_jax()
     from pipeline.atomic import write_text
     from pipeline.benchmarks.bop_targets import models_folder
     from pipeline.benchmarks.pose_sources import BopImages

@@ -206,9 +206,9 @@ def command(
     objects known; all of them are judged, however little is seen of them. Seconds are of an image, without
     compiling. With --keep an interrupted run goes on where it stopped.
     """
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
+    set_up_jax()
     from pipeline.benchmarks.pose_figures import pose_figures
     from pipeline.benchmarks.pose_methods import OURS, SEARCH_SHARED
     from pipeline.benchmarks.pose_report import report_lines

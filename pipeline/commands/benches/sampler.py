@@ -23,9 +23,9 @@ def command(common: Common, moves: int) -> None:
     likelihood is replaced by a number for every graph: the same for all, and, in the column `with data`, at
     random.
     """
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
+    set_up_jax()
     from pipeline.benchmarks.sampler import document_of, measure_sampler
 
     with common.progress("sampler", "sizes") as progress:

@@ -106,12 +106,12 @@ def command(
     from pipeline.benchmarks.shape_summary import summary
     from pipeline.benchmarks.shapes import growth as growth_of
     from pipeline.benchmarks.shapes import shape_rows
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
     from pipeline.meshes import load_meshes
     from pipeline.quiet_stdout import stdout_to_stderr
     from shapes.learning.config import LearnConfig
 
-    keep_compiled_kernels()
+    set_up_jax()
     peers = _installed(words("--against", against, PEERS))
     paper = conditions == "paper"
     kinds, counts = _asked(

@@ -76,9 +76,9 @@ def command(
     frames that are within 2 cm, lost, or inside their 95% region: on average, and in the worst run.
     """
     from pipeline.errors import PipelineError
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
+    set_up_jax()
     from pipeline.benchmarks.corridors import corridor_rows
     from pipeline.benchmarks.moving_cases import moving_rows
     from pipeline.benchmarks.slam import slam_rows

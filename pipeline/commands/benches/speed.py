@@ -17,9 +17,9 @@ def command(common: Common) -> None:
     By image side, objects and voxels. Random distinct poses, results consumed; compile time apart. The
     object's circle spans a third of the image's side. Takes about two minutes.
     """
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
+    set_up_jax()
     from pipeline.benchmarks.speed import measure_speed
     from pipeline.quiet_stdout import stdout_to_stderr
 

@@ -57,9 +57,9 @@ def command(
     The folder OUT becomes a BOP data set (models, test, targets; depth in 0.1 mm), with recordings of one
     frame beside it that hold the truth. An interrupted run goes on with the same command; --images may grow.
     """  # noqa: D301  (click reads the \b)
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
+    set_up_jax()
     from pipeline.mesh_source import MeshSource
     from pipeline.synthesis.challenging_scene import ChallengingScene
     from pipeline.synthesis.challenging_set import ChallengingSet, write_set

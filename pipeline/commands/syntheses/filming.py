@@ -111,13 +111,13 @@ def scene_settings(
 
 def write_films(common: Common, out: tuple[Path, ...], film: Film) -> None:
     """Film and write every recording, then tell what is in each."""
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
     from pipeline.synthesis.writing import write_recording
 
     repeated = [path for path in out if out.count(path) > 1]
     if repeated:
         raise ConfigError(f"{repeated[0]} is named twice; each sequence needs a file of its own")
-    keep_compiled_kernels()
+    set_up_jax()
     document = []
     for index, path in enumerate(out):
         recording = film(index, path)

@@ -44,9 +44,9 @@ def command(
     pixels, holes on dark and shining faces, steps that grow with the distance and a wrong scale. What is to
     be requested is printed.
     """
-    from pipeline.jax_setup import keep_compiled_kernels
+    from pipeline.jax_setup import set_up_jax
 
-    keep_compiled_kernels()
+    set_up_jax()
     from pipeline.mesh_source import MeshSource
     from pipeline.synthesis.worlds import WorldScene, film_world
     from pipeline.synthesis.writing import write_recording
