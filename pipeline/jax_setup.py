@@ -1,4 +1,4 @@
-"""JAX as the program uses it: in full precision, with kernels kept in the user's cache folder."""
+"""JAX as the program uses it: compiled kernels are kept in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pipeline.errors import PipelineError
 
 
 def set_up_jax(name: str = "jax") -> None:
-    """Multiply matrices in full precision, keep compiled kernels, and trace new ones without pauses.
+    """Keep compiled kernels, the shortest too, and trace new ones without pauses.
 
-    GPUs round factors to 10 bits by default (TensorFloat-32): a millimetre, a metre away.
+    Where JAX was imported before this package, it is told the precision of products here.
 
     `JAX_COMPILATION_CACHE_DIR` decides the folder where it is set. Without platformdirs, or where the
     folder cannot be made, kernels are compiled in every process.
@@ -33,7 +33,7 @@ def set_up_jax(name: str = "jax") -> None:
         raise PipelineError(
             f"JAX finds no device for JAX_PLATFORMS={asked}; unset it, or set it to cpu"
         ) from error
-    jax.config.update("jax_default_matmul_precision", "highest")
+    jax.config.update("jax_default_matmul_precision", os.environ["JAX_DEFAULT_MATMUL_PRECISION"])
     gc.set_threshold(50_000, 10, 10)  # a fifth of the time of tracing goes into looking for cycles
     from jax._src import compilation_cache  # what keeps its entries cannot be chosen otherwise
 

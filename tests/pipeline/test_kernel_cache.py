@@ -30,6 +30,18 @@ def test_matrices_are_multiplied_in_full_precision() -> None:
     assert "HIGHEST" in jax.jit(jax.numpy.matmul).lower(points, points).as_text()
 
 
+@pytest.mark.parametrize("module", ["pipeline.cli", "pipeline.executors"])
+def test_commands_and_workers_do_so_without_setting_jax_up(module: str) -> None:
+    """Of each the first import, before JAX."""
+    program = f"import {module}, jax; print(jax.config.jax_default_matmul_precision)"
+    unset = {name: value for name, value in os.environ.items() if name != "JAX_DEFAULT_MATMUL_PRECISION"}
+    told = subprocess.run(
+        [sys.executable, "-c", program], env=unset, capture_output=True, text=True, check=True
+    )
+
+    assert told.stdout.strip() == "highest"
+
+
 def damaged(content: bytes, how: str, rng: np.random.Generator) -> bytes:
     """An entry cut, emptied, of other bytes, or with one bit turned."""
     if how == "bit":
