@@ -145,7 +145,7 @@ def test_what_may_not_be_read_is_no_misuse(
     path = tmp_path / "secret"
     path.write_bytes(b"")
     monkeypatch.setattr(os, "access", lambda *_, **__: False)
-    done = CliRunner().invoke(voxscene, [command, str(path)])
+    done = CliRunner().invoke(voxscene, [command, str(path), "--quiet"])
 
     assert done.exit_code == 1
     assert len(done.stderr.splitlines()) == 1
