@@ -67,11 +67,13 @@ class AnyPath(click.Path):
         super().__init__(file_okay=file_okay, dir_okay=dir_okay, readable=False, path_type=Path)
 
 
-def common_options(*sections: str) -> Callable[[Command], Command]:
+def common_options(*sections: str, computes: bool = False) -> Callable[[Command], Command]:
     """Give a command --json, --seed, --quiet, --config and -s as one argument `common`.
 
     Args:
         sections: the sections of the settings file that the command reads.
+        computes: whether the command always needs JAX, which is set up before it; a run's stages do so
+            themselves, only where there is something to compute.
     """
 
     def decorate(command: Command) -> Command:
@@ -95,6 +97,10 @@ def common_options(*sections: str) -> Callable[[Command], Command]:
             common = Common(as_json=as_json, quiet=quiet, settings=settings)
             with common.progress(click.get_current_context().info_name or "voxscene", "") as display:
                 display.phase("working")
+                if computes:
+                    from pipeline.jax_setup import set_up_jax
+
+                    set_up_jax()
                 return command(*args, common=common, **kwargs)
 
         options = [

@@ -38,7 +38,7 @@ FRAMES = 48
     help="Track the camera, where it moves, for the sensor's distortion; minutes for hundreds of frames.",
 )
 @several_recordings_options
-@common_options("recording", "slam")
+@common_options("recording", "slam", computes=True)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -56,13 +56,11 @@ def command(
     from pipeline.atomic import check_output
     from pipeline.calibration.calibrate import calibrate
     from pipeline.calibration.told import document_of, lines_of, warnings_of
-    from pipeline.jax_setup import set_up_jax
     from pipeline.quiet_stdout import stdout_to_stderr
     from pipeline.stored_profile import StoredProfile
     from recordings.reading import open_recording
 
     check_output(sensor_path)
-    set_up_jax()
     opened = [(one.path, open_recording(one.path, one.read_options(common.settings))) for one in sources]
     with stdout_to_stderr():
         found = calibrate(opened, common, frames, field=field)

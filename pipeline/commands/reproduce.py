@@ -30,7 +30,7 @@ ESTIMATE_AFTER = 8
     "--against", default="fpfh", show_default=True, metavar="PEER,...", help=f"Of {', '.join(PEERS)}."
 )
 @click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
-@common_options()
+@common_options(computes=True)
 def command(
     common: Common,
     output: Path,
@@ -59,9 +59,6 @@ def command(
     With --meshes the page says how well it works on your own objects. An interrupted run goes on with the
     same command.
     """  # noqa: D301  (click reads the \b)
-    from pipeline.jax_setup import set_up_jax
-
-    set_up_jax()
     from pipeline.atomic import write_text
     from pipeline.benchmarks.bop_targets import models_folder
     from pipeline.benchmarks.pose_sources import BopImages

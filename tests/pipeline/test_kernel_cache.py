@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.kernel_cache import SUFFIX, KernelCache
 from pipeline.logs import show_on_stderr
+from pipeline.task_engine import local_processes
 
 PROGRAM = """
 from pipeline.jax_setup import set_up_jax
@@ -96,3 +97,29 @@ def test_jax_keeps_its_kernels_there_and_mends_them(tmp_path: Path) -> None:
                 path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     assert [text.count("compiled anew") for text in said] == [0, 1, 0]
     assert results == ["85344.0\n"] * 3
+
+
+def test_worker_processes_keep_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the command that started them, which may ask for tasks of any kind."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    with local_processes(1) as executor:
+        assert executor.submit(compiled_sum).result() == 28.0
+
+    assert any(path.name.endswith(SUFFIX) for path in tmp_path.iterdir())
+
+
+def compiled_sum() -> float:
+    """A kernel's number."""
+    return float(jax.jit(lambda x: x.sum())(jax.numpy.arange(8.0)))
+
+
+def test_a_command_without_a_run_keeps_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not only those whose stages set JAX up."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "kernels"))
+    subprocess.run(
+        [sys.executable, "-m", "pipeline", "synth", "occlusion", str(tmp_path / "out"), "--quiet"],
+        cwd=Path(__file__).parents[2],
+        check=True,
+    )
+
+    assert any(path.name.endswith(SUFFIX) for path in (tmp_path / "kernels").iterdir())

@@ -32,7 +32,7 @@ from pipeline.options import AnyPath, Common, common_options, image_size
     metavar="IMAGES",
     help="Instead: chains against the exact sum over all 41,905 scenes of a world of few states, on so many.",
 )
-@common_options()
+@common_options(computes=True)
 def command(
     common: Common, scenes: int, size: str, lamp: str, csv_path: Path | None, lattice: int | None
 ) -> None:

@@ -30,7 +30,7 @@ from pipeline.options import AnyPath, Common, common_options
     "--width", type=click.IntRange(32, 1024), default=64, show_default=True, help="Of images, pixels."
 )
 @click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write a row for each scene.")
-@common_options()
+@common_options(computes=True)
 def command(
     common: Common, scenes: int, drawn: int | None, draws: int, width: int, csv_path: Path | None
 ) -> None:

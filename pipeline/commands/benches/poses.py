@@ -163,7 +163,7 @@ class NamedFile(click.ParamType):
 @click.option("--sheets", type=AnyPath(), metavar="DIR", help="Draw the images of largest difference.")
 @click.option("--watch", is_flag=True, help="Print the tables so far of --keep, and judge nothing.")
 @click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
-@common_options()
+@common_options(computes=True)
 def command(
     common: Common,
     tables: int | None,
@@ -206,9 +206,6 @@ def command(
     objects known; all of them are judged, however little is seen of them. Seconds are of an image, without
     compiling. With --keep an interrupted run goes on where it stopped.
     """
-    from pipeline.jax_setup import set_up_jax
-
-    set_up_jax()
     from pipeline.benchmarks.pose_figures import pose_figures
     from pipeline.benchmarks.pose_methods import OURS, SEARCH_SHARED
     from pipeline.benchmarks.pose_report import report_lines

@@ -15,7 +15,7 @@ MOVES = 2_000_000
 @click.option(
     "--moves", type=click.IntRange(min=1000), default=MOVES, show_default=True, help="Of all chains together."
 )
-@common_options()
+@common_options(computes=True)
 def command(common: Common, moves: int) -> None:
     """Scene graphs visited against the enumerated posterior.
 
@@ -23,9 +23,6 @@ def command(common: Common, moves: int) -> None:
     likelihood is replaced by a number for every graph: the same for all, and, in the column `with data`, at
     random.
     """
-    from pipeline.jax_setup import set_up_jax
-
-    set_up_jax()
     from pipeline.benchmarks.sampler import document_of, measure_sampler
 
     with common.progress("sampler", "sizes") as progress:

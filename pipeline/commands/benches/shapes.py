@@ -66,7 +66,7 @@ COLUMNS: tuple[str, ...] = (
     help="Peers on the same frames and poses; an empty word for none.",
 )
 @click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
-@common_options("learn")
+@common_options("learn", computes=True)
 def command(
     common: Common,
     meshes: Path,
@@ -106,12 +106,10 @@ def command(
     from pipeline.benchmarks.shape_summary import summary
     from pipeline.benchmarks.shapes import growth as growth_of
     from pipeline.benchmarks.shapes import shape_rows
-    from pipeline.jax_setup import set_up_jax
     from pipeline.meshes import load_meshes
     from pipeline.quiet_stdout import stdout_to_stderr
     from shapes.learning.config import LearnConfig
 
-    set_up_jax()
     peers = _installed(words("--against", against, PEERS))
     paper = conditions == "paper"
     kinds, counts = _asked(

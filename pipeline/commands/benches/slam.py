@@ -56,7 +56,7 @@ from pipeline.progress import tell
     help="Folder with sevenscenes_redkitchen and apc_shelf_handheld [env: VOXSCENE_DATA].",
 )
 @click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
-@common_options()
+@common_options(computes=True)
 def command(
     common: Common,
     rooms: int,
@@ -75,10 +75,6 @@ def command(
     recording itself. With all rows, peers and ten rooms it takes more than an hour. "told" is the share of
     frames that are within 2 cm, lost, or inside their 95% region: on average, and in the worst run.
     """
-    from pipeline.errors import PipelineError
-    from pipeline.jax_setup import set_up_jax
-
-    set_up_jax()
     from pipeline.benchmarks.corridors import corridor_rows
     from pipeline.benchmarks.moving_cases import moving_rows
     from pipeline.benchmarks.slam import slam_rows
@@ -86,6 +82,7 @@ def command(
     from pipeline.benchmarks.slam_coverage import ROW, coverage_row
     from pipeline.benchmarks.slam_hour import ROW as HOUR_ROW
     from pipeline.benchmarks.slam_hour import hour_row
+    from pipeline.errors import PipelineError
     from pipeline.quiet_stdout import stdout_to_stderr
 
     peers = words("--against", against, PEERS)

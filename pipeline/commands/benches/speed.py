@@ -10,16 +10,13 @@ from pipeline.options import Common, common_options
 
 
 @click.command(name="speed")
-@common_options()
+@common_options(computes=True)
 def command(common: Common) -> None:
     """Hypotheses rendered and scored a second, against Embree.
 
     By image side, objects and voxels. Random distinct poses, results consumed; compile time apart. The
     object's circle spans a third of the image's side. Takes about two minutes.
     """
-    from pipeline.jax_setup import set_up_jax
-
-    set_up_jax()
     from pipeline.benchmarks.speed import measure_speed
     from pipeline.quiet_stdout import stdout_to_stderr
 

@@ -23,7 +23,7 @@ SAME_SIZE = 0.01
 @click.command(name="poses")
 @click.argument("run", type=AnyPath())
 @click.option("--truth", type=AnyPath(), required=True, metavar="REC", help="Holds the truth.")
-@common_options()
+@common_options(computes=True)
 def command(common: Common, run: Path, truth: Path) -> None:
     """ADD-S of each object in RUN.
 

@@ -34,7 +34,7 @@ COLUMNS = (
     metavar="REC",
     help="The recording itself: compare with the frames that were not learned from (-s learn.views=N).",
 )
-@common_options()
+@common_options(computes=True)
 def command(common: Common, run: Path, truth: Path | None, held_back: Path | None) -> None:
     """Intersection over union of the shapes in RUN with the truth.
 

@@ -14,7 +14,7 @@ from pipeline.options import AnyPath, Common, common_options, image_size
 @click.argument("out", type=AnyPath(file_okay=False))
 @click.option("--scenes", type=click.IntRange(min=1), default=40, show_default=True)
 @click.option("--size", metavar="WIDTHxHEIGHT", default="64x64", show_default=True, help="Image size.")
-@common_options()
+@common_options(computes=True)
 def command(common: Common, out: Path, scenes: int, size: str) -> None:
     """Photograph simple things on a table, into OUT.
 

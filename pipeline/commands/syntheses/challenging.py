@@ -30,7 +30,7 @@ KINDS = ("single", "stacked", "partial", "occluded")
 @click.option("--noise-free", is_flag=True, default=None, help="Measure exactly.")
 @click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
 @click.option("--force", is_flag=True, help="Replace images that were made with other settings.")
-@common_options("synth")
+@common_options("synth", computes=True)
 def command(
     common: Common,
     out: Path,
@@ -57,9 +57,6 @@ def command(
     The folder OUT becomes a BOP data set (models, test, targets; depth in 0.1 mm), with recordings of one
     frame beside it that hold the truth. An interrupted run goes on with the same command; --images may grow.
     """  # noqa: D301  (click reads the \b)
-    from pipeline.jax_setup import set_up_jax
-
-    set_up_jax()
     from pipeline.mesh_source import MeshSource
     from pipeline.synthesis.challenging_scene import ChallengingScene
     from pipeline.synthesis.challenging_set import ChallengingSet, write_set

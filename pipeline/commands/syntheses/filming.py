@@ -58,7 +58,7 @@ def scene_options(scene: Callable[..., Any]) -> Any:
             help="Of the field, in 1/m, by which inverse depths err alike in all frames; real ones 0.002.",
         ),
     ]
-    scene = common_options("synth")(scene)
+    scene = common_options("synth", computes=True)(scene)
     for option in reversed(options):
         scene = option(scene)
     return scene
@@ -111,13 +111,11 @@ def scene_settings(
 
 def write_films(common: Common, out: tuple[Path, ...], film: Film) -> None:
     """Film and write every recording, then tell what is in each."""
-    from pipeline.jax_setup import set_up_jax
     from pipeline.synthesis.writing import write_recording
 
     repeated = [path for path in out if out.count(path) > 1]
     if repeated:
         raise ConfigError(f"{repeated[0]} is named twice; each sequence needs a file of its own")
-    set_up_jax()
     document = []
     for index, path in enumerate(out):
         recording = film(index, path)

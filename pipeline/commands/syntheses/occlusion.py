@@ -13,7 +13,7 @@ from pipeline.options import AnyPath, Common, common_options
 @click.command(name="occlusion")
 @click.argument("out", type=AnyPath(file_okay=False))
 @click.option("--mug", is_flag=True, help="Let a mug stand behind the box.")
-@common_options()
+@common_options(computes=True)
 def command(common: Common, out: Path, mug: bool) -> None:
     """Film a box that may hide a mug, into OUT.
 

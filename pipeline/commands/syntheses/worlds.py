@@ -25,7 +25,7 @@ from pipeline.options import AnyPath, Common, common_options
 @click.option("--objects", type=click.IntRange(1), help="That are there and requested.")
 @click.option("--absent", type=click.IntRange(0), help="Requested shapes that are not there.")
 @click.option("--clutter", type=click.IntRange(0), help="Things of no mesh at all.")
-@common_options("synth")
+@common_options("synth", computes=True)
 def command(
     common: Common,
     out: tuple[Path, ...],
@@ -44,9 +44,6 @@ def command(
     pixels, holes on dark and shining faces, steps that grow with the distance and a wrong scale. What is to
     be requested is printed.
     """
-    from pipeline.jax_setup import set_up_jax
-
-    set_up_jax()
     from pipeline.mesh_source import MeshSource
     from pipeline.synthesis.worlds import WorldScene, film_world
     from pipeline.synthesis.writing import write_recording
