@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar
 
-from pipeline.jax_setup import set_up_jax
-
 Result = TypeVar("Result")
 Executors = Callable[[], AbstractContextManager[Executor]]
 """Gives a new executor whenever the last one broke."""
@@ -137,7 +135,7 @@ def local_workers(count: int) -> Executors:
 
 
 def _become_worker(numbers: Any) -> None:
-    """Take a core of one's own, leave interrupts to the parent, end with it, and keep compiled kernels."""
+    """Take a core of one's own, leave interrupts to the parent, and end with it, however it ends."""
     with numbers.get_lock():
         number = numbers.value
         numbers.value += 1
@@ -146,7 +144,6 @@ def _become_worker(numbers: Any) -> None:
         os.sched_setaffinity(0, {cores[number % len(cores)]})
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    set_up_jax()
 
 
 def _end_with_parent() -> None:

@@ -22,6 +22,7 @@ from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import MISSING_M
 from pipeline.evaluation.scenes import ObjectError, object_errors
 from pipeline.fingerprints import METHOD, source_hash
+from pipeline.jax_setup import set_up_jax
 from pipeline.mesh_source import MeshSource
 from pipeline.quiet_stdout import stdout_to_stderr
 from pipeline.task_engine import Executors, Task, run_tasks
@@ -122,7 +123,8 @@ def collected(
 
 
 def judge_image(source: PoseSource, key: ImageKey, methods: Sequence[Method]) -> Found:
-    """What each method makes of one image."""
+    """What each method makes of one image; a worker sets JAX up for it."""
+    set_up_jax()
     with stdout_to_stderr():
         image = source.image(key)
         found = []

@@ -22,6 +22,7 @@ from pipeline.export.bop import model_info
 from pipeline.export.bop_images import PosedObject, camera_document, targets, write_image, write_scene
 from pipeline.export.meshes import mesh_bytes, moved
 from pipeline.fingerprints import canonical_hash, source_hash
+from pipeline.jax_setup import set_up_jax
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.challenging import ChallengingImage, challenging_image, unplaceable
 from pipeline.synthesis.challenging_scene import DEPTH_UNIT_M, KINDS, ChallengingScene
@@ -128,7 +129,8 @@ def write_set(
 
 
 def _make_image(wanted: ChallengingSet, out: Path, kind: str, number: int) -> None:
-    """Make and write one image in both formats, its entry last."""
+    """Make and write one image in both formats, its entry last; a worker sets JAX up for it."""
+    set_up_jax()
     image = wanted.image(kind, number)
     recording = image.recording
     frame, pose = recording.frame(0), recording.trajectory.reference_from_camera[0]

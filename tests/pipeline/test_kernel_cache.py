@@ -1,15 +1,20 @@
 """JAX as the program sets it up, and kernels on disk: what is damaged is compiled anew, told, and mended."""
 
 import logging
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 
+from pipeline.benchmarks.pose_images import ImageKey
+from pipeline.benchmarks.poses import judge_image
+from pipeline.errors import PipelineError
 from pipeline.kernel_cache import SUFFIX, KernelCache
 from pipeline.logs import show_on_stderr
 from pipeline.task_engine import local_processes
@@ -99,18 +104,35 @@ def test_jax_keeps_its_kernels_there_and_mends_them(tmp_path: Path) -> None:
     assert results == ["85344.0\n"] * 3
 
 
+class SumsAsImages:
+    """A source whose image is a number that a kernel computes."""
+
+    def image(self, key: ImageKey) -> float:  # noqa: ARG002
+        """28."""
+        number = float(jax.jit(lambda x: x.sum())(jax.numpy.arange(8.0)))
+        assert number == 28.0
+        return number
+
+
+SUMS: Any = SumsAsImages()
+
+
 def test_worker_processes_keep_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the command that started them, which may ask for tasks of any kind."""
+    """As the command that started them."""
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
     with local_processes(1) as executor:
-        assert executor.submit(compiled_sum).result() == 28.0
+        assert executor.submit(judge_image, SUMS, ImageKey("sum", 0, 0), ()).result() == []
 
     assert any(path.name.endswith(SUFFIX) for path in tmp_path.iterdir())
 
 
-def compiled_sum() -> float:
-    """A kernel's number."""
-    return float(jax.jit(lambda x: x.sum())(jax.numpy.arange(8.0)))
+def test_a_worker_lives_without_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What needs one says so in one line; a worker that ends is told as killed for memory."""
+    monkeypatch.setenv("JAX_PLATFORMS", "nowhere")
+    with local_processes(1) as executor:
+        assert executor.submit(math.sqrt, 4.0).result() == 2.0
+        with pytest.raises(PipelineError, match="JAX finds no device"):
+            executor.submit(judge_image, SUMS, ImageKey("sum", 0, 0), ()).result()
 
 
 def test_a_command_without_a_run_keeps_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
