@@ -26,12 +26,10 @@ from scene.objects.scene_object import SceneObject
 from scene.observation.segmentation import scene_data
 from scene.presence.births import born_near, distinct
 from scene.presence.depth_candidates import PresenceFrames
-from scene.presence.inference import MOST_SOLIDS
 from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import drawn_ensemble
 from scene.presence.size_prior import SizePrior
-from scene.presence.solid_births import solids_near
-from scene.presence.solid_proposals import proposed_solids
+from scene.presence.solid_births import competing_solids
 from scene.presence.toggling import ABSENT, Candidates
 from shapes.geometry.poses import matrices_of, poses_of
 
@@ -91,13 +89,12 @@ class PlaceEvidence:
 
     def _candidates(self, rng: np.random.Generator, camera_from_box: NDArray[np.float64]) -> Candidates:
         """A slot for each of the places, and one for each unknown solid."""
-        count, world_from_camera = len(camera_from_box), self.compared.world_from_camera
+        count = len(camera_from_box)
         frames, priors = self._frames(count), self._priors(count, camera_from_box)
         sites = [pose[None] for pose in self._in_world(camera_from_box)]
         lines = np.tile(self.one.spin_line, (count, 1, 1))
         mixture = born_near(rng, frames, priors, sites, lines, np.zeros(count, bool))
-        proposed = proposed_solids(self.compared.data, world_from_camera)
-        solids = solids_near(rng, frames, priors, *proposed, MOST_SOLIDS)
+        solids = competing_solids(rng, frames, priors, {self.compared.searched: self.compared.data}, mixture)
         nowhere = np.full(count, -np.inf)
         return drawn_ensemble(rng, frames, priors, mixture, solids, nowhere, None).candidates
 

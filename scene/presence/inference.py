@@ -20,15 +20,11 @@ from scene.presence.births import born_near, sites_of
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import PosePriors
 from scene.presence.posterior import Presence, presence_posterior
-from scene.presence.solid_births import solids_near
-from scene.presence.solid_proposals import proposed_solids
+from scene.presence.solid_births import competing_solids
 from scene.presence.solids import SolidFits
 from scene.search.importance_sampling import distinct
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import matrices_of, poses_of
-
-MOST_SOLIDS = 12
-"""Unknown solids that are looked for in a frame: more things of that kind on one table are rare."""
 
 PROPOSED_SITES = 24
 """Places that are tried of an object that the search did not find: its poses lie nats below their tops."""
@@ -73,8 +69,6 @@ def presence_in_scene(
     mixture = born_near(rng, frames, priors, sites, lines, start.found)
     solids = SolidFits.none()
     if config.unknown_solids:
-        proposed = [proposed_solids(view, compared.world_from(number)) for number, view in novel.items()]
-        starts, is_round = (np.concatenate(part) for part in zip(*proposed, strict=True))
-        solids = solids_near(rng, frames, priors, starts, is_round, MOST_SOLIDS * len(novel))
+        solids = competing_solids(rng, frames, priors, novel, mixture)
     alike = copies_among({one.name: one.points_m for one in objects})
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike, start.found)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.observation.frame_data import SceneData
 from scene.presence.births import fit_gaussians
 from scene.presence.depth_candidates import PresenceFrames, gain_before, nearest_shown
 from scene.presence.gaussian_fits import climbed
 from scene.presence.pose_priors import LEAST_DENSITY, PosePriors
+from scene.presence.solid_proposals import proposed_solids, solids_in_place
 from scene.presence.solids import (
     FREE_OF_CYLINDERS,
     GREATEST_M,
@@ -20,6 +23,10 @@ from scene.presence.solids import (
     solid_half_sizes,
     tied,
 )
+from scene.presence.state_mixture import StateMixture
+
+MOST_SOLIDS = 12
+"""Unknown solids that are looked for in a frame: more things of that kind on one table are rare."""
 
 FIRST_STEPS = np.repeat([0.006, 0.06], [6, 3])
 """Of faces (metres) and turns (radians): proposals are fitted to points, good to a pixel at a metre."""
@@ -27,6 +34,29 @@ FIRST_STEPS = np.repeat([0.006, 0.06], [6, 3])
 FIRST_CLIMBS, CLIMBS = 2, 8
 """Turns of climbing before solids are chosen, and after it. A proposal explains little where it stands: it is
 a centimetre off, and its sides hide what is measured behind them."""
+
+
+def competing_solids(
+    rng: np.random.Generator,
+    frames: PresenceFrames,
+    priors: PosePriors,
+    views: Mapping[int, SceneData],
+    mixture: StateMixture,
+) -> SolidFits:
+    """Gaussians round unknown solids that may be there beside objects, or in their place.
+
+    Args:
+        rng: random numbers.
+        frames: what is seen.
+        priors: of poses.
+        views: of the frames, by number, with the foreground in which solids are looked for.
+        mixture: of the objects.
+    """
+    proposed = [proposed_solids(view, frames.compared.world_from(number)) for number, view in views.items()]
+    starts, is_round = (
+        np.concatenate(part) for part in zip(*proposed, solids_in_place(mixture), strict=True)
+    )
+    return solids_near(rng, frames, priors, starts, is_round, MOST_SOLIDS * len(views))
 
 
 def solids_near(

@@ -2,7 +2,8 @@
 
 A piece is what hangs together without a step or a sharp edge. The solids of a piece are the least upright box
 that holds it, boxes behind each of its flat faces, and cylinders about the axes to which its normals are
-square. What carries things over another support is a box, too.
+square. What carries things over another support is a box, too. Where an object may be there may be a box or a
+cylinder of its size instead.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import height_over_next
 from scene.observation.standing import connected
 from scene.presence.solids import LEAST_M
+from scene.presence.state_mixture import StateMixture
 
 STEP_M, TURN_COSINE = 0.004, 0.97
 """Neighbours belong to one piece that differ by less along the normal and turn by less, 14 degrees: a step is
@@ -55,6 +57,41 @@ def proposed_solids(
         cylinders += _cylinders(points_m, normals)
     solids = np.array([*boxes, *cylinders]).reshape(-1, 10)
     return solids, np.arange(len(solids)) >= len(boxes)
+
+
+def solids_in_place(mixture: StateMixture) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Solids (n, 10) in the places of N objects, and which are cylinders (n,).
+
+    A box for each object, where it most probably is, and a cylinder for each that is round: what explains an
+    image no better than these do is one of them. They end on the support, where an object may reach below.
+
+    Args:
+        mixture: of the objects.
+    """
+    states = mixture.centres[np.arange(len(mixture.centres)), mixture.log_weights.argmax(axis=1)]
+    solids, is_round = [_box_of(one) for one in states], [False] * len(states)
+    for state, ties in zip(states, mixture.ties, strict=True):
+        if (tied := np.flatnonzero(ties != np.arange(3))).size:
+            second = int(tied[0])
+            solids.append(_box_of(state, (int(ties[second]), second)))
+            is_round.append(True)
+    return np.array(solids).reshape(-1, 10), np.array(is_round, bool)
+
+
+def _box_of(state: NDArray[np.float64], across: tuple[int, int] = (0, 1)) -> NDArray[np.float64]:
+    """The box (10,) of a state (10,) of which two axes lie across the third, down to the support at most."""
+    along = 3 - sum(across)
+    rotation = Rotation.from_quat(state[:4], scalar_first=True).as_matrix()[:, [*across, along]]
+    rotation[:, 2] *= np.linalg.det(rotation)  # no reflection
+    half_m, middle_m = np.exp(state[7:])[[*across, along]], rotation.T @ state[4:7]
+    low_m, high_m = middle_m - half_m, middle_m + half_m
+    for axis in np.flatnonzero(np.abs(rotation[2]) > LEVEL):
+        foot_m = middle_m[axis] - state[6] / rotation[2, axis]
+        if rotation[2, axis] > 0:
+            low_m[axis] = max(low_m[axis], foot_m)
+        else:
+            high_m[axis] = min(high_m[axis], foot_m)
+    return _solid(rotation, low_m, high_m)
 
 
 def _bodies(supports: Sequence[SupportPlane], world_from_camera: NDArray[np.float64]) -> Iterator[NDArray]:

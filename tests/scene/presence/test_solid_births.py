@@ -4,17 +4,19 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
 from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.segmentation import scene_data
 from scene.presence.depth_candidates import PresenceFrames
-from scene.presence.solid_births import _densest_together, solids_near
+from scene.presence.solid_births import _densest_together, competing_solids, solids_near
 from scene.presence.solid_proposals import proposed_solids
 from tests.scene.presence.test_solid_proposals import (
     CAMERA_FROM_TABLE,
     INTRINSICS,
+    mixture_at,
     rendered,
     seen,
     solids_of,
@@ -55,7 +57,12 @@ def frames_of(depth_m: NDArray[np.float32]) -> tuple[PresenceFrames, Any]:
     """An image as presence sees it, and its supports and foreground."""
     data = scene_data(depth_m, INTRINSICS, 1)
     density = PixelDensity.of(data.window.depth_m, data.support_m, DepthNoise(), 0.002, data.window.stride)
-    compared = SimpleNamespace(views=[data], densities=[density], camera_from_world=CAMERA_FROM_TABLE[None])
+    compared = SimpleNamespace(
+        views=[data],
+        densities=[density],
+        camera_from_world=CAMERA_FROM_TABLE[None],
+        world_from=lambda _: np.linalg.inv(CAMERA_FROM_TABLE),
+    )
     return PresenceFrames(
         compared=cast("Any", compared), renderer=cast("Any", None), log_half=np.zeros((0, 3))
     ), data
@@ -75,6 +82,22 @@ def test_a_box_is_one_of_few_solids(seed: int) -> None:
     off_m = np.linalg.norm(solids[:, 4:7] - box[:, 4:7], axis=1)
     sizes_m = np.sort(np.exp(solids[:, 7:]), axis=1) - np.sort(np.exp(box[:, 7:]))
     assert ((off_m < 0.01) & (np.abs(sizes_m) < 0.01).all(axis=1)).any(), solids
+
+
+def test_an_object_competes_with_a_box_of_its_size(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where no piece of the image told one: its box is within 5 mm of what stands there."""
+    nothing = np.zeros((0, 10)), np.zeros(0, bool)
+    monkeypatch.setattr("scene.presence.solid_births.proposed_solids", lambda *_: nothing)
+    box = solids_of(np.zeros((1, 3)), np.array([[0.0, 0.05, 0.05]]), np.array([[0.06, 0.04, 0.05]]))
+    rng = np.random.default_rng(seed)
+    frames, data = frames_of(seen(rng, rendered(box, np.array([False])), 0.0015))
+    low = box + np.array([0, 0, 0, 0, 0.004, 0, -0.03, 0, 0, np.log(1.6)])
+    mixture = mixture_at(low, np.tile(np.arange(3), (1, 1)))
+    solids = competing_solids(rng, frames, cast("Any", Anywhere()), {0: data}, mixture).centres
+
+    assert len(solids) == 1
+    np.testing.assert_allclose(solids[0, 4:7], box[0, 4:7], atol=0.005)
+    np.testing.assert_allclose(np.exp(solids[0, 7:]), np.exp(box[0, 7:]), atol=0.005)
 
 
 def test_a_board_is_as_thin_as_it_is(seed: int) -> None:
