@@ -24,6 +24,7 @@ from scene.likelihood.colour_layers import ComparedColours
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.pixel_places import ImageParts
 from scene.likelihood.render_cache import CandidateScenes, RenderedScene
 from scene.likelihood.shape_draws import candidate_keys
 from scene.model.posterior import MOST_MOVED, Estimate
@@ -239,7 +240,7 @@ class DepthLikelihood:
         They reach to the pixels beside an object, which its outline may be shifted to. Objects (n,) stand at
         poses (n, 7) camera_from_box.
         """
-        log_density, depth_m = object_densities(self.density, layers_m, frames)
+        log_density, depth_m = object_densities(self.density, layers_m, ImageParts(frames))
         if self.colours is not None:
             log_colour = self.colours.log_factors(frames, objects, poses, layers_m)
             log_density += jnp.where(jnp.isfinite(depth_m), log_colour, 0.0)

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
+from scene.likelihood.crops import Crop, crop_sizes, crops_around, lines_around
 from scene.likelihood.object_pixels import ObjectPixels
 from scene.likelihood.pixel_density import PixelDensity
-from scene.likelihood.pixel_places import Places
+from scene.likelihood.pixel_places import ImageParts, Places
 from shapes.rendering.ray_casting import sort_chosen_first
 
 PIXELS_TOGETHER = 2**12
@@ -30,47 +31,54 @@ def layer_densities(
     density: PixelDensity, layers_m: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What `object_densities` gives for any number of layers (n, H, W) in one image."""
+    log_density, depth_m = np.zeros_like(layers_m), np.full_like(layers_m, np.inf)
 
-    def weighed(first: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        count = min(WEIGHED_TOGETHER, len(layers_m) - first)
-        filled = np.full((WEIGHED_TOGETHER, *layers_m.shape[1:]), np.float32(np.inf))
-        filled[:count] = layers_m[first : first + count]
-        log_density, depth_m = jax.device_get(_layer_densities(density, filled))
-        return log_density[:count], depth_m[:count]
+    def weigh(crop: Crop) -> None:
+        corners = crop.filled(crop.corners, WEIGHED_TOGETHER).astype(np.int32)
+        cut = np.full((WEIGHED_TOGETHER, *crop.size), np.float32(np.inf))
+        cut[: len(crop.members)] = crop.taken(layers_m)
+        log_parts, depth_parts = jax.device_get(_cropped_densities(density, cut, corners))
+        crop.put(log_density, log_parts)
+        crop.put(depth_m, depth_parts)
 
-    parts = map_parallel(weighed, range(0, len(layers_m), WEIGHED_TOGETHER))
-    log_density, depth_m = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
+    bounds = lines_around(np.isfinite(layers_m))
+    map_parallel(weigh, crops_around(*bounds, layers_m.shape[1:], WEIGHED_TOGETHER))
     return log_density, depth_m
 
 
 def compile_layer_densities(density: PixelDensity) -> None:
     """What `layer_densities` runs."""
-    nothing = np.full((WEIGHED_TOGETHER, *density.log_rest.shape), np.float32(np.inf))
-    _layer_densities.lower(density, nothing).compile()
+    corners = np.zeros((WEIGHED_TOGETHER, 2), np.int32)
+    for size in crop_sizes(density.log_rest.shape):
+        nothing = np.full((WEIGHED_TOGETHER, *size), np.float32(np.inf))
+        _cropped_densities.lower(density, nothing, corners).compile()
 
 
 @jax.jit
-def _layer_densities(density: PixelDensity, layers_m: jax.Array) -> Layers:
-    return object_densities(density.stacked(), layers_m, jnp.zeros(len(layers_m), jnp.int32))
+def _cropped_densities(density: PixelDensity, layers_m: jax.Array, corners: jax.Array) -> Layers:
+    """Of layers (n, h, w) in parts of one image, with these first rows and columns (n, 2)."""
+    parts = ImageParts(jnp.zeros(len(layers_m), jnp.int32), corners)
+    return object_densities(density.stacked(), layers_m, parts)
 
 
-def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Array) -> Layers:
+def object_densities(density: PixelDensity, layers_m: jax.Array, parts: ImageParts) -> Layers:
     """What `PixelDensity.of_object` gives where depths are finite; elsewhere a log density of 0.
 
     Args:
         density: of F images, leaves (F, ...).
-        layers_m: (n, H, W) depth of objects, each alone, +inf beside it.
-        frames: (n,) int32 in which image each is seen.
+        layers_m: (n, h, w) depth of objects, each alone, +inf beside it.
+        parts: (n,) of the images, in which each is seen; the lines beside what is in a part (`lines_around`)
+            are in it, too, or beyond the image.
     """
-    pixels = ObjectPixels.of(layers_m, density.image.rest_m[frames])
-    objects = density.object_images(pixels, frames)
+    pixels = ObjectPixels.of(layers_m, parts.of(density.image.rest_m, layers_m.shape[1:]))
+    objects = density.object_images(pixels, parts)
     size, count = layers_m.shape, layers_m.size
     order, number = sort_chosen_first(jnp.isfinite(pixels.shown_m).ravel())
     together = min(PIXELS_TOGETHER, count)
     order = jnp.pad(order, (0, -count % together))
 
     def in_parts(of_places: Callable[[Places], jax.Array], nothing: jax.Array) -> jax.Array:
-        """Images (n, H, W) with values (P,) of all listed pixels."""
+        """Images (n, h, w) with values (P,) of all listed pixels."""
 
         def with_part(turn: jax.Array, values: jax.Array) -> jax.Array:
             first = turn * together
@@ -82,7 +90,7 @@ def object_densities(density: PixelDensity, layers_m: jax.Array, frames: jax.Arr
         turns = -(-number // together)
         return jax.lax.fori_loop(0, turns, with_part, jnp.full(count, nothing)).reshape(size)
 
-    badly = in_parts(partial(density.badly_foretold, objects.surfaces, frames), jnp.array(False))
+    badly = in_parts(partial(density.badly_foretold, objects.surfaces, parts), jnp.array(False))
     objects = replace(objects, surfaces=replace(objects.surfaces, badly_foretold=badly))
-    log_density = in_parts(partial(density.log_factors, objects, frames), jnp.zeros((), layers_m.dtype))
+    log_density = in_parts(partial(density.log_factors, objects, parts), jnp.zeros((), layers_m.dtype))
     return log_density, pixels.shown_m

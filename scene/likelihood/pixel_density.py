@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from scene.execution import FAST_COMPILE
@@ -26,14 +26,14 @@ from scene.likelihood.pixel_factors import (
     Unknown,
     calm_and_astir,
 )
-from scene.likelihood.pixel_places import Places
+from scene.likelihood.pixel_places import ImageParts, Places
 from scene.likelihood.unknown_surfaces import UnknownSurfaces, UnknownWeights
 
 SUPPORT_ERROR = 0.01
 """Error of a support over its depth, which is a depth camera's scale and bend."""
 EDGE_PX = 3.0
 """Pixels of an image by which cameras shift outlines."""
-_ONLY = np.zeros(1, np.int32)
+_ONLY = ImageParts(np.zeros(1, np.int32))
 """In which image layers are seen where there is but one."""
 
 
@@ -228,15 +228,15 @@ class PixelDensity:
         is_own = jax.random.uniform(side_key, own_m.shape) < objects.share(factors, own_before, places)
         return jnp.where(is_own, own_m, other_m)
 
-    def object_images(self, pixels: ObjectPixels, frames: ArrayLike) -> ObjectImages:
-        """Objects in images; what is badly foretold is left open.
+    def object_images(self, pixels: ObjectPixels, parts: ImageParts) -> ObjectImages:
+        """Objects in parts of images; what is badly foretold is left open.
 
         Args:
-            pixels: (n, H, W) of objects, each alone.
-            frames: (n,) int32 in which of the F images each is seen.
+            pixels: (n, h, w) of objects, each alone.
+            parts: (n,) of the F images, in which each is seen.
         """
-        sigma_m = jnp.where(jnp.isfinite(pixels.wide_m), self.shape_sigma_m[frames][:, None, None], 0.0)
-        return ObjectImages(pixels, self._surface_images(pixels.wide_m, sigma_m, frames))
+        sigma_m = jnp.where(jnp.isfinite(pixels.wide_m), parts.of_images(self.shape_sigma_m), 0.0)
+        return ObjectImages(pixels, self._surface_images(pixels.wide_m, sigma_m, parts))
 
     def support_images(self) -> SurfaceImages:
         """The supports in the one image."""
@@ -250,24 +250,24 @@ class PixelDensity:
         badly = self.badly_foretold(surfaces, _ONLY, everywhere).reshape(surfaces.depth_m.shape)
         return replace(surfaces, badly_foretold=badly)
 
-    def badly_foretold(self, surfaces: SurfaceImages, frames: ArrayLike, places: Places) -> jax.Array:
-        """Whether what listed pixels (P,) show of surfaces (n, H, W) is far from what is foretold.
+    def badly_foretold(self, surfaces: SurfaceImages, parts: ImageParts, places: Places) -> jax.Array:
+        """Whether what listed pixels (P,) show of surfaces (n, h, w) is far from what is foretold.
 
         Args:
-            surfaces: each in one of the F images.
-            frames: (n,) in which.
+            surfaces: each in a part of one of the F images.
+            parts: (n,) these.
             places: in the n.
         """
         surface, before = surfaces.at(places)
-        return before.badly_foretold(surface, jax.tree.map(places.in_images(frames).of_images, self.noise))
+        return before.badly_foretold(surface, jax.tree.map(parts.in_images(places).of_images, self.noise))
 
-    def log_factors(self, objects: ObjectImages, frames: ArrayLike, places: Places) -> jax.Array:
-        """Log density (P,) of listed pixels of objects (n, H, W), each alone in one of the images (n,).
+    def log_factors(self, objects: ObjectImages, parts: ImageParts, places: Places) -> jax.Array:
+        """Log density (P,) of listed pixels of objects (n, h, w), each alone in a part (n,) of the images.
 
         A camera shifts outlines: at one a pixel may show the other side of it, and most so beside others that
         do. Where the object ends no unknown surface goes on from it, which pixels beside it tell.
         """
-        in_frames = places.in_images(frames)
+        in_frames = parts.in_images(places)
         factors = self.factors(in_frames)
         surface, before = objects.surfaces.at(places)
         unknown = self._unknown_at(factors, before, in_frames)
@@ -315,12 +315,10 @@ class PixelDensity:
             measured=lambda *by: observed_m(*by) != NO_RETURN,
         )
 
-    def _surface_images(self, depth_m: jax.Array, sigma_m: jax.Array, frames: ArrayLike) -> SurfaceImages:
-        """Surfaces (n, H, W) with errors likewise in images (n,); what is badly foretold is left open."""
-        surface, observed_m = Surface(depth_m, sigma_m), self.image.observed_m[frames]
-        noise, reach_m = jax.tree.map(
-            lambda leaf: leaf[frames][:, None, None], (self.noise, self.learned.reach_m)
-        )
+    def _surface_images(self, depth_m: jax.Array, sigma_m: jax.Array, parts: ImageParts) -> SurfaceImages:
+        """Surfaces (n, h, w) with errors likewise in parts (n,); what is badly foretold is left open."""
+        surface, observed_m = Surface(depth_m, sigma_m), parts.of(self.image.observed_m, depth_m.shape[1:])
+        noise, reach_m = jax.tree.map(parts.of_images, (self.noise, self.learned.reach_m))
         shows, residual_m = surface.shows(observed_m, noise, reach_m), surface.residual_m(observed_m)
         nowhere = jnp.zeros(depth_m.shape, bool)
         return SurfaceImages(depth_m, sigma_m, shows, residual_m, nowhere)

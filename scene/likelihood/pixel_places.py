@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -42,10 +42,6 @@ class Places:
         height, width = size
         return cls.of_numbers(jnp.arange(height * width, dtype=jnp.int32), (1, height, width))
 
-    def in_images(self, numbers: ArrayLike) -> Places:
-        """The same pixels of F images (F, H, W), of which these N show those of numbers (N,)."""
-        return replace(self, image=jnp.asarray(numbers).at[self.image].get(mode="clip"))
-
     def of(self, images: jax.Array) -> jax.Array:
         """Values (..., P) of images (N, ..., H, W)."""
         _, *_, height, width = images.shape
@@ -74,3 +70,39 @@ class Places:
 
     def _number(self, height: int, width: int) -> jax.Array:
         return (self.image * height + self.row) * width + self.column
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ImageParts:
+    """Parts (N, h, w) of F images (F, H, W).
+
+    Attributes:
+        image: (N,) int32, of which.
+        corner: (N, 2) int32 first row and column; None where each part is a whole image.
+    """
+
+    image: ArrayLike
+    corner: ArrayLike | None = None
+
+    def of(self, images: jax.Array, size: tuple[int, ...]) -> jax.Array:
+        """Values (N, h, w) of images (F, H, W)."""
+        if self.corner is None:
+            return images[self.image]
+
+        def part(image: jax.Array, corner: jax.Array) -> jax.Array:
+            return jax.lax.dynamic_slice(images, (image, *corner), (1, *size))[0]
+
+        return jax.vmap(part)(jnp.asarray(self.image), jnp.asarray(self.corner))
+
+    def of_images(self, numbers: jax.Array) -> jax.Array:
+        """Numbers (F,) of images, beside the pixels of the parts: (N, 1, 1)."""
+        return numbers[self.image][:, None, None]
+
+    def in_images(self, places: Places) -> Places:
+        """Pixels of the parts as those of the images."""
+        image = jnp.asarray(self.image).at[places.image].get(mode="clip")
+        if self.corner is None:
+            return Places(image, places.row, places.column)
+        row, column = jnp.asarray(self.corner).at[places.image].get(mode="clip").T
+        return Places(image, places.row + row, places.column + column)

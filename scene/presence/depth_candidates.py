@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.execution import map_parallel
 from scene.likelihood.compared_frames import ComparedFrames
-from scene.likelihood.object_density import WEIGHED_TOGETHER, layer_densities
+from scene.likelihood.object_density import layer_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_half_sizes, solid_layers
@@ -70,16 +69,9 @@ class PresenceFrames:
         """Depth and log gain (n, X) of solids (n, 10): world_from_solid and logs of half sizes."""
 
         def in_frame(frame: int, in_camera: NDArray[np.float64]) -> Shown:
-            window, count = self.compared.views[frame].window, len(in_camera)
-            batches = -(-count // WEIGHED_TOGETHER)
-            fill = np.resize(np.arange(count), (batches, WEIGHED_TOGETHER))
-            given = in_camera.astype(np.float32), solid_half_sizes(states).astype(np.float32), is_round
-
-            def rendered(some: NDArray[np.intp]) -> NDArray[np.float32]:
-                parts = (part[some] for part in given)
-                return np.asarray(solid_layers(window.camera, *parts, *window.depth_m.shape))
-
-            return self._weighed(frame, np.concatenate(map_parallel(rendered, fill))[:count])
+            window = self.compared.views[frame].window
+            given = in_camera, solid_half_sizes(states), is_round
+            return self._weighed(frame, solid_layers(window.camera, *given, *window.depth_m.shape))
 
         return self._in_all_frames(states[:, :7], in_frame)
 

@@ -18,8 +18,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
+from scene.execution import map_parallel
+from scene.likelihood.crops import Crop, crops_around
 from scene.presence.gaussian_fits import moved
 from shapes.geometry.camera import Camera
+from shapes.geometry.poses import matrices_of
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 LEAST_M, GREATEST_M = 0.003, 0.3
@@ -34,6 +37,9 @@ FREE_OF_CYLINDERS = np.array([1, 1, 1, 1, 1, 0, 1, 0, 1])
 BOX_TURNS, CYLINDER_TURNS = 24, 2
 """Ways in which one solid is told: axes exchanged, with the sizes; the ends."""
 
+
+NEAREST_M = 0.01
+"""Of corners that are projected."""
 
 LEAST_SINC = 1e-6
 """Of an angle's sine over it, which vanishes where a turn is the farthest one."""
@@ -163,10 +169,18 @@ def log_sizes_density(log_half: NDArray[np.float64], is_round: NDArray[np.bool_]
     return np.where(inside, log_density, -np.inf)
 
 
-@partial(jax.jit, static_argnames=("height", "width"))
+RENDERED_TOGETHER = 64
+"""In a kernel; kernels run side by side, each on a core, and one size serves any number."""
+
+
 def solid_layers(
-    camera: Camera, poses: jax.Array, half_m: jax.Array, is_round: jax.Array, height: int, width: int
-) -> jax.Array:
+    camera: Camera,
+    poses: NDArray[np.floating],
+    half_m: NDArray[np.floating],
+    is_round: NDArray[np.bool_],
+    height: int,
+    width: int,
+) -> NDArray[np.float32]:
     """Depth (n, height, width) of solids alone, +inf beside them.
 
     Args:
@@ -177,11 +191,70 @@ def solid_layers(
         height: of the window.
         width: of the window.
     """
-    columns, rows = jnp.meshgrid(jnp.arange(width), jnp.arange(height))
-    rays = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, jnp.ones(columns.shape)
-    rays = jnp.stack(rays, axis=-1).astype(jnp.float32)
+    layers_m = np.full((len(poses), height, width), np.float32(np.inf))
+    given = poses.astype(np.float32), half_m.astype(np.float32), is_round
 
-    def layer(pose: jax.Array, half_m: jax.Array, is_round: jax.Array) -> jax.Array:
+    def render(crop: Crop) -> None:
+        mine = [crop.filled(part[crop.members], RENDERED_TOGETHER) for part in given]
+        corners = crop.filled(crop.corners, RENDERED_TOGETHER).astype(np.int32)
+        crop.put(layers_m, np.asarray(_cropped_layers(camera, *mine, corners, *crop.size)))
+
+    sides_m = np.where(is_round[:, None], half_m[:, [0, 0, 2]], half_m)
+    bounds = _lines_around(camera, poses, sides_m, (height, width))
+    map_parallel(render, crops_around(*bounds, (height, width), RENDERED_TOGETHER))
+    return layers_m
+
+
+def _lines_around(
+    camera: Camera, poses: NDArray[np.floating], half_m: NDArray[np.floating], shape: tuple[int, int]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First rows and columns (n, 2) of what boxes may cover in an image, and those after the last.
+
+    These are 0 of what is beside the image, and all of it of what reaches behind the camera.
+    """
+    corners = _CORNERS * half_m[:, None]
+    camera_from_box = matrices_of(np.asarray(poses, np.float64))
+    points_m = corners @ np.swapaxes(camera_from_box[:, :3, :3], 1, 2) + camera_from_box[:, None, :3, 3]
+    x, y, z = np.moveaxis(points_m, -1, 0)
+    in_front = (z > NEAREST_M).all(axis=1, keepdims=True)
+    z = np.maximum(z, NEAREST_M)
+    lines = np.stack([y / z * camera.fy + camera.cy, x / z * camera.fx + camera.cx], axis=-1)
+    first = np.where(in_front, np.floor(lines.min(axis=1)), 0).clip(0, shape)
+    after = np.where(in_front, np.ceil(lines.max(axis=1)) + 1, shape).clip(0, shape)
+    seen = (first < after).all(axis=1, keepdims=True)
+    return first.astype(np.intp), np.where(seen, after, 0).astype(np.intp)
+
+
+_CORNERS = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]], indexing="ij"), axis=-1).reshape(8, 3)
+
+
+@partial(jax.jit, static_argnames=("height", "width"))
+def _cropped_layers(
+    camera: Camera,
+    poses: jax.Array,
+    half_m: jax.Array,
+    is_round: jax.Array,
+    corners: jax.Array,
+    height: int,
+    width: int,
+) -> jax.Array:
+    """Depth (n, height, width) of solids in parts of an image with these first rows and columns (n, 2).
+
+    Args:
+        camera: of the image.
+        poses: (n, 7) camera_from_solid.
+        half_m: (n, 3) half sizes; of cylinders the first is the radius, the last lies along the axis.
+        is_round: (n,) which are cylinders.
+        corners: int32.
+        height: of the parts.
+        width: of the parts.
+    """
+
+    def layer(pose: jax.Array, half_m: jax.Array, is_round: jax.Array, corner: jax.Array) -> jax.Array:
+        rows, columns = corner[0] + jnp.arange(height), corner[1] + jnp.arange(width)
+        columns, rows = jnp.meshgrid(columns, rows)
+        rays = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, jnp.ones(columns.shape)
+        rays = jnp.stack(rays, axis=-1).astype(jnp.float32)
         rotation = jaxlie.SO3(pose[:4]).as_matrix()
         towards, start = rays @ rotation, -pose[4:] @ rotation
         towards = jnp.where(jnp.abs(towards) < 1e-9, 1e-9, towards)
@@ -190,12 +263,12 @@ def solid_layers(
         a = jnp.sum(towards[..., :2] ** 2, axis=-1)
         b = towards[..., :2] @ start[:2]
         root = b * b - a * (jnp.sum(start[:2] ** 2) - half_m[0] ** 2)
-        width = jnp.sqrt(jnp.maximum(root, 0.0))
-        round_in = jnp.where(root > 0, (-b - width) / a, jnp.inf)
-        round_out = jnp.where(root > 0, (-b + width) / a, -jnp.inf)
+        half_chord = jnp.sqrt(jnp.maximum(root, 0.0))
+        round_in = jnp.where(root > 0, (-b - half_chord) / a, jnp.inf)
+        round_out = jnp.where(root > 0, (-b + half_chord) / a, -jnp.inf)
         flat_in, flat_out = (jnp.max(enters[..., :2], axis=-1), jnp.min(leaves[..., :2], axis=-1))
         near = jnp.maximum(enters[..., 2], jnp.where(is_round, round_in, flat_in))
         far = jnp.minimum(leaves[..., 2], jnp.where(is_round, round_out, flat_out))
         return jnp.where((near < far) & (near > 0), near, jnp.inf)
 
-    return jax.lax.map(lambda solid: layer(*solid), (poses, half_m, is_round))
+    return jax.lax.map(lambda solid: layer(*solid), (poses, half_m, is_round, corners))

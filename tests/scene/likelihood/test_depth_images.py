@@ -17,6 +17,7 @@ from scene.likelihood.depth_images import DepthLikelihood
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
+from scene.likelihood.pixel_places import ImageParts
 from scene.likelihood.point_clouds import POINT_WEIGHT, CloudLikelihood, CloudNoise, window_half_width
 from scene.likelihood.shape_draws import candidate_keys
 from scene.model.posterior import Estimate
@@ -318,7 +319,7 @@ def test_colours_are_one_more_factor(
             factors = np.asarray(colours.log_factors(np.arange(2), in_camera, layers_m))
             frames = jnp.full(2, frame, jnp.int32)
             density = jax.tree.map(jnp.asarray, plain.density)
-            _, depth_m = object_densities(density, jnp.asarray(layers_m), frames)
+            _, depth_m = object_densities(density, jnp.asarray(layers_m), ImageParts(frames))
     depth_m = np.asarray(depth_m)
     nearest = depth_m.argmin(axis=0)
     own = np.take_along_axis(np.where(np.isfinite(layers_m), factors, 0.0), nearest[None], axis=0)[0]

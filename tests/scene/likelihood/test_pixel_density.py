@@ -11,9 +11,10 @@ from scipy.stats import norm
 
 from recordings.types import NO_RETURN, DepthNoise
 from scene.likelihood import unknown_surfaces
-from scene.likelihood.object_density import object_densities
+from scene.likelihood.object_density import layer_densities, object_densities
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.pixel_factors import MISSING, MISSING_ON, OUTLIERS
+from scene.likelihood.pixel_places import ImageParts
 from scene.likelihood.unknown_surfaces import EDGES, UnknownWeights
 
 STEP_M, SENSOR_M, SURFACE_M = 0.07, 0.08, 0.05
@@ -136,13 +137,35 @@ def test_lists_of_pixels_give_what_the_whole_image_does(seed: int, size: tuple[i
         )
     frames = np.arange(24, dtype=np.int32) % 2
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), *densities)
-    log_listed, depth_listed = jax.jit(object_densities)(both, layers_m, frames)
+    log_listed, depth_listed = jax.jit(object_densities)(both, layers_m, ImageParts(frames))
     for frame, density in enumerate(densities):
         mine = frames == frame
         log_whole, depth_m = jax.jit(partial(jax.lax.map, density.of_object))(layers_m[mine])
         np.testing.assert_array_equal(depth_listed[mine], depth_m)
         expected = np.where(np.isfinite(depth_m), log_whole, 0.0)
         np.testing.assert_allclose(np.asarray(log_listed)[mine], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(84, 112), (70, 38)], ids=["an image", "a narrow one"])
+def test_a_part_of_an_image_tells_what_the_whole_does(seed: int, size: tuple[int, int]) -> None:
+    """Objects that fill a part, or more, at every border, in two pieces, none: all but rounding."""
+    rng = np.random.default_rng(seed)
+    observed_m = rng.normal(1.0, 0.003, size).astype(np.float32)
+    observed_m[20:40, 10:30] -= 0.1
+    observed_m[rng.random(size) < 0.05] = NO_RETURN
+    density = PixelDensity.of(observed_m, np.full(size, 1.05, np.float32), DepthNoise(), 0.003, 4)
+    layers_m = np.full((80, *size), np.inf, np.float32)
+    for layer_m in layers_m[1:]:
+        for _ in range(rng.integers(1, 3)):
+            row, column, down, across = *rng.integers((-10, -10), size), *rng.integers(2, 50, 2)
+            near = slice(max(row, 0), max(row + down, 0)), slice(max(column, 0), max(column + across, 0))
+            layer_m[near] = rng.uniform(0.8, 1.1) + 0.001 * np.arange(size[1])[near[1]]
+    log_parts, depth_parts = layer_densities(density, layers_m)
+    frames = np.zeros(len(layers_m), np.int32)
+    log_whole, depth_whole = jax.jit(object_densities)(density.stacked(), layers_m, ImageParts(frames))
+
+    np.testing.assert_array_equal(depth_parts, depth_whole)
+    np.testing.assert_allclose(log_parts, log_whole, atol=1e-4)  # rounding of other kernels: 3e-5
 
 
 def test_the_sampler_draws_from_it(seed: int) -> None:
