@@ -74,7 +74,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	PYTHON=$(PYTHON) .ci/system-libraries
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt --group dev --editable .  # Python compiles what it uses
+	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt --group dev --editable .
+	$(BIN)/python -m compileall -q -j 0 $(VENV)/lib || true  # on all cores; some files are of other Pythons
 	touch $@
 
 clean:

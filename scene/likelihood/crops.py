@@ -18,6 +18,9 @@ LINES_BESIDE = 3, LEANING_PX + 3
 """Rows and columns on either side of a layer that its density looks at: what is beside its outline, whether
 an outline is before that, and what foretells it."""
 
+PIXELS_TOGETHER, LEAST_TOGETHER, MOST_TOGETHER = 2**17, 4, 64
+"""Pixels, and crops, of a kernel: kernels run side by side, each on a core. Speed."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Crop:
@@ -25,12 +28,12 @@ class Crop:
 
     Attributes:
         members: (n,) which images.
-        corners: (n, 2) first rows and columns.
+        corners: (n, 2) int32 first rows and columns.
         size: rows and columns.
     """
 
     members: NDArray[np.intp]
-    corners: NDArray[np.intp]
+    corners: NDArray[np.int32]
     size: tuple[int, int]
 
     def taken(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -42,9 +45,10 @@ class Crop:
         for part, crop in zip(self._parts(), crops, strict=False):
             images[part] = crop
 
-    def filled(self, values: NDArray, count: int) -> NDArray:
-        """Values (n, ...) of members, filled up to `count` with those of the first."""
-        return values[np.where(np.arange(count) < len(values), np.arange(count), 0)]
+    def filled(self, values: NDArray) -> NDArray:
+        """Values (n, ...) of members, filled up to `most_members` with the first: one kernel serves any n."""
+        numbers = np.arange(most_members(self.size))
+        return values[np.where(numbers < len(values), numbers, 0)]
 
     def _parts(self) -> Iterator[tuple[int, slice, slice]]:
         height, width = self.size
@@ -56,6 +60,11 @@ def crop_sizes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Sizes of crops of images (H, W), the smallest first; the last is theirs."""
     height, width = shape
     return [*(size for size in SIZES if size[0] < height and size[1] < width), (height, width)]
+
+
+def most_members(size: tuple[int, ...]) -> int:
+    """Of a crop."""
+    return min(max(PIXELS_TOGETHER // (size[0] * size[1]), LEAST_TOGETHER), MOST_TOGETHER)
 
 
 def lines_around(covered: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -72,9 +81,7 @@ def lines_around(covered: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[
     return np.stack(first, axis=1), np.stack(after, axis=1)
 
 
-def crops_around(
-    first: NDArray[np.intp], after: NDArray[np.intp], shape: tuple[int, ...], most: int
-) -> Iterator[Crop]:
+def crops_around(first: NDArray[np.intp], after: NDArray[np.intp], shape: tuple[int, ...]) -> Iterator[Crop]:
     """The smallest crops that hold what begins at rows and columns (n, 2) and ends before others (n, 2).
 
     There are none of what ends at 0.
@@ -83,14 +90,13 @@ def crops_around(
         first: rows and columns.
         after: those after the last.
         shape: (H, W) of the images.
-        most: members of a crop.
     """
     left = (after > 0).all(axis=1)
     for size in crop_sizes(shape):
         inside = left & (after - first <= size).all(axis=1)
         left &= ~inside
         members = np.flatnonzero(inside)
-        corners = np.minimum(first, np.subtract(shape, size))
+        corners, most = np.minimum(first, np.subtract(shape, size)).astype(np.int32), most_members(size)
         for one in range(0, len(members), most):
             mine = members[one : one + most]
             yield Crop(members=mine, corners=corners[mine], size=size)

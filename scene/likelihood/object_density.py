@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
-from scene.likelihood.crops import Crop, crop_sizes, crops_around, lines_around
+from scene.likelihood.crops import Crop, crop_sizes, crops_around, lines_around, most_members
 from scene.likelihood.object_pixels import ObjectPixels
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.pixel_places import ImageParts, Places
@@ -20,9 +20,6 @@ from shapes.rendering.ray_casting import sort_chosen_first
 
 PIXELS_TOGETHER = 2**12
 """Of a list that are computed together, so that they stay in a core's cache: speed."""
-
-WEIGHED_TOGETHER = 64
-"""Of a kernel; kernels run side by side, each on a core, and one size serves any number."""
 
 Layers = tuple[jax.Array, jax.Array]
 
@@ -34,24 +31,23 @@ def layer_densities(
     log_density, depth_m = np.zeros_like(layers_m), np.full_like(layers_m, np.inf)
 
     def weigh(crop: Crop) -> None:
-        corners = crop.filled(crop.corners, WEIGHED_TOGETHER).astype(np.int32)
-        cut = np.full((WEIGHED_TOGETHER, *crop.size), np.float32(np.inf))
+        corners = crop.filled(crop.corners)
+        cut = np.full((len(corners), *crop.size), np.float32(np.inf))
         cut[: len(crop.members)] = crop.taken(layers_m)
         log_parts, depth_parts = jax.device_get(_cropped_densities(density, cut, corners))
         crop.put(log_density, log_parts)
         crop.put(depth_m, depth_parts)
 
     bounds = lines_around(np.isfinite(layers_m))
-    map_parallel(weigh, crops_around(*bounds, layers_m.shape[1:], WEIGHED_TOGETHER))
+    map_parallel(weigh, crops_around(*bounds, layers_m.shape[1:]))
     return log_density, depth_m
 
 
 def compile_layer_densities(density: PixelDensity) -> None:
     """What `layer_densities` runs."""
-    corners = np.zeros((WEIGHED_TOGETHER, 2), np.int32)
     for size in crop_sizes(density.log_rest.shape):
-        nothing = np.full((WEIGHED_TOGETHER, *size), np.float32(np.inf))
-        _cropped_densities.lower(density, nothing, corners).compile()
+        nothing = np.full((most_members(size), *size), np.float32(np.inf))
+        _cropped_densities.lower(density, nothing, np.zeros((len(nothing), 2), np.int32)).compile()
 
 
 @jax.jit

@@ -169,10 +169,6 @@ def log_sizes_density(log_half: NDArray[np.float64], is_round: NDArray[np.bool_]
     return np.where(inside, log_density, -np.inf)
 
 
-RENDERED_TOGETHER = 64
-"""In a kernel; kernels run side by side, each on a core, and one size serves any number."""
-
-
 def solid_layers(
     camera: Camera,
     poses: NDArray[np.floating],
@@ -195,13 +191,13 @@ def solid_layers(
     given = poses.astype(np.float32), half_m.astype(np.float32), is_round
 
     def render(crop: Crop) -> None:
-        mine = [crop.filled(part[crop.members], RENDERED_TOGETHER) for part in given]
-        corners = crop.filled(crop.corners, RENDERED_TOGETHER).astype(np.int32)
+        mine = [crop.filled(part[crop.members]) for part in given]
+        corners = crop.filled(crop.corners)
         crop.put(layers_m, np.asarray(_cropped_layers(camera, *mine, corners, *crop.size)))
 
     sides_m = np.where(is_round[:, None], half_m[:, [0, 0, 2]], half_m)
     bounds = _lines_around(camera, poses, sides_m, (height, width))
-    map_parallel(render, crops_around(*bounds, (height, width), RENDERED_TOGETHER))
+    map_parallel(render, crops_around(*bounds, (height, width)))
     return layers_m
 
 
