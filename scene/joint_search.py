@@ -26,7 +26,6 @@ from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from scene.presence.depth_candidates import PresenceFrames, nearest_shown
 from scene.presence.size_prior import SizePrior
-from scene.search.importance_sampling import without_each
 from scene.search.search_result import Initialisation
 from scene.search.support_prior import log_not_buried
 from shapes.geometry.poses import matrices_of, poses_of, transform_points
@@ -143,6 +142,9 @@ def visible_fractions(
 ) -> NDArray[np.float64]:
     """Shares (N,) of the pixels of each object `found` (N,) that nothing hides, in the frame of its search.
 
+    Neither another object or a support, nor what is measured nearer than its surface, whatever that is. Of
+    what is in the scene they are more than 0.
+
     Args:
         joint: the frames.
         renderer: of all objects.
@@ -152,9 +154,16 @@ def visible_fractions(
     shares, numbers = np.zeros(len(found)), np.arange(len(found))
     for frame in np.unique(joint.frames[found]).tolist():
         in_camera = poses_of(joint.compared.camera_from_world[frame] @ matrices_of(world_from_box))
-        _, visible = without_each(joint.compared.views[frame], renderer, numbers, in_camera, found)
+        layers_m = renderer.layers(numbers, in_camera, joint.compared.views[frame].window)
+        layers_m[~found] = np.inf
+        covers = np.isfinite(layers_m)
+        hidden = layers_m > layers_m.min(axis=0)
+        hidden |= layers_m > joint.compared.views[frame].rest_m
+        hidden |= joint.compared.densities[frame].measured_before(layers_m)
         mine = found & (joint.frames == frame)
-        shares[mine] = visible[mine]
+        count = np.maximum(covers.sum(axis=(1, 2)), 1)
+        seen = (covers & ~hidden).sum(axis=(1, 2))
+        shares[mine] = (np.maximum(seen, covers.any(axis=(1, 2))) / count)[mine]
     return shares
 
 

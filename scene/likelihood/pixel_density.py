@@ -28,11 +28,14 @@ from scene.likelihood.pixel_factors import (
 )
 from scene.likelihood.pixel_places import ImageParts, Places
 from scene.likelihood.unknown_surfaces import UnknownSurfaces, UnknownWeights
+from shapes.depth_noise import standard_deviation
 
 SUPPORT_ERROR = 0.01
 """Error of a support over its depth, which is a depth camera's scale and bend."""
 EDGE_PX = 3.0
 """Pixels of an image by which cameras shift outlines."""
+BEFORE = 4.0
+"""Standard deviations by which noise puts one pixel of 30,000 before a surface."""
 _ONLY = ImageParts(np.zeros(1, np.int32))
 """In which image layers are seen where there is but one."""
 
@@ -292,6 +295,13 @@ class PixelDensity:
         shows = surface.shows(observed_m, self.noise, self.learned.reach_m)
         shows = jnp.where(observed_m == NO_RETURN, UNKNOWN, shows)
         return jnp.where(covers, shows * jnp.where(all_beside(covers), 1.0, 0.5), 0.0)
+
+    def measured_before(self, layers_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Where (n, H, W) something is measured `BEFORE` standard deviations before layers (n, H, W)."""
+        observed_m, covers = np.asarray(self.image.observed_m), np.isfinite(layers_m)
+        there_m = np.where(covers, layers_m, 0.0)
+        sigma_m = np.hypot(standard_deviation(jax.device_get(self.noise), there_m), self.shape_sigma_m)
+        return covers & (observed_m != NO_RETURN) & (observed_m < there_m - BEFORE * sigma_m)
 
     def factors(self, places: Places) -> PixelFactors:
         """The factors of listed pixels (P,) of the F images."""

@@ -107,7 +107,7 @@ def refine(
     frame, active = _Frame(data, renderer, numbers, noise), np.flatnonzero(moving)
     means, factors = np.array(poses), np.tile(np.diag(FIRST_SIGMA), (len(poses), 1, 1))
     for _ in range(TURNS):
-        rest_m, _ = without_each(data, renderer, numbers, means, found)
+        rest_m = _without_each(data, renderer, numbers, means, found)
         for first in range(0, len(active), TOGETHER):
             mine = np.resize(active[first : first + TOGETHER], TOGETHER)
             normal = rng.standard_normal((TOGETHER, DRAWS, 6))
@@ -121,21 +121,18 @@ def refine(
     return means
 
 
-def without_each(
+def _without_each(
     data: SceneData,
     renderer: ObjectRenderer,
     numbers: NDArray[np.integer],
     poses: NDArray[np.float64],
     found: NDArray[np.bool_],
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Depth (N, H, W) of the scene without each object, and the share (N,) of each that nothing hides."""
+) -> NDArray[np.float32]:
+    """Depth (N, H, W) of the scene without each object."""
     depth = renderer.layers(numbers, poses, data.window)
     depth = np.where(found[:, None, None], depth, np.float32(np.inf))
     others = [np.delete(depth, one, axis=0).min(axis=0, initial=np.inf) for one in range(len(poses))]
-    rest_m = np.minimum(np.stack(others), data.rest_m)
-    covers = np.isfinite(depth)
-    shown = covers & (depth <= rest_m)
-    return rest_m.astype(np.float32), shown.sum(axis=(1, 2)) / np.maximum(covers.sum(axis=(1, 2)), 1)
+    return np.minimum(np.stack(others), data.rest_m).astype(np.float32)
 
 
 def distinct(poses: NDArray[np.float64]) -> NDArray[np.float64]:

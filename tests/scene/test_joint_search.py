@@ -1,14 +1,17 @@
 """Which frames are searched, and which of the searches has each object."""
 
 from itertools import product
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import trimesh
 
 from pipeline.synthesis.world import Part, RayCaster
-from recordings.types import CameraIntrinsics
-from scene.joint_search import ABSENT, best_choice, worth_searching
+from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise
+from scene.joint_search import ABSENT, best_choice, visible_fractions, worth_searching
+from scene.likelihood.pixel_density import PixelDensity
 from scene.observation.segmentation import scene_views
 from tests.scene.observation.test_scene_views import over
 
@@ -116,3 +119,27 @@ def test_frames_without_anything_say_so() -> None:
 
     with pytest.raises(ValueError, match="nothing stands"):
         worth_searching(views, np.eye(4)[None])
+
+
+def test_what_is_measured_before_an_object_hides_it() -> None:
+    """As do other objects and supports; what is in the scene has a pixel at least, what is not has none."""
+    layers_m = np.full((4, 8, 10), np.inf, np.float32)
+    layers_m[0, :, :4] = 1.0
+    layers_m[1, :4, 2:6] = 0.9  # before two of four columns of the first, in half of the rows
+    layers_m[2, :, 6:] = 1.0
+    layers_m[3, :, 6:] = 0.5  # not in the scene
+    observed_m = np.where(np.isfinite(layers_m[:3]).any(axis=0), layers_m[:3].min(axis=0), 1.2)
+    observed_m[:, 6:] = 0.8
+    observed_m[:, 1] = NO_RETURN
+    rest_m = np.full((8, 10), 1.2, np.float32)
+    rest_m[7, :2] = 0.95
+    density = PixelDensity.of(observed_m.astype(np.float32), rest_m, DepthNoise(), 0.002, 4)
+    view = SimpleNamespace(window=None, rest_m=rest_m)
+    compared = SimpleNamespace(camera_from_world=np.eye(4)[None], views=[view], densities=[density])
+    joint = SimpleNamespace(compared=compared, frames=np.zeros(4, int))
+    renderer = SimpleNamespace(layers=lambda *_: layers_m.copy())
+    poses = np.tile([1.0, 0, 0, 0, 0, 0, 0], (4, 1))
+    found = np.array([True, True, True, False])
+    shares = visible_fractions(cast("Any", joint), cast("Any", renderer), found, poses)
+
+    np.testing.assert_allclose(shares, [(32 - 8 - 2) / 32, 1.0, 1 / 32, 0.0])
