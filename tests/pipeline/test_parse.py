@@ -22,7 +22,7 @@ from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paths import PathConfig
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.rooms import RoomConfig
-from pipeline.synthesis.scenarios import TableScene
+from pipeline.synthesis.scenarios import CameraConfig, TableScene
 from pipeline.synthesis.world import Part, RayCaster
 from pipeline.synthesis.writing import write_recording
 from recordings.truth import write_scene_truth
@@ -39,9 +39,10 @@ SHORT = ("-s", "parse.rounds=0", "-s", "parse.sweeps=18", "-s", "parse.chains=2"
 
 @pytest.fixture(scope="module")
 def table() -> SyntheticRecording:
-    """One frame of a box and a mug on a table."""
-    scene = TableScene(room=RoomConfig(kind="none"), path=PathConfig(frames=1, radius_m=0.8), objects=2)
-    return film_table({name: built_in_object(name) for name in SHAPES}, scene, 4)
+    """One frame of a box and a mug on a table, by half the angle of most cameras: four times faster."""
+    camera, path = CameraConfig(width=320, height=240, fx=554.0), PathConfig(frames=1, radius_m=0.8)
+    scene = TableScene(room=RoomConfig(kind="none"), path=path, objects=2, camera=camera)
+    return film_table({name: built_in_object(name) for name in SHAPES}, scene, 5)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,7 @@ def test_eval_poses_stops_at_the_truth_of_another_table(parsed: Path, tmp_path: 
     """Filmed at the same stamp: an error in one line, and no figures."""
     scene = TableScene(room=RoomConfig(kind="none"), path=PathConfig(frames=1, radius_m=0.6), objects=2)
     write_recording(
-        film_table({name: built_in_object(name) for name in SHAPES}, scene, 5), tmp_path / "o.mcap"
+        film_table({name: built_in_object(name) for name in SHAPES}, scene, 4), tmp_path / "o.mcap"
     )
     result = CliRunner().invoke(voxscene, ["eval", "poses", str(parsed), "--truth", str(tmp_path / "o.mcap")])
 
