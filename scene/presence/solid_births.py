@@ -13,7 +13,7 @@ from scene.presence.births import fit_gaussians
 from scene.presence.depth_candidates import PresenceFrames, gain_before, nearest_shown
 from scene.presence.gaussian_fits import climbed
 from scene.presence.pose_priors import LEAST_DENSITY, PosePriors
-from scene.presence.solid_proposals import proposed_solids, solids_in_place
+from scene.presence.solid_proposals import boxes_in_place, proposed_solids
 from scene.presence.solids import (
     FREE_OF_CYLINDERS,
     GREATEST_M,
@@ -53,9 +53,9 @@ def competing_solids(
         mixture: of the objects.
     """
     proposed = [proposed_solids(view, frames.compared.world_from(number)) for number, view in views.items()]
-    starts, is_round = (
-        np.concatenate(part) for part in zip(*proposed, solids_in_place(mixture), strict=True)
-    )
+    boxes = boxes_in_place(mixture)
+    proposed.append((boxes, np.zeros(len(boxes), bool)))
+    starts, is_round = (np.concatenate(part) for part in zip(*proposed, strict=True))
     return solids_near(rng, frames, priors, starts, is_round, MOST_SOLIDS * len(views))
 
 

@@ -2,8 +2,8 @@
 
 A piece is what hangs together without a step or a sharp edge. The solids of a piece are the least upright box
 that holds it, boxes behind each of its flat faces, and cylinders about the axes to which its normals are
-square. What carries things over another support is a box, too. Where an object may be there may be a box or a
-cylinder of its size instead.
+square. What carries things over another support is a box, too. Where an object may be there may be a box of
+its size instead.
 """
 
 from __future__ import annotations
@@ -59,31 +59,23 @@ def proposed_solids(
     return solids, np.arange(len(solids)) >= len(boxes)
 
 
-def solids_in_place(mixture: StateMixture) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Solids (n, 10) in the places of N objects, and which are cylinders (n,).
+def boxes_in_place(mixture: StateMixture) -> NDArray[np.float64]:
+    """Boxes (N, 10) of the sizes of N objects where these most probably are, down to the support at most.
 
-    A box for each object, where it most probably is, and a cylinder for each that is round: what explains an
-    image no better than these do is one of them. They end on the support, where an object may reach below.
+    What explains an image no better than such a box does is one. Of what is round no cylinder is proposed:
+    one of free size fits a real can as well as its mesh, whose errors are taken for independent.
 
     Args:
         mixture: of the objects.
     """
-    states = mixture.centres[np.arange(len(mixture.centres)), mixture.log_weights.argmax(axis=1)]
-    solids, is_round = [_box_of(one) for one in states], [False] * len(states)
-    for state, ties in zip(states, mixture.ties, strict=True):
-        if (tied := np.flatnonzero(ties != np.arange(3))).size:
-            second = int(tied[0])
-            solids.append(_box_of(state, (int(ties[second]), second)))
-            is_round.append(True)
-    return np.array(solids).reshape(-1, 10), np.array(is_round, bool)
+    best = mixture.log_weights.argmax(axis=1)
+    return np.array([_box_on_support(one) for one in mixture.centres[np.arange(len(best)), best]])
 
 
-def _box_of(state: NDArray[np.float64], across: tuple[int, int] = (0, 1)) -> NDArray[np.float64]:
-    """The box (10,) of a state (10,) of which two axes lie across the third, down to the support at most."""
-    along = 3 - sum(across)
-    rotation = Rotation.from_quat(state[:4], scalar_first=True).as_matrix()[:, [*across, along]]
-    rotation[:, 2] *= np.linalg.det(rotation)  # no reflection
-    half_m, middle_m = np.exp(state[7:])[[*across, along]], rotation.T @ state[4:7]
+def _box_on_support(state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The box (10,) of a state (10,) without what is below z = 0 of one that is nearly upright."""
+    rotation = Rotation.from_quat(state[:4], scalar_first=True).as_matrix()
+    half_m, middle_m = np.exp(state[7:]), rotation.T @ state[4:7]
     low_m, high_m = middle_m - half_m, middle_m + half_m
     for axis in np.flatnonzero(np.abs(rotation[2]) > LEVEL):
         foot_m = middle_m[axis] - state[6] / rotation[2, axis]

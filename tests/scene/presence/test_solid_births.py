@@ -92,7 +92,7 @@ def test_an_object_competes_with_a_box_of_its_size(seed: int, monkeypatch: pytes
     rng = np.random.default_rng(seed)
     frames, data = frames_of(seen(rng, rendered(box, np.array([False])), 0.0015))
     low = box + np.array([0, 0, 0, 0, 0.004, 0, -0.03, 0, 0, np.log(1.6)])
-    mixture = mixture_at(low, np.tile(np.arange(3), (1, 1)))
+    mixture = mixture_at(low)
     solids = competing_solids(rng, frames, cast("Any", Anywhere()), {0: data}, mixture).centres
 
     assert len(solids) == 1

@@ -64,9 +64,7 @@ def test_a_solid_is_seen_where_rays_enter_it(is_round: bool, seed: int) -> None:
     rotation = Rotation.random(rng=np.random.default_rng(seed))
     pose = np.concatenate([rotation.as_quat(scalar_first=True), [0.02, -0.03, 0.8]])
     half_m = HALF_M[int(is_round)]
-    layer = np.asarray(
-        solid_layers(CAMERA, *(np.asarray(one)[None] for one in (pose, half_m, is_round)), HEIGHT, WIDTH)
-    )[0]
+    layer = solid_layers(CAMERA, pose[None], half_m[None], np.array([is_round]), HEIGHT, WIDTH)[0]
     columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = np.stack([(columns - 15.5) / 40, (rows - 11.5) / 40, np.ones_like(rows)], axis=-1)
 
