@@ -1,6 +1,5 @@
 """Boxes and cylinders are proposed where they stand, whatever side of them is seen."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -26,7 +25,7 @@ def rendered(solids: np.ndarray, is_round: np.ndarray) -> np.ndarray:
     poses = poses_of(CAMERA_FROM_TABLE @ matrices_of(solids[:, :7])).astype(np.float32)
     half_m = np.exp(solids[:, 7:]).astype(np.float32)
     camera = Camera.from_intrinsics(INTRINSICS)
-    return np.asarray(solid_layers(camera, poses, half_m, jnp.asarray(is_round), 240, 320))
+    return solid_layers(camera, poses, half_m, is_round, 240, 320)
 
 
 def seen(rng: np.random.Generator, layers_m: np.ndarray, noise_m: float) -> np.ndarray:
