@@ -121,6 +121,8 @@ def log_scenes(
 ) -> float:
     """Log of the sum of the weights of all scenes of the slots `others`, with slot `place` taken.
 
+    -inf where the prior excludes all of its candidates, as deep below the table.
+
     Args:
         rng: random numbers.
         candidates: of all slots.
@@ -136,6 +138,9 @@ def log_scenes(
             weights = candidates.log_weights(scene, [slot])
             base = weights[0]
             options = np.where(np.arange(len(weights)) == 0, -np.inf, weights) if slot == place else weights
+            if not np.isfinite(options).any():
+                totals[number] = -np.inf
+                break
             totals[number] += logsumexp(options) - base
             chosen = rng.choice(len(options), p=softmax(options)) - 1
             scene[slot] = chosen if chosen >= 0 else ABSENT

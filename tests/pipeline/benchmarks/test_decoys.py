@@ -40,6 +40,18 @@ def test_sums_over_scenes(place: int | None, seed: int) -> None:
     assert_mean(np.exp(np.array(found) - exact), 1.0, detectable=0.2)
 
 
+def test_what_the_prior_excludes_has_no_evidence(seed: int) -> None:
+    """A place of which no candidate may be there, as one deep below the table: -inf, and no error."""
+    observed_m = np.full(strips.WIDTH, strips.BACKGROUND_M)
+    places = np.tile(np.arange(strips.PLACES), (2, 1))
+    candidates = strips.candidates_at(observed_m, np.array([0, 1]), BinomialNumber(0.5), places)
+    candidates.prior.on_root[1] = 0.0
+    rng = np.random.default_rng(seed)
+
+    assert log_scenes(rng, candidates, [0], 1, 4) == -np.inf
+    assert np.isfinite(log_scenes(rng, candidates, [0], None, 4))
+
+
 def test_places_lie_in_a_decoy_and_touch_its_faces() -> None:
     """The corners of a smaller box stay within a larger one's, and reach one of its faces at least."""
     turned = np.eye(4)
