@@ -48,9 +48,11 @@ class Common:
         return Progress(label, unit, quiet=self.quiet)
 
     def report(self, document: Any, lines: Sequence[str]) -> None:
-        """Print the result: the document with --json, else the lines for people."""
+        """Print the result: the document with --json, null for what is not finite, else lines for people."""
         if self.as_json:
-            tell(json.dumps(document, allow_nan=False))
+            from pipeline.publishing.finite import finite_json
+
+            tell(json.dumps(finite_json(document), allow_nan=False))
         elif not self.quiet:
             tell("\n".join(lines))
 

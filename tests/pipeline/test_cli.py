@@ -129,6 +129,18 @@ def test_results_are_one_json_document_or_lines() -> None:
     assert out("--quiet") == ""
 
 
+def test_numbers_that_are_not_finite_are_null() -> None:
+    """JSON has none: places that the prior excludes, errors of what was not found."""
+
+    @click.command()
+    @common_options("slam")
+    def command(common: Common) -> None:
+        common.report({"rows": [{"advantage": float("inf"), "error_m": 0.5}]}, [])
+
+    result = CliRunner().invoke(command, ["--json"], catch_exceptions=False)
+    assert json.loads(result.stdout) == {"rows": [{"advantage": None, "error_m": 0.5}]}
+
+
 def test_synth_writes_a_recording(tmp_path: Path) -> None:
     """Named after the object that it is to hold; the same bytes for the same seed."""
     arguments = ["--frames", "2", "--size", "64x48", "--room", "bare", "--step", "5"]
