@@ -19,11 +19,11 @@ LINES_BESIDE = 3, LEANING_PX + 3
 an outline is before that, and what foretells it."""
 
 PIXELS_TOGETHER, LEAST_TOGETHER, MOST_TOGETHER = 2**17, 4, 64
-"""Pixels, and crops, of a kernel: kernels run side by side, each on a core. Speed."""
+"""Pixels of a kernel, and the least and most crops: kernels run side by side, each on a core. Speed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Crop:
+class Crops:
     """Crops of one size, of some of many images.
 
     Attributes:
@@ -63,7 +63,7 @@ def crop_sizes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def most_members(size: tuple[int, ...]) -> int:
-    """Of a crop."""
+    """Most crops of a size that one kernel takes."""
     return min(max(PIXELS_TOGETHER // (size[0] * size[1]), LEAST_TOGETHER), MOST_TOGETHER)
 
 
@@ -81,7 +81,7 @@ def lines_around(covered: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[
     return np.stack(first, axis=1), np.stack(after, axis=1)
 
 
-def crops_around(first: NDArray[np.intp], after: NDArray[np.intp], shape: tuple[int, ...]) -> Iterator[Crop]:
+def crops_around(first: NDArray[np.intp], after: NDArray[np.intp], shape: tuple[int, ...]) -> Iterator[Crops]:
     """The smallest crops that hold what begins at rows and columns (n, 2) and ends before others (n, 2).
 
     There are none of what ends at 0.
@@ -99,4 +99,4 @@ def crops_around(first: NDArray[np.intp], after: NDArray[np.intp], shape: tuple[
         corners, most = np.minimum(first, np.subtract(shape, size)).astype(np.int32), most_members(size)
         for one in range(0, len(members), most):
             mine = members[one : one + most]
-            yield Crop(members=mine, corners=corners[mine], size=size)
+            yield Crops(members=mine, corners=corners[mine], size=size)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
-from scene.likelihood.crops import Crop, crop_sizes, crops_around, lines_around, most_members
+from scene.likelihood.crops import Crops, crop_sizes, crops_around, lines_around, most_members
 from scene.likelihood.object_pixels import ObjectPixels
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.pixel_places import ImageParts, Places
@@ -30,13 +30,13 @@ def layer_densities(
     """What `object_densities` gives for any number of layers (n, H, W) in one image."""
     log_density, depth_m = np.zeros_like(layers_m), np.full_like(layers_m, np.inf)
 
-    def weigh(crop: Crop) -> None:
-        corners = crop.filled(crop.corners)
-        cut = np.full((len(corners), *crop.size), np.float32(np.inf))
-        cut[: len(crop.members)] = crop.taken(layers_m)
+    def weigh(crops: Crops) -> None:
+        corners = crops.filled(crops.corners)
+        cut = np.full((len(corners), *crops.size), np.float32(np.inf))
+        cut[: len(crops.members)] = crops.taken(layers_m)
         log_parts, depth_parts = jax.device_get(_cropped_densities(density, cut, corners))
-        crop.put(log_density, log_parts)
-        crop.put(depth_m, depth_parts)
+        crops.put(log_density, log_parts)
+        crops.put(depth_m, depth_parts)
 
     bounds = lines_around(np.isfinite(layers_m))
     map_parallel(weigh, crops_around(*bounds, layers_m.shape[1:]))

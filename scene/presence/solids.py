@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
 from scene.execution import map_parallel
-from scene.likelihood.crops import Crop, crops_around
+from scene.likelihood.crops import Crops, crops_around
 from scene.presence.gaussian_fits import moved
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import matrices_of
@@ -190,10 +190,10 @@ def solid_layers(
     layers_m = np.full((len(poses), height, width), np.float32(np.inf))
     given = poses.astype(np.float32), half_m.astype(np.float32), is_round
 
-    def render(crop: Crop) -> None:
-        mine = [crop.filled(part[crop.members]) for part in given]
-        corners = crop.filled(crop.corners)
-        crop.put(layers_m, np.asarray(_cropped_layers(camera, *mine, corners, *crop.size)))
+    def render(crops: Crops) -> None:
+        mine = [crops.filled(part[crops.members]) for part in given]
+        corners = crops.filled(crops.corners)
+        crops.put(layers_m, np.asarray(_cropped_layers(camera, *mine, corners, *crops.size)))
 
     sides_m = np.where(is_round[:, None], half_m[:, [0, 0, 2]], half_m)
     bounds = _lines_around(camera, poses, sides_m, (height, width))

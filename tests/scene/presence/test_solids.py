@@ -42,10 +42,9 @@ def test_crops_show_what_the_whole_image_does(seed: int) -> None:
     """
     rng, count, height, width = np.random.default_rng(seed), 200, 96, 128
     camera = Camera(*(jnp.float32(value) for value in (140.0, 140.0, 63.5, 47.5)))
-    poses = np.concatenate(
-        [Rotation.random(count, rng=rng).as_quat(scalar_first=True), np.zeros((count, 3))], 1
-    )
-    poses[:, 4:] = rng.uniform([-0.6, -0.5, -0.2], [0.6, 0.5, 1.5], (count, 3))
+    wxyz = Rotation.random(count, rng=rng).as_quat(scalar_first=True)
+    places_m = rng.uniform([-0.6, -0.5, -0.2], [0.6, 0.5, 1.5], (count, 3))
+    poses = np.concatenate([wxyz, places_m], axis=1)
     half_m, is_round = np.exp(rng.uniform(-5, -1.5, (count, 3))), rng.random(count) < 0.5
     half_m[is_round, 1] = half_m[is_round, 0]
     seen = solid_layers(camera, poses, half_m, is_round, height, width)
