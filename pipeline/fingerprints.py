@@ -55,6 +55,13 @@ def source_hash(*modules: str, within: tuple[str, ...] = METHOD) -> str:
     return digest.hexdigest()
 
 
+@cache
+def method_hash() -> str:
+    """SHA-256 over all sources that compute."""
+    members = [path for package in METHOD for path in sorted((ROOT / package).rglob("*.py"))]
+    return canonical_hash([[path.relative_to(ROOT).as_posix(), file_hash(path)] for path in members])
+
+
 def _imports(text: str) -> list[str]:
     """Modules that a source may import: `from a import b` may mean a.b."""
     found = []

@@ -5,13 +5,15 @@ from __future__ import annotations
 import gc
 import os
 import warnings
+from importlib.metadata import version
 from pathlib import Path
 
 from pipeline.errors import PipelineError
+from pipeline.fingerprints import canonical_hash, method_hash
 
 
 def set_up_jax(name: str = "jax") -> None:
-    """Keep compiled kernels, the shortest too, and trace new ones without pauses.
+    """Keep compiled kernels, the shortest too, and traces of the largest; trace new ones without pauses.
 
     Where JAX was imported before this package, it is told the precision of products here.
 
@@ -38,18 +40,34 @@ def set_up_jax(name: str = "jax") -> None:
     from jax._src import compilation_cache  # what keeps its entries cannot be chosen otherwise
 
     from pipeline.kernel_cache import KernelCache
+    from shapes.stored_kernels import keep_traces
 
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
     compilation_cache.get_file_cache = lambda path: (KernelCache(Path(path)), path)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        return
+    folder = _kernel_folder(name)
+    if folder is not None:
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        keep_traces(KernelCache(folder), _trace_version())
+
+
+def _kernel_folder(name: str) -> Path | None:
+    """Where kernels are kept; None where they are not."""
+    told = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if told:
+        return Path(told)
     try:
         from platformdirs import user_cache_path
 
         folder = user_cache_path("voxscene", appauthor=False) / name
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except (ImportError, OSError):
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+        return None
+    return folder
+
+
+def _trace_version() -> str:
+    """Of all that decides what a trace is, beside the arguments."""
+    libraries = [f"{name} {version(name)}" for name in ("jax", "jaxlib", "jaxlie", "numpy")]
+    return canonical_hash([method_hash(), *libraries, os.environ["JAX_DEFAULT_MATMUL_PRECISION"]])

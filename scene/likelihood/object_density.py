@@ -17,6 +17,7 @@ from scene.likelihood.object_pixels import ObjectPixels
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.pixel_places import ImageParts, Places
 from shapes.rendering.ray_casting import sort_chosen_first
+from shapes.stored_kernels import jit_stored
 
 PIXELS_TOGETHER = 2**12
 """Of a list that are computed together, so that they stay in a core's cache: speed."""
@@ -47,10 +48,10 @@ def compile_layer_densities(density: PixelDensity) -> None:
     """What `layer_densities` runs."""
     for size in crop_sizes(density.log_rest.shape):
         nothing = np.full((most_members(size), *size), np.float32(np.inf))
-        _cropped_densities.lower(density, nothing, np.zeros((len(nothing), 2), np.int32)).compile()
+        _cropped_densities.compile(density, nothing, np.zeros((len(nothing), 2), np.int32))
 
 
-@jax.jit
+@jit_stored()
 def _cropped_densities(density: PixelDensity, layers_m: jax.Array, corners: jax.Array) -> Layers:
     """Of layers (n, h, w) in parts of one image, with these first rows and columns (n, 2)."""
     parts = ImageParts(jnp.zeros(len(layers_m), jnp.int32), corners)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +19,9 @@ from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import ObjectLibrary, join
 from shapes.rendering.ray_casting import PosedObjects
+from shapes.stored_kernels import jit_stored
 
-LAYERS = 128
+LAYERS = 64
 """Rendered in one kernel; kernels run side by side, each on a core."""
 OBJECTS = 8
 """Libraries hold a multiple of so many, so that few kernels are compiled."""
@@ -54,14 +54,14 @@ class ObjectRenderer:
     def compile(self, window: PixelWindow) -> None:
         """What `layers` runs."""
         nowhere = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (LAYERS, 1))
-        _layers.lower(
+        _layers.compile(
             self,
             window.camera,
             *window.depth_m.shape,
             np.zeros(LAYERS, np.int32),
             nowhere,
             np.ones((LAYERS, 3), np.float32),
-        ).compile()
+        )
 
     def layers(
         self,
@@ -117,7 +117,7 @@ def _joined(libraries: Sequence[ObjectLibrary]) -> ObjectLibrary:
     return replace(columns, table=library.table)
 
 
-@partial(jax.jit, static_argnames=("height", "width"))
+@jit_stored(static_argnames=("height", "width"))
 def _layers(
     renderer: ObjectRenderer,
     camera: Camera,

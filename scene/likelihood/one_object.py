@@ -21,6 +21,7 @@ from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import PosedObjects
 from shapes.rendering.tile_queue import for_each_block
 from shapes.rendering.tiles import tile_counts, to_tiles
+from shapes.stored_kernels import jit_stored
 
 IMPOSSIBLE = -1e4
 """Log density of a pixel that the noise model excludes; finite, so that hypotheses stay comparable."""
@@ -92,7 +93,7 @@ def log_likelihood_ratio(
     return score_on_all_cores(partial(gain_over_rest, library, noise, evidence), posed)
 
 
-@jax.jit
+@jit_stored()
 def gain_over_rest(
     library: ObjectLibrary, noise: DepthNoise, evidence: DepthEvidence, posed: PosedObjects
 ) -> jax.Array:

@@ -29,6 +29,7 @@ from scene.likelihood.pixel_factors import (
 from scene.likelihood.pixel_places import ImageParts, Places
 from scene.likelihood.unknown_surfaces import UnknownSurfaces, UnknownWeights
 from shapes.depth_noise import standard_deviation
+from shapes.stored_kernels import jit_stored
 
 SUPPORT_ERROR = 0.01
 """Error of a support over its depth, which is a depth camera's scale and bend."""
@@ -334,4 +335,4 @@ class PixelDensity:
         return SurfaceImages(depth_m, sigma_m, shows, residual_m, nowhere)
 
 
-_of_image = jax.jit(PixelDensity.of_image, compiler_options=FAST_COMPILE)
+_of_image = jit_stored(compiler_options=FAST_COMPILE)(PixelDensity.of_image)

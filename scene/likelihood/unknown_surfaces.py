@@ -30,6 +30,7 @@ from recordings.sensor_profile import UNKNOWN_KINDS, UNKNOWN_PARTS, UnknownTable
 from recordings.types import NO_RETURN, DepthNoise
 from scene.likelihood.causal_planes import LEANING_PX, fitted, shifted, shifts, wide_slopes
 from shapes.depth_noise import standard_deviation
+from shapes.stored_kernels import jit_stored
 
 REACH_M = 2.5
 """R: a surface that begins anywhere is as near as what may show an object, `FARTHEST_M` of the foreground."""
@@ -247,7 +248,7 @@ def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
     return jnp.abs(error_m) > SURPRISE * sensor_m
 
 
-@jax.jit
+@jit_stored()
 def _foreseen(depth_m: jax.Array, noise: DepthNoise) -> tuple[jax.Array, jax.Array, jax.Array]:
     """`_predictions` of an image (H, W), and its `_kinds`."""
     means_m, known = _predictions(depth_m, noise)

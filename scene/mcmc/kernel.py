@@ -19,6 +19,7 @@ from scene.mcmc.random_variates import Variates
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
 from scene.mcmc.walks import FlipMove, WalkMove
 from scene.model.posterior import ChainState, Estimate, NoData, SceneModel
+from shapes.stored_kernels import jit_stored
 
 Recorded = TypeVar("Recorded")
 
@@ -196,8 +197,7 @@ def _posed(
     return decide(dice.uniform[:2], model, state.log_prior, offer, estimates)
 
 
-@partial(
-    jax.jit,
+@jit_stored(
     static_argnames=("count", "record"),
     compiler_options={"xla_backend_optimization_level": 1},  # compiled sooner, and not slower
 )

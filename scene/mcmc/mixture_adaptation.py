@@ -16,6 +16,7 @@ from scene.execution import FAST_COMPILE
 from scene.mcmc.mixture_init import MODES, own_components, spin
 from scene.mcmc.pose_mixture import PoseMixture, place_of
 from scene.mcmc.symmetry_arrays import SpinLines
+from shapes.stored_kernels import jit_stored
 
 NEAR_M, NEAR_RAD = 0.005, 0.35
 """What counts as one unit of distance from a mode; a state belongs to the nearest."""
@@ -34,7 +35,7 @@ KEPT_SHARE = 0.1
 MEAN_STEPS = 3
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
+@jit_stored(compiler_options=FAST_COMPILE)
 def adapt_mixture(mixture: PoseMixture, lines: SpinLines, poses: jax.Array) -> PoseMixture:
     """The mixtures with components of their own fitted to states (S, C, 7), each in its mode.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +16,7 @@ from scene.mcmc.symmetry_arrays import SpinLines
 from scene.search.importance_sampling import distinct
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import compose
+from shapes.stored_kernels import jit_stored
 
 MODES = 6
 """Of an object, to which proposals are fitted."""
@@ -163,7 +163,7 @@ def with_atoms(
     )
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
+@jit_stored(compiler_options=FAST_COMPILE)
 def _in_world(
     world_from_camera: jax.Array,
     log_weights: jax.Array,

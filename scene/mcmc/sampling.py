@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +29,7 @@ from scene.model.scene_graph import SceneGraph, floating_scene
 from scene.objects.scene_object import SceneObject
 from scene.search.search_result import Initialisation
 from shapes.geometry.poses import pose_of
+from shapes.stored_kernels import jit_stored
 
 WALK_M, WALK_RAD = 0.004, 0.05
 
@@ -209,7 +209,7 @@ def _taught(kernel: Kernel, lines: SpinLines, poses: NDArray[np.float64]) -> Ker
     return kernel.with_mixture(adapt_mixture(kernel.mixture, lines, states))
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
+@jit_stored(compiler_options=FAST_COMPILE)
 def _start(
     keys: jax.Array, model: SceneModel, particles: jax.Array, found: jax.Array, slabs: jax.Array
 ) -> ChainState:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from scene.execution import FAST_COMPILE
 from scene.search.support_table import SupportTable
+from shapes.stored_kernels import jit_stored
 
 
 @jax.tree_util.register_dataclass
@@ -40,7 +41,7 @@ class PoseLayers:
     rest_log_density: jax.Array
 
 
-@partial(jax.jit, static_argnames=("particles", "sweeps"), compiler_options=FAST_COMPILE)
+@jit_stored(static_argnames=("particles", "sweeps"), compiler_options=FAST_COMPILE)
 def choose(
     key: jax.Array, layers: PoseLayers, hot: float, cold: float, particles: int, sweeps: int
 ) -> tuple[jax.Array, jax.Array]:

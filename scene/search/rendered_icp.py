@@ -18,6 +18,7 @@ from scene.observation.depth_view import PooledView
 from scene.observation.frame_data import SceneData
 from scene.search.icp import ViewTable, align, look_up, rotated
 from shapes.geometry.camera import Camera
+from shapes.stored_kernels import jit_stored
 
 ROUNDS, ITERATIONS = 4, 6
 """Renderings of the scene, and iterations of ICP after each. Search effort."""
@@ -49,7 +50,7 @@ def refine_in_render(
     return current
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
+@jit_stored(compiler_options=FAST_COMPILE)
 def _polished_once(
     view: PooledView,
     points_m: jax.Array,

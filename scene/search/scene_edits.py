@@ -22,12 +22,13 @@ from scene.search.assignment import (
     nearest_layer,
     no_object,
 )
+from shapes.stored_kernels import jit_stored
 
 REPLACING = 8
 """Poses of each object that are tried in the place of others."""
 
 
-@partial(jax.jit, static_argnames="candidates", compiler_options=FAST_COMPILE)
+@jit_stored(static_argnames=("candidates",), compiler_options=FAST_COMPILE)
 def best_scene(layers: PoseLayers, choice: jax.Array, candidates: int) -> tuple[jax.Array, jax.Array]:
     """The best scene (N,) found from one (N,), and its log density.
 
@@ -39,7 +40,7 @@ def best_scene(layers: PoseLayers, choice: jax.Array, candidates: int) -> tuple[
     return choice, log_density_of_choice(layers, choice)
 
 
-@partial(jax.jit, compiler_options=FAST_COMPILE)
+@jit_stored(compiler_options=FAST_COMPILE)
 def rivals(layers: PoseLayers, choice: jax.Array, copies: jax.Array) -> tuple[jax.Array, jax.Array]:
     """For every object the best scene (N, N) without it, or with it where it is absent; its log odds (N,).
 

@@ -15,6 +15,7 @@ import jaxlie
 
 from scene.observation.depth_view import PooledView
 from scene.search.icp import Vector, ViewTable, align, dot, faces_camera, look_up, rotated
+from shapes.stored_kernels import jit_stored
 
 TOLERANCE_M = 0.012
 """Gap in depth at which the agreement of a point has fallen to about half; at twice that there is none."""
@@ -75,7 +76,7 @@ _CONTACTS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7), (0.3, 0.75), (0.7, 0.25))
 """Which visible points are put on observed ones: places in the outline's bounding rectangle."""
 
 
-@jax.jit
+@jit_stored()
 def match_templates(
     view: PooledView,
     points_m: jax.Array,

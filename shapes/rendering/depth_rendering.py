@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 
@@ -12,9 +10,10 @@ from shapes.rendering.object_library import ObjectLibrary
 from shapes.rendering.ray_casting import PosedObjects
 from shapes.rendering.tile_queue import for_each_block
 from shapes.rendering.tiles import TILE_PIXELS, from_tiles, tile_counts
+from shapes.stored_kernels import jit_stored
 
 
-@partial(jax.jit, static_argnames=("height", "width"))
+@jit_stored(static_argnames=("height", "width"))
 def render_layers(
     library: ObjectLibrary, posed: PosedObjects, cameras: Camera, height: int, width: int
 ) -> jax.Array:

@@ -21,6 +21,7 @@ from shapes.geometry.rotation_densities import (
     von_mises_fisher,
     von_mises_fisher_direction,
 )
+from shapes.stored_kernels import jit_stored
 
 
 @jax.tree_util.register_dataclass
@@ -248,7 +249,7 @@ SAMPLED_STEPS = 1024
 """From which a moment is taken, good to a twentieth."""
 
 
-@jax.jit
+@jit_stored()
 def spread_of_a_step(motion: MotionPrior, pose: jax.Array, pivot: jax.Array) -> jax.Array:
     """Second moment (6, 6) of a step from rest at a pose (7,), in the chart there."""
 

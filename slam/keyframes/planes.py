@@ -12,7 +12,6 @@ Every round is a kernel of its own: compiled as one they run five times as long 
 from __future__ import annotations
 
 import itertools
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +20,7 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.geometry.vectors import dot
+from shapes.stored_kernels import jit_stored
 from slam.keyframes.depth_view import CanvasView
 
 WINDOW_RADIUS_PX = 3
@@ -113,7 +113,7 @@ def _through_points(slopes: jax.Array, inverse_depth: jax.Array, rays: jax.Array
     return jnp.where((inverse_depth > 0)[None], planes, 0.0)
 
 
-@partial(jax.jit, static_argnames=("step_px", "most_turn"))
+@jit_stored(static_argnames=("step_px", "most_turn"))
 def _averaged(
     planes: jax.Array,
     on_plane: jax.Array,
@@ -143,7 +143,7 @@ def _averaged(
     return jnp.where((count > 0)[None], total / jnp.maximum(count, 1.0)[None], planes), count
 
 
-@partial(jax.jit, static_argnames="radius_px")
+@jit_stored(static_argnames=("radius_px",))
 def _window_fit(
     inverse_depth: jax.Array, fit: jax.Array, camera: Camera, tolerance: jax.Array, radius_px: int
 ) -> tuple[jax.Array, jax.Array]:

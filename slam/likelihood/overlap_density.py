@@ -27,6 +27,7 @@ from recordings.types import NO_RETURN, DepthNoise
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.geometry.vectors import cross, dot, rotate, transform
+from shapes.stored_kernels import jit_stored
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import pixels_of
 from slam.likelihood.distortion import NodeWeights, node_products
@@ -251,7 +252,7 @@ def _log_normal(gaps: _Gaps, variance: jax.Array) -> jax.Array:
 LOG_OUTLIER = float(np.log(OUTLIER_SHARE / OUTLIER_RANGE_M))
 
 
-@jax.jit
+@jit_stored()
 def overlap_terms(
     surface: PlaneImage,
     samples: PointSample,

@@ -13,6 +13,7 @@ from recordings.types import DepthNoise
 from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.poses import transformed
 from shapes.geometry.vectors import dot
+from shapes.stored_kernels import jit_stored
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.rendering import LEAST_INVERSE_DEPTH, MapImage, depth_from, fused_planes, pixels_of
 from slam.likelihood.distortion import NodeWeights
@@ -22,7 +23,7 @@ from slam.registration.local_map import LocalMap
 from slam.registration.local_search import Optimum
 
 
-@jax.jit
+@jit_stored()
 def field_sensitivity(
     optimum: Optimum,
     local_map: LocalMap,

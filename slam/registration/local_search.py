@@ -14,6 +14,7 @@ from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
 from shapes.geometry.poses import relative_pose
+from shapes.stored_kernels import jit_stored
 from slam.keyframes.depth_view import CANVAS, CANVAS_WIDTH, CanvasView
 from slam.keyframes.rendering import MapImage, fused_planes, render
 from slam.likelihood.image_density import (
@@ -140,7 +141,7 @@ class _Compared:
         return projected_scores(self.model, view, self.log_shortfall, noise, poses, stride_px, sigma_m)
 
 
-@jax.jit
+@jit_stored()
 def _ranked(
     local_map: LocalMap, view: CanvasView, noise: DepthNoise, starts: jax.Array, offsets: jax.Array
 ) -> tuple[_Compared, jax.Array]:
@@ -156,7 +157,7 @@ def _ranked(
     return compared, candidates[best]
 
 
-@jax.jit
+@jit_stored()
 def _winner(
     compared: _Compared, view: CanvasView, noise: DepthNoise, starts: jax.Array, hold: jax.Array | float
 ) -> jax.Array:
@@ -169,7 +170,7 @@ def _winner(
     return align(compared.model, view, noise, winner, hold, FINE_SCHEDULE)[0]
 
 
-@jax.jit
+@jit_stored()
 def _slid(
     compared: _Compared, view: CanvasView, noise: DepthNoise, anchor: jax.Array, pose: jax.Array
 ) -> jax.Array:
@@ -208,7 +209,7 @@ def optimum_at(
     return _climb_from(local_map, noise, pose, hold, pixels, *fused)
 
 
-@jax.jit
+@jit_stored()
 def _render_at(local_map: LocalMap, view: CanvasView, pose: jax.Array) -> tuple[jax.Array, MapImage]:
     """Keyframes_from_camera (M, 7) at a pose (7,), and the map as it is seen from there."""
     keyframes_from_camera = local_map.keyframes_from_camera(pose)
@@ -216,7 +217,7 @@ def _render_at(local_map: LocalMap, view: CanvasView, pose: jax.Array) -> tuple[
     return keyframes_from_camera, render(surfaces, present, keyframes_from_camera, view.rays, view.camera)
 
 
-@jax.jit
+@jit_stored()
 def _fuse_lattice(
     local_map: LocalMap,
     view: CanvasView,
@@ -230,7 +231,7 @@ def _fuse_lattice(
     return pixels, fused_planes(MapImage(pixels.planes, pixels.weights), keyframes_from_camera)
 
 
-@jax.jit
+@jit_stored()
 def _climb_from(
     local_map: LocalMap,
     noise: DepthNoise,

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 
 from recordings.types import DepthNoise
 from shapes.geometry import pose_gaussian
+from shapes.stored_kernels import jit_stored
 from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.surfels import SurfelImage
 from slam.likelihood.noise_calibration import EXPONENT_RANGE
@@ -132,7 +133,7 @@ def explained_share(
     return terms.inlier.sum() / jnp.maximum(compared.returned().sum(), 1)
 
 
-@jax.jit
+@jit_stored()
 def _log_factors(compared: ViewComparison, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     """`ViewComparison.log_factors` at poses (n, 7): in a kernel of its own each takes thrice as long."""
     return jax.lax.map(compared.log_factors, poses)
@@ -144,7 +145,7 @@ def _contradiction(log_factors: jax.Array) -> jax.Array:
     return -jnp.minimum(log_factors @ BLOCKS, 0.0).sum()
 
 
-@jax.jit
+@jit_stored()
 def _fitted(
     compared: ViewComparison, first: jax.Array, second: jax.Array, log_factors: jax.Array
 ) -> tuple[jax.Array, _Pairs]:
