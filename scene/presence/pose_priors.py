@@ -25,7 +25,6 @@ from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.size_prior import SizePrior
 from scene.search.support_prior import log_not_buried
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
-from shapes.stored_kernels import jit_stored
 
 PAIRS = 256
 """Of boxes, or boxes that float, in one call of a kernel: a candidate has some hundred others near it."""
@@ -211,7 +210,7 @@ def _in_batches(values: Callable[[NDArray[np.intp]], jax.Array], count: int) -> 
 _log_floating = jax.jit(log_floating, compiler_options=FAST_COMPILE)
 
 
-@jit_stored(compiler_options=FAST_COMPILE)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _on_another(prior: PosePrior, faces: jax.Array, half_m: jax.Array, poses: jax.Array) -> jax.Array:
     """Densities (P,), of contacts, of the second of two boxes (2, P, 3) at poses (2, P, 7) on the first.
 
