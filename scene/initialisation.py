@@ -69,14 +69,15 @@ def initialise(
         pools, scene = compare_refined(last_key, pools, scene)
         pools, scene = search_missing(again_key, search_round, pools, scene)
     others, _ = rivals_of(pools, scene)
+    found = scene < pools.absent
     return Initialisation(
         poses=pools.placed(scene).astype(np.float64),
-        found=scene < pools.absent,
+        found=found,
         rivals=pools.placed(others.diagonal()).astype(np.float64),
         pools=pools.poses.astype(np.float64),
         log_gains=np.asarray(log_gains(pools.layers, scene), np.float64),
         log_alone=np.asarray(log_gains(pools.layers, np.full_like(scene, pools.absent)), np.float64),
-        atoms=search_round.boltzmann_atoms(pools),
+        atoms=search_round.boltzmann_atoms(pools, found),
     )
 
 

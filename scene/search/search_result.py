@@ -18,7 +18,7 @@ class BoltzmannAtoms:
 
     Attributes:
         poses: (N, A, 7) camera_from_box.
-        log_weights: (N, A), normalised over A; -inf where masks tell of none.
+        log_weights: (N, A), normalised over A; -inf where masks tell of none, or were not asked.
         pitch_m: edge of the cell within which each may lie.
     """
 
@@ -39,7 +39,7 @@ class Initialisation:
         log_gains: (N, K) log density of the scene with each pose of the pool in place of the best one,
             less that of the best scene; the last column is without the object.
         log_alone: (N, K) the same where nothing else is in the scene.
-        atoms: of masks, where they were asked for.
+        atoms: of masks, of what was found, where they were asked for.
     """
 
     poses: NDArray[np.float64]

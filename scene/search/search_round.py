@@ -127,13 +127,15 @@ class SearchRound:
         atoms = self.by_masks.atoms(index, mask) if self.by_masks else Atoms.none()
         return atoms.poses[_apart(atoms, count)]
 
-    def boltzmann_atoms(self, pools: PosePools) -> BoltzmannAtoms | None:
-        """Atoms of all objects on the whole foreground; None where no masks were asked for or can be."""
+    def boltzmann_atoms(self, pools: PosePools, wanted: NDArray[np.bool_]) -> BoltzmannAtoms | None:
+        """Atoms of the objects `wanted` (N,) on the whole foreground; None where no masks were asked for."""
         if self.by_masks is None or self.by_masks.seen is None:
             return None
         poses = np.tile(np.asarray(OUT_OF_SIGHT, np.float64), (len(pools.objects), ATOMS, 1))
         log_weights = np.full((len(pools.objects), ATOMS), -np.inf)
-        for index, atoms in enumerate(self.by_masks.first):
+        masks, some = self.by_masks, np.flatnonzero(wanted).tolist()
+        every = map_parallel(lambda index: masks.atoms(index, pools.data.foreground), some)
+        for index, atoms in zip(some, every, strict=True):
             chosen = np.unique(_apart(atoms, ATOMS))
             if len(chosen):
                 poses[index, : len(chosen)] = atoms.poses[chosen]

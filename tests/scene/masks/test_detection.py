@@ -12,8 +12,9 @@ from scipy.spatial import KDTree
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.objects import built_in_object
 from scene.masks import detector as detector_source
+from scene.masks import proposal
 from scene.masks.detector import Detector, detector, is_thin
-from scene.masks.grid import FREE, PITCH_M, STEPS, EvidenceGrid
+from scene.masks.grid import FREE, PITCH_M, STEPS, EvidenceGrid, SeenSpace
 from scene.masks.proposal import Atoms, MaskSearch, best_atoms
 from scene.masks.shape_masks import OUTSIDE, SURFACE, ShapeMasks
 from scene.objects.scene_object import SceneObject, scene_object
@@ -162,7 +163,30 @@ def test_what_is_thinner_than_half_a_cell_is_left_to_others(bottle: SceneObject)
 
     assert is_thin(card, PITCH_M)
     assert not is_thin(slab, PITCH_M)
-    foreground = np.ones((2, 2), bool)
-    nothing = MaskSearch(seen=None, detectors=[None], foreground=foreground, first=[Atoms.none()])
-    for unexplained in (foreground, ~foreground):
-        assert nothing.atoms(0, unexplained).poses.shape == (0, 7)
+    nothing = MaskSearch(seen=None, detectors=[None])
+
+    assert nothing.atoms(0, np.ones((2, 2), bool)).poses.shape == (0, 7)
+
+
+def test_masks_are_laid_again_only_on_other_pixels(
+    bottle: SceneObject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A twentieth of the pixels more or fewer are the same, half of them are not."""
+    sought: list[int] = []
+
+    def counted(grid: EvidenceGrid, shape: Detector) -> Atoms:  # noqa: ARG001
+        sought.append(int((grid.evidence > 0).sum()))
+        return Atoms.none()
+
+    monkeypatch.setattr(proposal, "best_atoms", counted)
+    cells = np.stack([*np.indices((20, 20)), np.zeros((20, 20), int)], axis=-1)
+    seen = SeenSpace(
+        free=np.ones((20, 20, 2), bool), cells=cells, pitch_m=PITCH_M, camera_from_grid=np.eye(4)
+    )
+    search = MaskSearch(seen=seen, detectors=[detector(bottle, PITCH_M, standing=True)] * 2)
+    masks = [np.arange(400).reshape(20, 20) < count for count in (200, 190, 210, 400, 390, 0, 0)]
+    for mask in masks:
+        search.atoms(0, mask)
+    search.atoms(1, masks[0])
+
+    assert sought == [200, 400, 0, 200]
