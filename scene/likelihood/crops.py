@@ -40,6 +40,10 @@ class Crops:
         """Crops (n, h, w) of images (N, H, W)."""
         return np.stack([images[part] for part in self._parts()])
 
+    def of(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The crops (n, h, w) as they lie in one image (H, W)."""
+        return np.stack([image[part[1:]] for part in self._parts()])
+
     def put(self, images: NDArray[np.float32], crops: NDArray[np.float32]) -> None:
         """Write crops (n, h, w), or the first of more, into images (N, H, W)."""
         for part, crop in zip(self._parts(), crops, strict=False):

@@ -24,24 +24,52 @@ PIXELS_TOGETHER = 2**12
 
 Layers = tuple[jax.Array, jax.Array]
 
+Image = NDArray[np.float32]
+
 
 def layer_densities(
     density: PixelDensity, layers_m: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What `object_densities` gives for any number of layers (n, H, W) in one image."""
-    log_density, depth_m = np.zeros_like(layers_m), np.full_like(layers_m, np.inf)
+    return _in_crops(density, layers_m, lambda crops, *parts: parts)  # noqa: ARG005
+
+
+def layer_gains(
+    density: PixelDensity, layers_m: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What layers (n, H, W) add to the supports' log density where they are before these, and their depth.
+
+    Elsewhere 0 and +inf.
+    """
+    rest_m, log_rest = np.asarray(density.image.rest_m), np.asarray(density.log_rest)
+
+    def over_rest(crops: Crops, log_density: Image, depth_m: Image) -> tuple[Image, Image]:
+        before = depth_m < crops.of(rest_m)
+        return np.where(before, log_density - crops.of(log_rest), 0), np.where(before, depth_m, np.inf)
+
+    return _in_crops(density, layers_m, over_rest)
+
+
+def _in_crops(
+    density: PixelDensity,
+    layers_m: NDArray[np.float32],
+    finish: Callable[[Crops, Image, Image], tuple[Image, Image]],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Images (n, H, W) of what log densities and depths (m, h, w) of crops become; beside these 0, +inf."""
+    values, depth_m = np.zeros_like(layers_m), np.full_like(layers_m, np.inf)
 
     def weigh(crops: Crops) -> None:
         corners = crops.filled(crops.corners)
         cut = np.full((len(corners), *crops.size), np.float32(np.inf))
         cut[: len(crops.members)] = crops.taken(layers_m)
-        log_parts, depth_parts = jax.device_get(_cropped_densities(density, cut, corners))
-        crops.put(log_density, log_parts)
-        crops.put(depth_m, depth_parts)
+        parts = jax.device_get(_cropped_densities(density, cut, corners))
+        of_values, of_depth_m = finish(crops, *(part[: len(crops.members)] for part in parts))
+        crops.put(values, of_values)
+        crops.put(depth_m, of_depth_m)
 
     bounds = lines_around(np.isfinite(layers_m))
     map_parallel(weigh, crops_around(*bounds, layers_m.shape[1:]))
-    return log_density, depth_m
+    return values, depth_m
 
 
 def compile_layer_densities(density: PixelDensity) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.likelihood.compared_frames import ComparedFrames
-from scene.likelihood.object_density import layer_densities
+from scene.likelihood.object_density import layer_gains
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.presence.pose_priors import PosePriors
 from scene.presence.solids import log_sizes_density, solid_half_sizes, solid_layers
@@ -83,18 +83,16 @@ class PresenceFrames:
         world_from_box, parts = matrices_of(poses), []
         for frame, camera_from_world in enumerate(self.compared.camera_from_world):
             parts.append(in_frame(frame, poses_of(camera_from_world @ world_from_box)))
-        depth_m, gain = (
-            np.concatenate([part.reshape(len(poses), -1) for part in leaves], axis=1)
-            for leaves in zip(*parts, strict=True)
-        )
+        shown = [tuple(part.reshape(len(poses), -1) for part in one) for one in parts]
+        if len(shown) == 1:
+            return shown[0]
+        depth_m, gain = (np.concatenate(leaves, axis=1) for leaves in zip(*shown, strict=True))
         return depth_m, gain
 
     def _weighed(self, frame: int, layers_m: NDArray[np.float32]) -> Shown:
         """Depth and log gain (n, H, W) of layers (n, H, W) alone."""
-        density = self.compared.densities[frame]
-        log_density, depth_m = layer_densities(density, layers_m)
-        depth_m = np.where(depth_m < np.asarray(density.image.rest_m), depth_m, np.float32(np.inf))
-        return depth_m, np.where(np.isfinite(depth_m), log_density - np.asarray(density.log_rest), 0.0)
+        gain, depth_m = layer_gains(self.compared.densities[frame], layers_m)
+        return depth_m, gain
 
 
 def nearest_shown(depth_m: NDArray[np.float32], log_gain: NDArray[np.float32]) -> Shown:

@@ -31,12 +31,14 @@ def test_crops_hold_what_masks_hold(seed: int) -> None:
 
 
 def test_crops_are_put_where_they_were_taken(seed: int) -> None:
-    """And what fills a crop up is put nowhere."""
+    """And what fills a crop up is put nowhere; one image is cut as its crops are."""
     images = np.random.default_rng(seed).random((70, *SHAPE)).astype(np.float32)
     first = np.random.default_rng(seed).integers((0, 0), np.subtract(SHAPE, 20), (70, 2))
     copies = np.zeros_like(images)
     for crop in crops_around(first, first + 20, SHAPE):
-        crop.put(copies, crop.filled(crop.taken(images)))
+        taken = crop.taken(images)
+        crop.put(copies, crop.filled(taken))
+        np.testing.assert_array_equal(crop.of(images[3])[crop.members == 3], taken[crop.members == 3])
     for image, copy, (row, column) in zip(images, copies, first, strict=True):
         near = slice(row, row + 20), slice(column, column + 20)
         np.testing.assert_array_equal(copy[near], image[near])

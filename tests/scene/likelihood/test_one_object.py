@@ -137,7 +137,7 @@ def test_one_trace_serves_all_poses_and_objects_of_a_bucket(library: ObjectLibra
         log_likelihood_ratio(both, NOISE, depth_evidence(NOISE, lens, observed, rest), posed(poses, index))
 
     score(0, 1.0)
-    traced = gain_over_rest._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+    traced = gain_over_rest._jitted._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
     score(1, 1.3)
 
-    assert gain_over_rest._cache_size() == traced  # pyright: ignore[reportAttributeAccessIssue]
+    assert gain_over_rest._jitted._cache_size() == traced  # pyright: ignore[reportAttributeAccessIssue]
