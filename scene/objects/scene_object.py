@@ -13,7 +13,8 @@ from scipy.spatial import ConvexHull, QhullError
 from scene.objects.box_frame import box_about
 from scene.objects.surface_colour import SurfaceColour, surface_colour
 from scene.objects.symmetry import spin_line, spins_freely, symmetry_lines
-from shapes.rendering.object_library import ObjectLibrary, library_of_mesh
+from scene.objects.voxel_library import voxelise
+from shapes.rendering.object_library import ObjectLibrary
 
 SURFACE_POINTS = 256
 DENSE_POINTS = 2**15
@@ -119,9 +120,9 @@ def scene_object(
         spins_freely=spins_freely(dense, line),
         symmetry_lines=lines,
         symmetry_orders=orders,
-        library=library_of_mesh(mesh.vertices, faces, pitch),
+        library=voxelise(mesh.vertices, faces, pitch),
         draws=tuple(
-            library_of_mesh(trimesh.transform_points(drawn_m, box_from_object), drawn_faces, pitch)
+            voxelise(trimesh.transform_points(drawn_m, box_from_object), drawn_faces, pitch)
             for drawn_m, drawn_faces in draws
         ),
     )

@@ -18,6 +18,7 @@ from scene.masks.grid import FREE, PITCH_M, STEPS, EvidenceGrid, SeenSpace
 from scene.masks.proposal import Atoms, MaskSearch, best_atoms
 from scene.masks.shape_masks import OUTSIDE, SURFACE, ShapeMasks
 from scene.objects.scene_object import SceneObject, scene_object
+from shapes import array_cache
 from shapes.geometry.poses import matrices_of
 
 QUICK_POSES, SLOW_POSES = 6, 96
@@ -28,7 +29,7 @@ CELLS = 64
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache folder of its own."""
-    monkeypatch.setattr(detector_source, "user_cache_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(array_cache, "user_cache_path", lambda *_, **__: tmp_path)
     return tmp_path / "masks"
 
 

@@ -13,12 +13,12 @@ from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import CameraIntrinsics, DepthNoise
 from scene.config import ParseConfig
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.masks import detector
 from scene.objects.scene_object import scene_object
 from scene.observation.segmentation import scene_data
 from scene.search.hypotheses import PosePools
 from scene.search.search_round import FROM_MASKS, SearchRound
 from scene.search.template_matching import CANDIDATES
+from shapes import array_cache
 from shapes.geometry.poses import matrices_of
 
 INTRINSICS = CameraIntrinsics(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
@@ -30,7 +30,7 @@ def test_hypotheses_from_masks_hold_the_truth(
     source: Literal["both", "masks"], seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before refinement within a cell of 8 mm and an orientation step, after it within 2 mm."""
-    monkeypatch.setattr(detector, "user_cache_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(array_cache, "user_cache_path", lambda *_, **__: tmp_path)
     mesh = trimesh.creation.box((0.12, 0.07, 0.05))
     slant = np.sqrt(0.5)
     world_from_camera = np.eye(4)
