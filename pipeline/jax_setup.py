@@ -40,7 +40,6 @@ def set_up_jax(name: str = "jax") -> None:
     from jax._src import compilation_cache  # what keeps its entries cannot be chosen otherwise
 
     from pipeline.kernel_cache import KernelCache
-    from shapes.stored_kernels import keep_traces
 
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
     compilation_cache.get_file_cache = lambda path: (KernelCache(Path(path)), path)
@@ -49,7 +48,7 @@ def set_up_jax(name: str = "jax") -> None:
     folder = _kernel_folder(name)
     if folder is not None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
-        keep_traces(KernelCache(folder), _trace_version())
+        _keep_traces(folder)
 
 
 def _kernel_folder(name: str) -> Path | None:
@@ -67,7 +66,14 @@ def _kernel_folder(name: str) -> Path | None:
     return folder
 
 
-def _trace_version() -> str:
-    """Of all that decides what a trace is, beside the arguments."""
+def _keep_traces(folder: Path) -> None:
+    """Below a folder, under the version of all that decides what a trace is, beside the arguments."""
+    from pipeline.kernel_cache import trace_cache
+    from shapes.stored_kernels import keep_traces
+
     libraries = [f"{name} {version(name)}" for name in ("jax", "jaxlib", "jaxlie", "numpy")]
-    return canonical_hash([method_hash(), *libraries, os.environ["JAX_DEFAULT_MATMUL_PRECISION"]])
+    decided = canonical_hash([method_hash(), *libraries, os.environ["JAX_DEFAULT_MATMUL_PRECISION"]])
+    try:
+        keep_traces(trace_cache(folder, decided), decided)
+    except OSError:
+        return

@@ -6,6 +6,7 @@ JAX writes entries in place and never replaces one: what a killed process leaves
 from __future__ import annotations
 
 import hashlib
+import shutil
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,6 +17,21 @@ from pipeline.logs import log
 DIGEST_BYTES = hashlib.sha256().digest_size
 SUFFIX = "-checked"
 """Beside `-cache` of JAX's own entries, which other programs may keep in the same folder."""
+
+
+MOST_VERSIONS = 4
+"""Of the program whose traces are kept, some 10 MB each: developers make one with every change."""
+
+
+def trace_cache(folder: Path, version: str) -> KernelCache:
+    """The traces of one version of the program, below a folder; those of the oldest others are dropped."""
+    mine = folder / "traces" / version[:32]
+    if not mine.is_dir():
+        mine.mkdir(parents=True)
+        others = sorted(mine.parent.iterdir(), key=lambda one: one.stat().st_mtime)
+        for old in others[:-MOST_VERSIONS]:
+            shutil.rmtree(old, ignore_errors=True)
+    return KernelCache(mine)
 
 
 class KernelCache:

@@ -15,7 +15,7 @@ import pytest
 from pipeline.benchmarks.pose_images import ImageKey
 from pipeline.benchmarks.poses import judge_image
 from pipeline.errors import PipelineError
-from pipeline.kernel_cache import SUFFIX, KernelCache
+from pipeline.kernel_cache import MOST_VERSIONS, SUFFIX, KernelCache, trace_cache
 from pipeline.logs import show_on_stderr
 from pipeline.task_engine import local_processes
 
@@ -145,3 +145,61 @@ def test_a_command_without_a_run_keeps_kernels(tmp_path: Path, monkeypatch: pyte
     )
 
     assert any(path.name.endswith(SUFFIX) for path in (tmp_path / "kernels").iterdir())
+
+
+def test_traces_of_the_oldest_versions_are_dropped(tmp_path: Path) -> None:
+    """Those of a few versions stay, and what a version has is found again."""
+    for version in range(MOST_VERSIONS + 2):
+        trace_cache(tmp_path, f"{version}").put("key", b"trace")
+        os.utime(tmp_path / "traces" / f"{version}", (1000, 1000 + version))
+
+    assert len(list((tmp_path / "traces").iterdir())) == MOST_VERSIONS
+    assert trace_cache(tmp_path, f"{MOST_VERSIONS + 1}").get("key") == b"trace"
+    assert trace_cache(tmp_path, "0").get("key") is None
+
+
+TRACED = """
+from pipeline.jax_setup import set_up_jax
+set_up_jax()
+import numpy as np
+from shapes.rendering.depth_rendering import render_layers
+from shapes.rendering.object_library import library_of_mesh
+from pipeline.synthesis.objects import built_in_object
+from shapes.rendering.ray_casting import PosedObjects
+from shapes.geometry.camera import Camera
+import jax
+seen = []
+jax.monitoring.register_event_duration_secs_listener(lambda name, _, **of: seen.append((name, of)))
+mesh = built_in_object("mug")
+library = library_of_mesh(mesh.vertices, mesh.faces, 0.01)
+pose = np.eye(4, dtype=np.float32)[None]
+pose[0, 2, 3] = 0.5
+camera = jax.tree.map(lambda value: np.full(1, value, np.float32), Camera(60.0, 60.0, 15.5, 11.5))
+posed = PosedObjects(np.zeros(1, np.int32), pose, np.zeros(1, np.int32))
+image = np.asarray(render_layers(library, posed, camera, 24, 32))
+traced = sum("trace" in name and of.get("fun_name") == "render_layers" for name, of in seen)
+print(traced, np.isfinite(image).sum(), image[np.isfinite(image)].sum())
+"""
+
+
+def test_a_second_process_does_not_trace(tmp_path: Path) -> None:
+    """It computes the same; a damaged trace is made anew."""
+
+    def told() -> list[str]:
+        result = subprocess.run(
+            [sys.executable, "-c", TRACED],
+            env={**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return result.stdout.split()
+
+    first, second = told(), told()
+    for trace in tmp_path.glob(f"traces/*/*{SUFFIX}"):
+        trace.write_bytes(trace.read_bytes()[:100])
+    third = told()
+
+    assert int(first[1]) > 0
+    assert first[1:] == second[1:] == third[1:]
+    assert (int(first[0]) > 0, int(second[0]), int(third[0]) > 0) == (True, 0, True)
