@@ -56,9 +56,10 @@ def source_hash(*modules: str, within: tuple[str, ...] = METHOD) -> str:
 
 
 @cache
-def method_hash() -> str:
-    """SHA-256 over all sources that compute."""
-    members = [path for package in METHOD for path in sorted((ROOT / package).rglob("*.py"))]
+def program_hash() -> str:
+    """SHA-256 over all sources of the program: benchmarks hand kernels functions of their own."""
+    packages = *METHOD, "pipeline"
+    members = [path for package in packages for path in sorted((ROOT / package).rglob("*.py"))]
     return canonical_hash([[path.relative_to(ROOT).as_posix(), file_hash(path)] for path in members])
 
 

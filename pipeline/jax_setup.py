@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pipeline.errors import PipelineError
-from pipeline.fingerprints import canonical_hash, method_hash
+from pipeline.fingerprints import canonical_hash, program_hash
 
 
 def set_up_jax(name: str = "jax") -> None:
@@ -45,17 +45,18 @@ def set_up_jax(name: str = "jax") -> None:
     compilation_cache.get_file_cache = lambda path: (KernelCache(Path(path)), path)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    folder = _kernel_folder(name)
-    if folder is not None:
+    told = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    folder = Path(told) if told else _user_folder(name)
+    if folder is None:
+        return
+    if not told:
         jax.config.update("jax_compilation_cache_dir", str(folder))
+    if jax.default_backend() == "cpu":  # nobody has tried on others what `jax.export` promises
         _keep_traces(folder)
 
 
-def _kernel_folder(name: str) -> Path | None:
-    """Where kernels are kept; None where they are not."""
-    told = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    if told:
-        return Path(told)
+def _user_folder(name: str) -> Path | None:
+    """A folder of the user's cache; None where there is none."""
     try:
         from platformdirs import user_cache_path
 
@@ -72,7 +73,7 @@ def _keep_traces(folder: Path) -> None:
     from shapes.stored_kernels import keep_traces
 
     libraries = [f"{name} {version(name)}" for name in ("jax", "jaxlib", "jaxlie", "numpy")]
-    decided = canonical_hash([method_hash(), *libraries, os.environ["JAX_DEFAULT_MATMUL_PRECISION"]])
+    decided = canonical_hash([program_hash(), *libraries, os.environ["JAX_DEFAULT_MATMUL_PRECISION"]])
     try:
         keep_traces(trace_cache(folder, decided), decided)
     except OSError:

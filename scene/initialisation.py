@@ -113,7 +113,7 @@ def _kernels(pools: PosePools) -> list[Callable[[], object]]:
     return [
         lambda: pools.renderer.compile(pools.data.window),
         lambda: compile_layer_densities(pools.pixels.density),
-        lambda: best_scene.compile(layers, scene, PAIRED),
-        lambda: choose.compile(jax.random.key(0), layers, HOT, COLD, PARTICLES, SWEEPS),
-        lambda: rivals.compile(layers, scene, np.eye(len(scene), dtype=bool)),
+        lambda: best_scene.lower(layers, scene, PAIRED).compile(),
+        lambda: choose.lower(jax.random.key(0), layers, HOT, COLD, PARTICLES, SWEEPS).compile(),
+        lambda: rivals.lower(layers, scene, np.eye(len(scene), dtype=bool)).compile(),
     ]

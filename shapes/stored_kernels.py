@@ -7,14 +7,13 @@ What runs is always made from that, so that the first process computes the same 
 
 from __future__ import annotations
 
-import inspect
 import json
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import update_wrapper
+from functools import partial, update_wrapper, wraps
 from hashlib import sha256
 from importlib import import_module
-from threading import Lock
+from inspect import signature
 from typing import Any, Generic, Protocol, TypeVar
 
 import jax
@@ -52,7 +51,7 @@ _traces: _Traces | None = None
 
 
 def keep_traces(store: TraceStore | None, version: str = "") -> None:
-    """Keep traces of kernels from now on; None keeps none.
+    """Keep traces of kernels that are traced from now on; None keeps none.
 
     Args:
         store: of traces.
@@ -60,16 +59,6 @@ def keep_traces(store: TraceStore | None, version: str = "") -> None:
     """
     global _traces
     _traces = None if store is None else _Traces(store, version)
-
-
-def _setting(name: str) -> bool:
-    """Of JAX, in this thread."""
-    return getattr(jax.config, name)
-
-
-def _traces_in_use() -> _Traces | None:
-    """None on accelerators, too: there nobody has tried what `jax.export` promises of the CPU."""
-    return None if _setting("jax_debug_key_reuse") or jax.default_backend() != "cpu" else _traces
 
 
 def jit_stored(
@@ -80,119 +69,91 @@ def jit_stored(
 
 
 class StoredKernel(Generic[R]):
-    """A function that is traced once for arguments alike, and compiled.
+    """A function that is compiled from a trace that is kept.
 
     It is what `jax.jit` makes of it within another trace, where no trace is kept, and where JAX checks that
     no key is used twice, which it does in traces.
+
+    Attributes:
+        function: of which it is.
     """
 
     def __init__(
         self, function: Callable[..., R], static_argnames: tuple[str, ...], compiler_options: dict[str, Any]
     ) -> None:
         """The kernel of a function."""
-        self._jitted = jax.jit(function, static_argnames=static_argnames, compiler_options=compiler_options)
-        self._function, self._static, self._options = function, static_argnames, compiler_options
-        self._signature = inspect.signature(function)
-        self._ready: dict[Hashable, Callable[..., R]] = {}
-        self._preparing = Lock()
+
+        @wraps(function)
+        def from_store(*args: Any, **kwargs: Any) -> R:
+            assert _traces is not None
+            return _called(function, static_argnames, _traces, *args, **kwargs)
+
+        jit = partial(jax.jit, static_argnames=static_argnames, compiler_options=compiler_options)
+        self.function, self._jitted, self._stored = function, jit(function), jit(from_store)
         update_wrapper(self, function)
 
     def __call__(self, *args: Any, **kwargs: Any) -> R:
         """What the function returns."""
-        traces = _traces_in_use()
-        call = None if traces is None else self._call(*args, **kwargs)
-        if traces is None or call is None or call.is_traced:
-            return self._jitted(*args, **kwargs)
-        return self._prepared(call, traces)(*call.leaves)
-
-    def compile(self, *args: Any, **kwargs: Any) -> None:
-        """Have the kernel ready for arguments like these."""
-        traces = _traces_in_use()
-        if traces is None:
-            self.lower(*args, **kwargs).compile()
-        else:
-            self._prepared(self._call(*args, **kwargs), traces)
+        return self._in_use(args, kwargs)(*args, **kwargs)
 
     def lower(self, *args: Any, **kwargs: Any) -> jax.stages.Lowered:
-        """What `jax.jit` lowers."""
-        return self._jitted.lower(*args, **kwargs)
+        """As that of `jax.jit`."""
+        return self._in_use(args, kwargs).lower(*args, **kwargs)
 
-    def _call(self, *args: Any, **kwargs: Any) -> _Call:
-        given = self._signature.bind(*args, **kwargs).arguments
-        static = tuple((name, given.pop(name)) for name in self._static if name in given)
-        leaves, tree = jax.tree.flatten(given)
-        return _Call(leaves, tree, static)
-
-    def _prepared(self, call: _Call, traces: _Traces) -> Callable[..., R]:
-        """What runs, given leaves."""
-        kind = call.kind, traces.version
-        if kind not in self._ready:
-            with self._preparing:  # whoever calls what is being compiled waits for it
-                if kind not in self._ready:
-                    self._ready[kind] = self._compiled(call, traces)
-        return self._ready[kind]
-
-    def _compiled(self, call: _Call, traces: _Traces) -> Callable[..., R]:
-        named = self._function.__module__, self._function.__qualname__, call.described, traces.version
-        key = f"trace-{sha256(json.dumps(named).encode()).hexdigest()}"
-        stored = traces.store.get(key)
-        if stored is None:
-            stored = self._traced(call)
-            traces.store.put(key, stored)
-        exported, tree = _loaded(stored)
-        run = jax.jit(exported.call, compiler_options=self._options).lower(*call.leaves).compile()
-        return lambda *leaves: jax.tree.unflatten(tree, run(*leaves))
-
-    def _traced(self, call: _Call) -> bytes:
-        """The trace, and the tree of what it returns."""
-        trees = []
-
-        def flat(*leaves: jax.Array) -> list[jax.Array]:
-            given = jax.tree.unflatten(call.tree, leaves)
-            returned, tree = jax.tree.flatten(self._function(**given, **dict(call.static)))
-            trees.append(tree)
-            return returned
-
-        flat.__name__ = self._function.__name__
-        exported = jax.export.export(jax.jit(flat))(*call.leaves)
-        return json.dumps(_described(trees[0])).encode() + b"\n" + exported.serialize()
+    def _in_use(self, *arguments: Any) -> Any:
+        if _traces is None or jax.config.jax_debug_key_reuse:  # pyright: ignore[reportAttributeAccessIssue]
+            return self._jitted
+        within = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments))
+        return self._jitted if within else self._stored
 
 
-def _loaded(stored: bytes) -> tuple[jax.export.Exported, Tree]:
-    tree, _, trace = stored.partition(b"\n")
-    return jax.export.deserialize(bytearray(trace)), _tree(json.loads(tree))
+def _called(
+    function: Callable[..., R], static_argnames: Sequence[str], traces: _Traces, *args: Any, **kwargs: Any
+) -> R:
+    """What a function returns, by the trace that is kept of it, or is made and kept now."""
+    given = signature(function).bind(*args, **kwargs).arguments
+    static = {name: given.pop(name) for name in static_argnames if name in given}
+    leaves, tree = jax.tree.flatten(given)
+    key = _key(function, leaves, tree, static, traces.version)
+    stored = traces.store.get(key)
+    if stored is None:
+        stored = _traced(function, leaves, tree, static)
+        traces.store.put(key, stored)
+    described, _, trace = stored.partition(b"\n")
+    exported = jax.export.deserialize(bytearray(trace))
+    return jax.tree.unflatten(_tree(json.loads(described)), exported.call(*leaves))
 
 
-@dataclass(frozen=True, eq=False)
-class _Call:
-    """Arguments: the leaves of those that are not static, their tree, and static ones by name."""
-
-    leaves: list[Any]
-    tree: Tree
-    static: tuple[tuple[str, Any], ...]
-
-    @property
-    def is_traced(self) -> bool:
-        """Whether some are being traced."""
-        return any(isinstance(leaf, Tracer) for leaf in self.leaves)
-
-    @property
-    def kind(self) -> Hashable:
-        """What one compiled kernel serves."""
-        types = tuple(map(_type_of, self.leaves))
-        return self.tree, self.static, types, _setting("jax_enable_x64")
-
-    @property
-    def described(self) -> list[Any]:
-        """The same, in values that mean the same in another process."""
-        types = [str(jax.typeof(leaf)) for leaf in self.leaves]
-        static = [[name, _described_value(value)] for name, value in self.static]
-        return [_described(self.tree), static, types, _setting("jax_enable_x64")]
+def _key(
+    function: Callable[..., Any], leaves: Sequence[Any], tree: Tree, static: Mapping[str, Any], version: str
+) -> str:
+    """Of a trace, in any process."""
+    described = [
+        version,
+        _described_value(function),
+        _described(tree),
+        [str(jax.typeof(leaf)) for leaf in leaves],
+        [[name, _described_value(value)] for name, value in static.items()],
+        jax.config.jax_enable_x64,  # pyright: ignore[reportAttributeAccessIssue]
+    ]
+    return f"trace-{sha256(json.dumps(described).encode()).hexdigest()}"
 
 
-def _type_of(leaf: Any) -> Hashable:
-    """As `jax.typeof`, which takes ten times as long, or finer."""
-    return getattr(leaf, "shape", ()), getattr(leaf, "dtype", type(leaf)), getattr(leaf, "weak_type", False)
+def _traced(
+    function: Callable[..., Any], leaves: Sequence[Any], tree: Tree, static: Mapping[str, Any]
+) -> bytes:
+    """The tree of what a function returns, and the trace from leaves to leaves."""
+    trees = []
+
+    def flat(*leaves: jax.Array) -> list[jax.Array]:
+        returned, returned_tree = jax.tree.flatten(function(**jax.tree.unflatten(tree, leaves), **static))
+        trees.append(returned_tree)
+        return returned
+
+    flat.__name__ = function.__name__
+    types = [jax.typeof(leaf) for leaf in leaves]
+    exported = jax.export.export(jax.jit(flat))(*types)
+    return json.dumps(_described(trees[0])).encode() + b"\n" + exported.serialize()
 
 
 def _described(tree: Tree) -> Any:

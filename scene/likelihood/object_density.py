@@ -76,7 +76,7 @@ def compile_layer_densities(density: PixelDensity) -> None:
     """What `layer_densities` runs."""
     for size in crop_sizes(density.log_rest.shape):
         nothing = np.full((most_members(size), *size), np.float32(np.inf))
-        _cropped_densities.compile(density, nothing, np.zeros((len(nothing), 2), np.int32))
+        _cropped_densities.lower(density, nothing, np.zeros((len(nothing), 2), np.int32)).compile()
 
 
 @jit_stored()

@@ -54,14 +54,14 @@ class ObjectRenderer:
     def compile(self, window: PixelWindow) -> None:
         """What `layers` runs."""
         nowhere = np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (LAYERS, 1))
-        _layers.compile(
+        _layers.lower(
             self,
             window.camera,
             *window.depth_m.shape,
             np.zeros(LAYERS, np.int32),
             nowhere,
             np.ones((LAYERS, 3), np.float32),
-        )
+        ).compile()
 
     def layers(
         self,

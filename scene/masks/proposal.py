@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,17 +66,15 @@ class Atoms:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MaskSearch:
-    """Detectors of objects, what a camera saw, and what was found in it.
+    """Detectors of objects, and what a camera saw.
 
     Attributes:
         seen: the frame's grid; None where there is no foreground.
         detectors: of each object, None of those that are too thin for the grid's cells.
-        found: the last pixels (H, W) on which an object was sought, and its atoms.
     """
 
     seen: SeenSpace | None
     detectors: Sequence[Detector | None]
-    found: dict[int, tuple[NDArray[np.bool_], Atoms]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, data: SceneData, objects: Sequence[SceneObject]) -> MaskSearch:
@@ -92,14 +91,23 @@ class MaskSearch:
         shape = self.detectors[one]
         if self.seen is None or shape is None:
             return Atoms.none()
-        if one not in self.found or _overlap(self.found[one][0], unexplained) < SAME_PIXELS:
-            self.found[one] = unexplained, best_atoms(self.seen.waiting(unexplained), shape)
-        return self.found[one][1]
+        before = self._last_atoms.get(one)
+        if before is not None and _overlap(before[0], unexplained) >= SAME_PIXELS:
+            return before[1]
+        atoms = best_atoms(self.seen.waiting(unexplained), shape)
+        self._last_atoms[one] = unexplained, atoms
+        return atoms
+
+    @cached_property
+    def _last_atoms(self) -> dict[int, tuple[NDArray[np.bool_], Atoms]]:
+        """Of objects that were sought, and the pixels (H, W) on which they were."""
+        return {}
 
 
 def _overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
     """Pixels of both masks (H, W) over those of any; 1 where both are empty."""
-    return float((one & other).sum() / max((one | other).sum(), 1)) if (one | other).any() else 1.0
+    either = np.count_nonzero(one | other)
+    return np.count_nonzero(one & other) / either if either else 1.0
 
 
 def _detector_for(one: SceneObject, seen: SeenSpace | None, *, standing: bool) -> Detector | None:

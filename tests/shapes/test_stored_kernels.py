@@ -117,6 +117,7 @@ def test_other_sources_and_precision_have_traces_of_their_own(store: Store) -> N
     kernel = traced.kernel()
     kernel(LINE, 2.0)
     keep_traces(store, "2")
+    kernel = traced.kernel()  # of a process of the other version
     kernel(LINE, 2.0)
     with jax.enable_x64(True):
         kernel(LINE, np.float32(2.0))
@@ -128,7 +129,7 @@ def test_a_kernel_that_is_compiled_before_is_not_compiled_again(store: Store) ->
     """As what the search compiles beside its work."""
     traced = Traced()
     kernel = traced.kernel()
-    kernel.compile(LINE, 2.0)
+    kernel.lower(LINE, 2.0).compile()
     kernel(LINE, 5.0)
 
     assert (traced.times, len(store)) == (1, 1)
