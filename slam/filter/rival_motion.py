@@ -29,6 +29,10 @@ from slam.registration.second_motion import TwoMotions, explained_share, two_mot
 LEAST_EXPLAINED = 0.5
 """Of the returns, what an earlier view must explain by either motion to say anything of a frame: most."""
 
+LEAST_CONTRADICTING = 0.25
+"""The same to end a doubt: half of that, for the camera goes on, and what began a doubt at the edge of what
+an earlier view explains could never end it."""
+
 LEAST_RIVAL = 0.05
 """Of the returns, what a second motion must explain alone: less leaves the first one with 95%."""
 
@@ -113,8 +117,8 @@ def doubt_of_frame(
 ) -> tuple[RivalMotion, Doubt]:
     """Whether a second motion says otherwise of a frame, and what is compared from then on.
 
-    Where none does, the frame shares the doubt of the earlier view, if that explains most of it, and so does
-    the keyframe next to it: a single image said otherwise. Else it shares that keyframe's.
+    Where one motion does, the frame shares the doubt of the earlier view, if that explains enough of it, and
+    so does the keyframe next to it: a single image said otherwise. Else it shares that keyframe's.
 
     Args:
         rival: after the frame before.
@@ -132,7 +136,12 @@ def doubt_of_frame(
             return replace(rival, second=second), Doubt(np.asarray(displacements), float(share))
     rival = replace(rival, second=jnp.asarray(IDENTITY, jnp.float32))
     of_anchor, bent = rival.of_keyframes[anchor], _with_distortion(calibration.noise)
-    if of_anchor.any() and explained_share(rival.reference, view, bent, first) > LEAST_EXPLAINED:
+    is_one = two is None or float(two.log_odds) <= 0
+    if (
+        is_one
+        and of_anchor.any()
+        and explained_share(rival.reference, view, bent, first) > LEAST_CONTRADICTING
+    ):
         seen_here = _carried(rival.of_reference, rival.pose, found)
         return rival.with_doubt(anchor, _carried(seen_here, found, anchor_pose)), Doubt(seen_here, 0.0)
     return rival, Doubt(_carried(of_anchor, anchor_pose, found), 0.0)

@@ -16,7 +16,6 @@ from tests.slam import box_room
 
 NOISE = DepthNoise()
 START = box_room.pose(0.0, 0.0, -0.5)
-LATER = box_room.pose(0.03, 0.02, -0.47, 0.02)
 ASIDE = np.zeros((6, 8), np.float32)
 ASIDE[0, 0] = 0.03
 """Three centimetres, the one displacement of a keyframe in doubt."""
@@ -40,13 +39,16 @@ def _after_a_keyframe_in_doubt(start_doubt: NDArray[np.float32]) -> tuple[RivalM
     return first.with_keyframe(surface, beside, Doubt(ASIDE, 0.2)), beside
 
 
-@pytest.mark.parametrize("of_start", [0.0, 0.01])
-def test_doubt_ends_where_the_earlier_view_explains_the_next_frame(of_start: float) -> None:
-    """It says no second motion: frame and keyframe have the earlier view's doubt alone, as its size says."""
-    rival, beside = _after_a_keyframe_in_doubt(of_start / 0.03 * ASIDE)
-    calibration = NoiseCalibration.initial(NOISE, None)
+@pytest.mark.parametrize(("of_start", "turned"), [(0.0, 0.02), (0.01, 0.02), (0.0, 0.6)])
+def test_doubt_ends_where_the_earlier_view_explains_the_next_frame(of_start: float, turned: float) -> None:
+    """It says no second motion: frame and keyframe have the earlier view's doubt alone, as its size says.
 
-    rival, doubt = doubt_of_frame(rival, _view(LATER, 3), calibration, _in_start(LATER), 1, beside)
+    After a turn by 0.6 rad it explains two fifths, too little to begin a doubt.
+    """
+    rival, beside = _after_a_keyframe_in_doubt(of_start / 0.03 * ASIDE)
+    calibration, later = NoiseCalibration.initial(NOISE, None), box_room.pose(0.03, 0.02, -0.47, turned)
+
+    rival, doubt = doubt_of_frame(rival, _view(later, 3), calibration, _in_start(later), 1, beside)
 
     assert doubt.rival_share == 0
     assert doubt.shift_m == pytest.approx(of_start, abs=1e-6)
