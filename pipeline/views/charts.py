@@ -18,6 +18,8 @@ LETTER_PX, LINE_PX, MARGIN_PX = 15, 26, 12
 BAR_PX = 180
 WIDTH_PX, NARROW_PX = 580, 440
 BAR_LEFT_PX, SHORT_PX, NAME_LETTERS = 180, 100, 22
+MOST_BARS = 9
+"""More cannot be read in the panel; all that was found is shown."""
 Colour = tuple[int, int, int]
 
 
@@ -65,13 +67,20 @@ def legend(
 def presence_bars(parse: Mapping[str, Any], colours: Mapping[str, Colour]) -> NDArray[np.uint8]:
     """A bar for each object of summary.json that was looked for (h, w, 3), the likeliest first.
 
+    Of many that were not found the likeliest.
+
     Args:
         parse: of summary.json.
         colours: of the objects that were found, by name.
     """
     every = sorted([*parse["objects"], *parse["not_found"]], key=lambda one: -_share(one))
-    image, draw = _canvas(len(every), NARROW_PX)
-    for row, one in enumerate(every):
+    shown = every[: max(MOST_BARS, len(parse["objects"]))]
+    rest = every[len(shown) :]
+    image, draw = _canvas(len(shown) + bool(rest), NARROW_PX)
+    if rest:
+        most = f"{len(rest)} more, at most {_share(rest[0]):.0%}"
+        draw.text((MARGIN_PX, MARGIN_PX + len(shown) * LINE_PX), most, INK, _font())
+    for row, one in enumerate(shown):
         top = MARGIN_PX + row * LINE_PX
         draw.text((MARGIN_PX, top), one["name"][:NAME_LETTERS], INK, _font())
         draw.rectangle((BAR_LEFT_PX, top + 2, BAR_LEFT_PX + SHORT_PX, top + 16), FAINT)
