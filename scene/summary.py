@@ -71,7 +71,8 @@ def summarise(
         sampled: by chains.
         start: the best scene of all objects.
         hidden: what is known of objects out of sight.
-        presence: of all, but for those in `hidden` that were asked for exactly and are not in sight.
+        presence: of all, but for those in `hidden` that were asked for exactly and are not in sight. Of what
+            chains show nowhere that is told which it has out of sight.
         world_from_camera: (4, 4).
         objects: all N.
         frames: numbers of the frames used.
@@ -91,6 +92,8 @@ def summarise(
     there = with_common_errors(rng, boxes, radii_m, config.scale_error, config.model_error_m)
     poses = np.where(start.found[:, None, None], there, boxes) @ box_from_object
     alike = copies_among({one.name: one.points_m for one in objects})
+    left = presence.seen & (sampled.visible_fraction == 0)  # chains found it likelier beside the image
+    presence = presence.without_sight_of(left, alike)
     exact = {one: told for one, told in hidden.exact.items() if not presence.seen[one]}
     presence = presence.with_exact(exact, hidden.both, alike)
     edges, faces = _edges(flat, count, max(samples.parents.shape[-1] - chosen.slots, 1))
@@ -103,7 +106,7 @@ def summarise(
         presence=presence.probability,
         presence_std=presence.standard_error,
         number_probabilities=presence.number,
-        hidden_share=np.where(start.found, 0.0, hidden.share),  # moves may have put it in since
+        hidden_share=np.where(start.found & ~left, 0.0, hidden.share),  # moves may have put it in since
         hidden_poses=poses_of(np.linalg.inv(world_from_camera) @ hidden.poses @ box_from_object[:, None]),
         visible_fraction=sampled.visible_fraction,
         colour_nats=sampled.colour_nats,

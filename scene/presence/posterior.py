@@ -47,6 +47,7 @@ class Presence:
         probability: (N,).
         number: (N, N + 1) probabilities that so many are there of the shape of each.
         standard_error: (N,) of it, from how chains differ, and from the draws of hidden poses.
+        out_of_sight: (N,) the same of those that are not in sight.
         seen: (N,) which are more probably there in sight than not.
         poses: (N, 7) world_from_box of these, of one chain as far as it has them.
     """
@@ -54,8 +55,15 @@ class Presence:
     probability: NDArray[np.float64]
     number: NDArray[np.float64]
     standard_error: NDArray[np.float64]
+    out_of_sight: NDArray[np.float64]
     seen: NDArray[np.bool_]
     poses: NDArray[np.float64]
+
+    def without_sight_of(self, left: NDArray[np.bool_], alike: NDArray[np.bool_]) -> Presence:
+        """The same where some objects (N,) are not in sight; `alike` as of `with_exact`."""
+        told = np.stack([self.out_of_sight, self.standard_error], axis=1).tolist()
+        unseen = {one: tuple(told[one]) for one in np.flatnonzero(left).tolist()}
+        return replace(self.with_exact(unseen, 0.0, alike), seen=self.seen & ~left)
 
     def with_exact(
         self, exact: Mapping[int, tuple[float, float]], both: float, alike: NDArray[np.bool_]
@@ -275,7 +283,7 @@ def presence_posterior(
     copies = Copies.of(alike, found)
     in_sight = copies.shared(there - unseen)
     there = copies.with_number(there, np.stack([number_probabilities(run, alike) for run in visits]))
-    told = there.mean(axis=0)
+    told, not_in_sight = there.mean(axis=0), 1 - in_sight.mean(axis=0)
     unseen_share = (told - in_sight.mean(axis=0)).clip(0)
     of_share = unseen_share * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
     of_chains = there.std(axis=0, ddof=1) / np.sqrt(chains)
@@ -286,6 +294,7 @@ def presence_posterior(
         probability=told,
         number=number_probabilities([one for run in visits for one in run], alike),
         standard_error=np.hypot(of_chains, of_share),
+        out_of_sight=(unseen_share / np.where(not_in_sight > 0, not_in_sight, 1)).clip(0, 1),
         seen=seen,
         poses=_in_one_scene(*copies.in_order(poses, in_use), seen),
     )
