@@ -25,7 +25,9 @@ from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_views
+from scene.presence.births import is_elsewhere
 from scene.presence.inference import presence_in_scene
+from scene.presence.posterior import Presence
 from scene.refinement import refine_poses
 from scene.result import SceneResult
 from scene.search.search_result import Initialisation
@@ -48,7 +50,7 @@ def parse_scene(
 ) -> SceneResult:
     """Parse the scene that the frames show: it is judged by all of them.
 
-    Where moves put in an object that the search had rejected, chains run again over the scene that they tell.
+    Where moves put an object where chains have not been, these run again over the scene that moves tell.
 
     Args:
         key: random key.
@@ -92,16 +94,28 @@ def parse_scene(
     presence = presence_in_scene(
         rng, compared, joint.searched, objects, start, sampled.found, sampled.chains, hidden, config
     )
-    if (presence.seen & ~start.found).any():
+    moved = _stand_elsewhere(presence, sampled, objects)
+    if moved.any():
         in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
-        start = start.with_scene(presence.seen, in_camera)
-        tell("sampling the scene with what was added")
+        start = start.with_scene(presence.seen, in_camera, moved)
+        tell("sampling the scene with what was moved")
         sampled = sampler.sampled(jax.random.key(int(rng.integers(2**31))), start)
     numbers = np.asarray(frame_indices)
     scene = summarise(
         rng, sampled, start, hidden, presence, compared.world_from_camera, objects, numbers, config
     )
     return scene.in_camera(first_camera_from_camera[compared.searched])
+
+
+def _stand_elsewhere(
+    presence: Presence, sampled: Sampled, objects: Sequence[SceneObject]
+) -> NDArray[np.bool_]:
+    """Which objects (N,) moves have where chains have not been."""
+    last = sampled.chains.samples.poses[-1]
+    elsewhere = presence.seen.copy()
+    for slot, one in enumerate(sampled.found.indices):
+        elsewhere[one] &= is_elsewhere(presence.poses[one][None], last[:, slot], objects[one])[0]
+    return elsewhere
 
 
 def _untold(name: str) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
+from scene.objects.scene_object import SceneObject
 from scene.presence.depth_candidates import PresenceFrames, gain_before, nearest_shown
 from scene.presence.gaussian_fits import Fits, climbed, face_factors, fitted
 from scene.presence.pose_priors import PosePriors
@@ -23,7 +24,7 @@ LEAST_SIZE = 0.002
 """Least standard deviation of the logs of sizes, as that of places."""
 
 SITES = 4
-"""Places of an object that the search did not find, of all that are tried, the densest after a turn."""
+"""Places where an object was not found, of all that are tried, the densest after a turn."""
 
 CLIMBS = 4
 """Turns of climbing to the best place of an object, which was found nearly."""
@@ -48,14 +49,32 @@ SPINS, SPIN_WIDTH = 6, 0.6
 sum is then even to 1%."""
 
 
-def sites_of(start: Initialisation, one: int, most: int) -> NDArray[np.float64]:
-    """Poses (S, 7) camera_from_box, at most so many, where an object may be that was not found.
+def sites_of(
+    start: Initialisation, one: int, most: int, known: SceneObject, places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Poses (S, 7) camera_from_box, at most so many, where an object may be but at places where it was found.
 
     Where the search would put it were it there, where it explains most alone, and the next such places.
+
+    Args:
+        start: the best scene of the search, and its pools.
+        one: the object's number.
+        most: S at most.
+        known: the object.
+        places: (P, 7) where it was found; none of one that was not.
     """
     pool = start.pools[one]
     ranked = pool[np.argsort(-start.log_alone[one, : len(pool)], kind="stable")]
-    return distinct(np.concatenate([start.rivals[one][None], ranked]))[:most]
+    every = np.concatenate([start.rivals[one][None], ranked])
+    return distinct(every[is_elsewhere(every, places, known)])[:most]
+
+
+def is_elsewhere(
+    poses: NDArray[np.float64], places: NDArray[np.float64], known: SceneObject
+) -> NDArray[np.bool_]:
+    """Whether an object at poses (S, 7) stands farther from all places (P, 7) than half its middle size."""
+    apart_m = np.linalg.norm(poses[:, None, 4:] - places[None, :, 4:], axis=2)
+    return (apart_m > np.sort(known.half_extents_m)[1]).all(axis=1)
 
 
 def born_near(
@@ -64,25 +83,25 @@ def born_near(
     priors: PosePriors,
     sites: Sequence[NDArray[np.float64]],
     lines: NDArray[np.float64],
-    found: NDArray[np.bool_],
+    places: NDArray[np.integer],
 ) -> StateMixture:
     """Mixtures of objects round sites (S, 7) world_from_box of each.
 
     Gaussians are fitted to what the object explains there beside the others that were found, if it is one of
-    these; else alone, for it may be in their place.
+    these; else alone, for it may be in their place. What was found in the wrong place is moved by them.
 
     Args:
         rng: random numbers.
         frames: what is seen.
         priors: of poses and sizes.
-        sites: where each of N objects may be, one or more; of one that was not found the best are gone on
-            with.
+        sites: where each of N objects may be, one or more.
         lines: (N, 2, 3) direction and point of the lines about which they are round, zeros without one.
-        found: (N,) whether the search found them, at the first of their sites.
+        places: (N,) how many of its sites, the first ones, are where each was found; of the others the best
+            are gone on with.
     """
     every = np.repeat(np.arange(len(sites)), [len(one) for one in sites])
     sizes = priors.sizes
-    front_m, front_gain = _others(rng, frames, sizes, sites, found)
+    front_m, front_gain = _others(rng, frames, sizes, sites, places > 0)
 
     def log_densities(owners: NDArray[np.intp], states: NDArray[np.float64]) -> NDArray[np.float64]:
         states = sizes.tied(states, owners)
@@ -94,7 +113,7 @@ def born_near(
         return log_likelihood + log_prior + priors.log_not_buried(owners, states[..., :7])
 
     centres = np.concatenate([np.concatenate(sites), sizes.log_half[every]], axis=1)
-    owners, centres = _best_of_each(partial(log_densities, every), every, centres, found)
+    owners, centres = _best_of_each(partial(log_densities, every), every, centres, places)
     log_density = partial(log_densities, owners)
     centres = sizes.tied(climbed(log_density, centres, FIRST_STEPS, CLIMBS)[:, None], owners)[:, 0]
     free = np.concatenate([np.ones((len(owners), 6), bool), free_sizes(sizes.ties)[owners]], axis=1)
@@ -125,17 +144,17 @@ def _best_of_each(
     log_density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     owners: NDArray[np.intp],
     centres: NDArray[np.float64],
-    found: NDArray[np.bool_],
+    places: NDArray[np.integer],
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """The places of objects owners (n,) from which they go on, after one turn of climbing from each (n, 10).
+    """The sites of objects owners (n,) from which they go on, after one turn of climbing from each (n, 10).
 
-    All places of what was found, and the `SITES` densest of others.
+    The first ones of each, its `places` (N,), and the `SITES` densest of the others.
     """
     centres = climbed(log_density, centres, FIRST_STEPS, 1)
     values, kept = log_density(centres[:, None])[:, 0], []
-    for one in range(len(found)):
-        mine = np.flatnonzero(owners == one)
-        kept.append(mine if found[one] else mine[np.argsort(-values[mine], kind="stable")[:SITES]])
+    for one, count in enumerate(places.tolist()):
+        first, others = np.split(np.flatnonzero(owners == one), [count])
+        kept += [first, others[np.argsort(-values[others], kind="stable")[:SITES]]]
     chosen = np.concatenate(kept)
     return owners[chosen], centres[chosen]
 

@@ -29,6 +29,10 @@ from shapes.geometry.poses import matrices_of, poses_of
 PROPOSED_SITES = 24
 """Places that are tried of an object that the search did not find: its poses lie nats below their tops."""
 
+PROPOSED_ELSEWHERE = 8
+"""The same of an object that it found. Of 24 tables with decoys on two it had laid what was requested into a
+larger box's face, with the true place in its pool (`bench poses --decoys`, seeds 130042 and 140042)."""
+
 CHAINS = 4
 """Whose differences tell the standard error."""
 
@@ -61,12 +65,18 @@ def presence_in_scene(
     supports = carrying(compared.data.supports, objects, start)
     priors = PosePriors.over(chains.model.prior, compared, supports, objects, len(objects), config)
     frames = PresenceFrames(compared=compared, renderer=draws, log_half=priors.sizes.log_half)
-    every = [sites_of(start, one, PROPOSED_SITES) for one in range(len(objects))]
-    sites = [poses_of(compared.world_from_camera @ matrices_of(one)) for one in every]
+    camera_from_world = np.linalg.inv(compared.world_from_camera)
+    places = [np.zeros((0, 7))] * len(objects)
     for slot, one in enumerate(found.indices):
-        sites[one] = distinct(chains.samples.poses[-1, :, slot])
+        places[one] = distinct(chains.samples.poses[-1, :, slot])
+    sites = []
+    for one, (known, at) in enumerate(zip(objects, places, strict=True)):
+        most = PROPOSED_ELSEWHERE if len(at) else PROPOSED_SITES
+        others = sites_of(start, one, most, known, poses_of(camera_from_world @ matrices_of(at)))
+        sites.append(np.concatenate([at, poses_of(compared.world_from_camera @ matrices_of(others))]))
     lines = np.stack([one.spin_line for one in objects])
-    mixture = born_near(rng, frames, priors, sites, lines, start.found)
+    counts = np.array([len(at) for at in places])
+    mixture = born_near(rng, frames, priors, sites, lines, counts)
     solids = SolidFits.none()
     if config.unknown_solids:
         solids = competing_solids(rng, frames, priors, novel, mixture)

@@ -50,9 +50,26 @@ class Initialisation:
     log_alone: NDArray[np.float64]
     atoms: BoltzmannAtoms | None = None
 
-    def with_scene(self, found: NDArray[np.bool_], poses: NDArray[np.float64]) -> Initialisation:
-        """The same pools with another best scene: the objects `found` (N,) at poses (N, 7)."""
-        return replace(self, found=found, poses=np.where(found[:, None], poses, self.poses))
+    def with_scene(
+        self, found: NDArray[np.bool_], poses: NDArray[np.float64], moved: NDArray[np.bool_]
+    ) -> Initialisation:
+        """Another best scene: the objects `found` (N,) at poses (N, 7).
+
+        The pools are the same but for objects that have `moved` (N,): what chains are offered of these is
+        where they are now, for in the scene before it was something else that explained their place.
+        """
+        inside = moved[:, None] & (np.arange(self.log_gains.shape[1]) < self.pools.shape[1])
+        atoms = self.atoms
+        if atoms is not None:
+            atoms = replace(atoms, log_weights=np.where(moved[:, None], -np.inf, atoms.log_weights))
+        return replace(
+            self,
+            found=found,
+            poses=np.where(found[:, None], poses, self.poses),
+            pools=np.where(moved[:, None, None], poses[:, None], self.pools),
+            log_gains=np.where(inside, 0.0, self.log_gains),
+            atoms=atoms,
+        )
 
     def seen_from(self, other_from_camera: NDArray[np.float64]) -> Initialisation:
         """The same in another camera's frame (4, 4)."""

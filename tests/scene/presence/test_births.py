@@ -38,7 +38,7 @@ def test_places_are_told_apart_by_their_tops() -> None:
         off = np.square((states[..., :7] - top) / 0.001).sum(axis=-1)
         return np.where(np.abs(states[..., 4] - top[4]) > 0.05, -20.0, -0.5 * off)
 
-    kept, climbed = births._best_of_each(log_density, owners, centres, np.array([True, False]))
+    kept, climbed = births._best_of_each(log_density, owners, centres, np.array([2, 0]))
 
     assert kept.tolist() == [0] * (births.SITES + 2) + [1] * births.SITES
     best = climbed[births.SITES + 2]
