@@ -1,10 +1,12 @@
 """Chains carry the objects that were found, and what they say is told of all objects again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from scene.objects.slots import SLOTS, FoundObjects
-from scene.search.search_result import Initialisation
+from scene.search.search_result import BoltzmannAtoms, Initialisation
 
 
 def beginning(found: np.ndarray, rng: np.random.Generator) -> Initialisation:
@@ -46,3 +48,24 @@ def test_few_sizes_are_compiled() -> None:
 
     assert set(sizes.values()) == {*SLOTS, 2 * SLOTS[-1]}
     assert all(count <= size <= max(1.7 * count, count + 1) for count, size in sizes.items() if count <= 27)
+
+
+def test_what_has_moved_is_offered_its_new_place_alone(seed: int) -> None:
+    """The others keep their pools and atoms; what was not found has no pose of the new scene."""
+    rng = np.random.default_rng(seed)
+    atoms = BoltzmannAtoms(
+        poses=rng.normal(size=(3, 5, 7)), log_weights=np.log(np.full((3, 5), 0.2)), pitch_m=0.01
+    )
+    start = replace(beginning(np.array([True, True, False]), rng), atoms=atoms)
+    poses = rng.normal(size=(3, 7))
+
+    told = start.with_scene(np.array([True, True, False]), poses, np.array([True, False, False]))
+
+    np.testing.assert_array_equal(told.poses, [poses[0], poses[1], start.poses[2]])
+    np.testing.assert_array_equal(told.pools[0], np.tile(poses[0], (4, 1)))
+    np.testing.assert_array_equal(told.pools[1:], start.pools[1:])
+    np.testing.assert_array_equal(told.log_gains[0], [0, 0, 0, 0, start.log_gains[0, 4]])
+    np.testing.assert_array_equal(told.log_gains[1:], start.log_gains[1:])
+    assert told.atoms is not None
+    assert np.isneginf(told.atoms.log_weights[0]).all()
+    np.testing.assert_array_equal(told.atoms.log_weights[1:], atoms.log_weights[1:])

@@ -1,5 +1,6 @@
 """Where candidates are drawn when the search found nothing."""
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -43,3 +44,23 @@ def test_places_are_told_apart_by_their_tops() -> None:
     assert kept.tolist() == [0] * (births.SITES + 2) + [1] * births.SITES
     best = climbed[births.SITES + 2]
     assert abs(best[4] - top[4]) < 0.005
+
+
+def _beside(offsets_m: list[float]) -> np.ndarray:
+    """Poses (S, 7) so far along x."""
+    poses = np.tile([1.0, 0, 0, 0, 0, 0, 1], (len(offsets_m), 1))
+    poses[:, 4] = offsets_m
+    return poses
+
+
+def test_sites_are_away_from_where_an_object_was_found() -> None:
+    """Of a brick of 4 x 8 x 20 cm, found at 0 and 0.3 m: 4 cm from both, the rival, then the best alone."""
+    known = cast("Any", SimpleNamespace(half_extents_m=np.array([0.02, 0.1, 0.04])))
+    pools = _beside([0.0, 0.03, 0.1, 0.15, 0.32])[None]
+    start = SimpleNamespace(pools=pools, rivals=_beside([0.2]), log_alone=np.array([[9.0, 8, 2, 5, 7, 0]]))
+
+    sites = births.sites_of(cast("Any", start), 0, 8, known, _beside([0.0, 0.3]))
+    every = births.sites_of(cast("Any", start), 0, 8, known, np.zeros((0, 7)))
+
+    assert sites[:, 4].tolist() == [0.2, 0.15, 0.1]
+    assert every[:, 4].tolist() == [0.2, 0.0, 0.03, 0.32, 0.15, 0.1]
