@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scene.config import ParseConfig
 from scene.copies import copies_among
@@ -65,15 +66,10 @@ def presence_in_scene(
     supports = carrying(compared.data.supports, objects, start)
     priors = PosePriors.over(chains.model.prior, compared, supports, objects, len(objects), config)
     frames = PresenceFrames(compared=compared, renderer=draws, log_half=priors.sizes.log_half)
-    camera_from_world = np.linalg.inv(compared.world_from_camera)
     places = [np.zeros((0, 7))] * len(objects)
     for slot, one in enumerate(found.indices):
         places[one] = distinct(chains.samples.poses[-1, :, slot])
-    sites = []
-    for one, (known, at) in enumerate(zip(objects, places, strict=True)):
-        most = PROPOSED_ELSEWHERE if len(at) else PROPOSED_SITES
-        others = sites_of(start, one, most, known, poses_of(camera_from_world @ matrices_of(at)))
-        sites.append(np.concatenate([at, poses_of(compared.world_from_camera @ matrices_of(others))]))
+    sites = _sites(compared.world_from_camera, objects, start, places)
     lines = np.stack([one.spin_line for one in objects])
     counts = np.array([len(at) for at in places])
     mixture = born_near(rng, frames, priors, sites, lines, counts)
@@ -82,3 +78,18 @@ def presence_in_scene(
         solids = competing_solids(rng, frames, priors, novel, mixture)
     alike = copies_among({one.name: one.points_m for one in objects})
     return presence_posterior(rng, frames, priors, mixture, solids, CHAINS, hidden, alike, start.found)
+
+
+def _sites(
+    world_from_camera: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    start: Initialisation,
+    places: Sequence[NDArray[np.float64]],
+) -> list[NDArray[np.float64]]:
+    """Where each object may be, poses (S, 7) world_from_box: its places (P, 7), then others of the search."""
+    camera_from_world, sites = np.linalg.inv(world_from_camera), []
+    for one, (known, at) in enumerate(zip(objects, places, strict=True)):
+        most = PROPOSED_ELSEWHERE if len(at) else PROPOSED_SITES
+        others = sites_of(start, one, most, known, poses_of(camera_from_world @ matrices_of(at)))
+        sites.append(np.concatenate([at, poses_of(world_from_camera @ matrices_of(others))]))
+    return sites

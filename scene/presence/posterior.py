@@ -47,7 +47,7 @@ class Presence:
         probability: (N,).
         number: (N, N + 1) probabilities that so many are there of the shape of each.
         standard_error: (N,) of it, from how chains differ, and from the draws of hidden poses.
-        out_of_sight: (N,) the same of those that are not in sight.
+        out_of_sight: (N,) probability that each is there, given that it is not in sight.
         seen: (N,) which are more probably there in sight than not.
         poses: (N, 7) world_from_box of these, of one chain as far as it has them.
     """
@@ -281,13 +281,13 @@ def presence_posterior(
     by_chain, last, visits = zip(*runs, strict=True)
     there, unseen = np.moveaxis(np.stack(by_chain)[:, :objects], 2, 0)
     copies = Copies.of(alike, found)
-    in_sight = copies.shared(there - unseen)
+    in_sight = copies.shared(there - unseen).mean(axis=0)
     there = copies.with_number(there, np.stack([number_probabilities(run, alike) for run in visits]))
-    told, not_in_sight = there.mean(axis=0), 1 - in_sight.mean(axis=0)
-    unseen_share = (told - in_sight.mean(axis=0)).clip(0)
+    told, not_in_sight = there.mean(axis=0), 1 - in_sight
+    unseen_share = (told - in_sight).clip(0)
     of_share = unseen_share * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
     of_chains = there.std(axis=0, ddof=1) / np.sqrt(chains)
-    seen = in_sight.mean(axis=0) >= 0.5
+    seen = in_sight >= 0.5
     poses = np.stack([one.chosen for one in last])[:, :objects, :7]
     in_use = np.stack([one.in_use for one in last])[:, :objects]
     return Presence(
