@@ -11,23 +11,14 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.filter.rival_motion import Doubt
-from slam.filter.state import FoundPlaces, FrameInfo, Ties
+from slam.filter.init import first_frame_info
+from slam.filter.state import FrameInfo
 from slam.keyframes.pages import Paged, PageFile
 
 FRAMES_AT_ONCE = 256
 """In a block, 1.5 MB: kernels of what follows are compiled for so many."""
 
-_NONE: Any = np.zeros(0)
-_STRUCTURE = jax.tree.structure(
-    FrameInfo(
-        places=FoundPlaces(_NONE, _NONE, _NONE, _NONE, Ties(_NONE, _NONE, _NONE), _NONE, _NONE),
-        **dict.fromkeys(("lost", "resampled", "unexpected", "is_keyframe"), False),
-        **dict.fromkeys(("log_evidence", "hypotheses", "explained", "covered"), 0.0),
-        keyframes=0,
-        doubt=Doubt(_NONE, 0.0),
-    )
-)
+_STRUCTURE = jax.tree.structure(first_frame_info(compared=1))
 """Of any frame's report."""
 
 

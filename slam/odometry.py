@@ -44,7 +44,7 @@ class KissOdometry:
 
     def register(self, frame: Frame) -> NDArray[np.float64]:
         """(4, 4) previous_from_camera: the motion since the previous frame, the identity for the first."""
-        points = points_of(frame, self._intrinsics, POINT_STRIDE_PX)
+        points = points_of(frame, self._intrinsics)
         if len(points):
             self._icp.register_frame(points, np.empty(0))
         pose = np.asarray(self._icp.last_pose, np.float64)
@@ -53,10 +53,10 @@ class KissOdometry:
         return step
 
 
-def points_of(frame: Frame, intrinsics: CameraIntrinsics, stride_px: int) -> NDArray[np.float64]:
-    """Points (n, 3) in the camera frame of every `stride_px`-th pixel with a return."""
+def points_of(frame: Frame, intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
+    """Points (n, 3) in the camera frame of every `POINT_STRIDE_PX`-th pixel with a return."""
     height, width = frame.depth_m.shape
     camera = intrinsics.resized(width, height)
-    v, u = np.mgrid[0:height:stride_px, 0:width:stride_px]
-    depth = frame.depth_m[::stride_px, ::stride_px]
+    v, u = np.mgrid[0:height:POINT_STRIDE_PX, 0:width:POINT_STRIDE_PX]
+    depth = frame.depth_m[::POINT_STRIDE_PX, ::POINT_STRIDE_PX]
     return (camera.rays(u, v) * depth[..., None])[depth > 0]

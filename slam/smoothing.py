@@ -37,9 +37,9 @@ def smoothed(
     """Every frame carried by the keyframe it is anchored to, or became, where each map has it.
 
     The marginal of a frame mixes the maps' Gaussians, that of its keyframe and its own in each, and is a
-    Student-t. Where two motions compete it reaches to the other one. The draws are those of the images as
-    they are. Frames follow the sensor's distortion field, which is unknown. A frame whose keyframe nothing
-    ties to the first is lost.
+    Student-t. Where two motions compete it reaches to the other one, and where the true map may not have been
+    found to where the motion prior has cameras. The draws are those of the images as they are. Frames follow
+    the sensor's distortion field, which is unknown. A frame whose keyframe nothing ties to the first is lost.
 
     Args:
         key: consumed.
@@ -60,7 +60,8 @@ def smoothed(
             {
                 "mean": matrices_of(mean),
                 "covariance": covariance / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
-                + displaced @ displaced.transpose(0, 2, 1),
+                + displaced @ displaced.transpose(0, 2, 1)
+                + anchors[best][:, None, None] * maps.undiscovered,
                 "lost": infos.lost | ~placed.held[best, anchors[best]],
                 "hypotheses": infos.hypotheses,
                 **{name: getattr(infos, name) for name in ("log_evidence", "resampled", "explained")},

@@ -22,9 +22,9 @@ from pipeline.synthesis.sensor import DepthSensor
 from recordings.importers.formats import import_recording
 from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
+from recordings.poses.rigid import orthonormalised
 from recordings.reading import open_recording
 from recordings.types import CameraIntrinsics, Frame
-from shapes.geometry.poses import orthonormalised
 from slam.config import SlamConfig
 
 RADIUS_M = 1.5

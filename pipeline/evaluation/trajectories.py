@@ -25,9 +25,9 @@ from pipeline.peers.registry import best_of
 from recordings.mcap_files.sources import ZSTD_SUFFIXES
 from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
+from recordings.poses.rigid import orthonormalised
 from recordings.reading import open_recording
 from recordings.types import CameraIntrinsics, Frame, Trajectory
-from shapes.geometry.poses import orthonormalised
 from slam.result import SlamResult
 
 TUM_COLUMNS = 8

@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics, Frame
 from slam.odometry import points_of
 
-POINT_STRIDE_PX = 4
-
 
 def track(frames: Iterable[Frame], intrinsics: CameraIntrinsics, voxel_m: float) -> NDArray[np.float64]:
     """Poses (T, 4, 4) against a map of one voxel size."""
     voxel_map = small_gicp.GaussianVoxelMap(voxel_m)
     poses: list[NDArray[np.float64]] = []
     for frame in frames:
-        points = points_of(frame, intrinsics, POINT_STRIDE_PX)
+        points = points_of(frame, intrinsics)
         cloud, _ = small_gicp.preprocess_points(points, downsampling_resolution=0.25 * voxel_m)
         velocity = np.linalg.inv(poses[-2]) @ poses[-1] if len(poses) > 1 else np.eye(4)
         pose = np.eye(4)

@@ -60,10 +60,7 @@ def suppress_similar(
     """Indices of the first `count` poses (C, 4, 4) that differ from each other, in their given order."""
     chosen: list[int] = []
     for index, pose in enumerate(poses):
-        relative = np.linalg.inv(poses[chosen]) @ pose if chosen else np.empty((0, 4, 4))
-        shift = np.linalg.norm(relative[:, :3, 3], axis=1)
-        cosine = 0.5 * (np.trace(relative[:, :3, :3], axis1=1, axis2=2) - 1.0)
-        if not ((shift < shift_m) & (cosine > np.cos(angle_rad))).any():
+        if not within_reach(poses[chosen], pose, shift_m, angle_rad).any():
             chosen.append(index)
         if len(chosen) == count:
             break
@@ -71,5 +68,5 @@ def suppress_similar(
 
 
 def pad_to_multiple(poses: NDArray[np.float64], multiple: int) -> NDArray[np.float64]:
-    """Poses (C, 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
-    return np.concatenate([poses, np.tile(poses[:1], (-len(poses) % multiple, 1, 1))])
+    """Poses (C, ..., 4, 4) with the first repeated up to a multiple, so that kernels are compiled once."""
+    return np.concatenate([poses, np.repeat(poses[:1], -len(poses) % multiple, axis=0)])

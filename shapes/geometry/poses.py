@@ -16,16 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from recordings.poses.rigid import orthonormalised
 from shapes.geometry.vectors import transform
-
-__all__ = [
-    "matrices_of",
-    "orthonormalised",
-    "poses_of",
-    "wxyz_from_xyzw",
-    "xyzw_from_wxyz",
-]
 
 Array = TypeVar("Array", jax.Array, NDArray[np.floating])
 

@@ -55,7 +55,7 @@ def init(
         steps_were_wide=False,
         rival=RivalMotion.since(surface),
     )
-    return state, _first_frame_info(config.keyframes_compared)
+    return state, first_frame_info(config.keyframes_compared)
 
 
 def info_before_map(state: FilterState, config: SlamConfig) -> FrameInfo:
@@ -65,12 +65,12 @@ def info_before_map(state: FilterState, config: SlamConfig) -> FrameInfo:
         state: after the first frame that does, by `init`.
         config: settings.
     """
-    info = _first_frame_info(config.keyframes_compared)
+    info = first_frame_info(config.keyframes_compared)
     places = replace(info.places, covariances=state.unseen_step[None])
-    return replace(info, places=places, lost=True, explained=0.0, covered=0.0, is_keyframe=False)
+    return replace(info, places=places, lost=True, explained=0.0, is_keyframe=False)
 
 
-def _first_frame_info(compared: int) -> FrameInfo:
+def first_frame_info(compared: int) -> FrameInfo:
     """The reference itself: certain, and no evidence for or against anything."""
     here = np.asarray(IDENTITY, np.float32)
     places = FoundPlaces(
@@ -83,7 +83,6 @@ def _first_frame_info(compared: int) -> FrameInfo:
             np.tile(here, (1, compared, 1)),
             np.zeros((1, compared, 6, 6), np.float32),
         ),
-        log_weights=np.zeros(1, np.float32),
         ancestors=np.zeros(1, np.int32),
     )
     return FrameInfo(
@@ -94,7 +93,6 @@ def _first_frame_info(compared: int) -> FrameInfo:
         lost=False,
         unexpected=False,
         explained=1.0,
-        covered=1.0,
         keyframes=1,
         is_keyframe=True,
         doubt=CERTAIN,

@@ -16,7 +16,7 @@ from slam.keyframes.surfels import surfel_image, with_noise
 from slam.registration.registered import Registration
 
 KEYFRAME_SHIFT = 0.1
-"""A frame whose camera moved this far from every keyframe, in median scene depths, becomes one."""
+"""A frame whose camera moved this far from its anchor, in median scene depths, becomes a keyframe."""
 
 KEYFRAME_ANGLE_RAD = 0.2
 """Chosen by hand; more keyframes cost time, fewer drift (kitchen rows of `bench slam`)."""

@@ -7,7 +7,6 @@ coordinates.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -38,26 +37,6 @@ class MotionHistory:
     pose: jax.Array
     predicted: jax.Array
     pivot: jax.Array
-
-
-class MotionPrior(Protocol):
-    """p(x_t | past) of one hypothesis."""
-
-    def sample(self, key: jax.Array, history: MotionHistory) -> jax.Array:
-        """A pose (7,)."""
-        ...
-
-    def log_density(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
-        """Log density of a pose (7,)."""
-        ...
-
-    def whitened_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
-        """Residuals (n,) whose half sum of squares bends like -log density in its bulk (Gauss-Newton)."""
-        ...
-
-    def expected_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
-        """Residuals (n,) whose half sum of squares falls and bends like -log density at the pose itself."""
-        ...
 
 
 @jax.tree_util.register_dataclass
@@ -113,13 +92,19 @@ class FreeMotion:
         return self.log_shares + jnp.stack([steady, jerk, log_jump])
 
     def whitened_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
-        """The jerk component's: wide enough to pull nowhere, enough to hold what no pixel sees."""
+        """Residuals (n,) whose half sum of squares bends like -log density in its bulk (Gauss-Newton).
+
+        The jerk component's: wide enough to pull nowhere, enough to hold what no pixel sees.
+        """
         return jax.scipy.linalg.solve_triangular(
             self.jerk_scale, pose_gaussian.coordinates(history.pose, pose), lower=True
         )
 
     def expected_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
-        """All components', each by the root of the probability that the pose is from it (EM's bound)."""
+        """Residuals (n,) whose half sum of squares falls and bends like -log density at the pose itself.
+
+        All components', each by the root of the probability that the pose is from it (EM's bound).
+        """
         probable = jax.lax.stop_gradient(jax.nn.softmax(self._log_parts(history, pose)))
         residuals = [
             jax.scipy.linalg.solve_triangular(scale, pose_gaussian.coordinates(centre, pose), lower=True)
@@ -207,6 +192,10 @@ class OrbitMotion:
     def expected_residual(self, history: MotionHistory, pose: jax.Array) -> jax.Array:
         """The same: by far the most of it."""
         return self.whitened_residual(history, pose)
+
+
+MotionPrior = FreeMotion | OrbitMotion
+"""p(x_t | past) of one hypothesis."""
 
 
 def _direction_and_distance(position: jax.Array, pivot: jax.Array) -> tuple[jax.Array, jax.Array]:

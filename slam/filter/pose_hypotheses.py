@@ -13,8 +13,7 @@ from shapes.geometry.poses import matrices_of, poses_of
 from slam.config import SlamConfig
 from slam.filter.motion import LONGEST_RATIO, is_wide_step, velocity_ratio
 from slam.filter.state import FilterState, Hypothesis
-from slam.keyframes.depth_view import CanvasView, central_depth, shows_enough
-from slam.registration import pose_grids
+from slam.keyframes.depth_view import CanvasView, shows_enough
 from slam.registration.registered import Registration, prune_improbable, suppress_duplicates
 from slam.registration.search import Searcher
 
@@ -109,10 +108,9 @@ def find_places(
     doubtful = not any(located.is_unambiguous for located in near)
     wide = is_searched and doubtful and _step_may_be_wide(state.population.heaviest)
     if unexpected or wide:
-        distances = np.asarray(pose_grids.ORBIT_DISTANCES) * central_depth(view)
         for of_one, searcher, one in zip(found, searchers, hypotheses, strict=True):
             of_one.append(searcher.near([one.pose]))
-            of_one += searcher.anywhere(one.pose, distances)
+            of_one += searcher.anywhere(one.pose)
         distinct = [suppress_duplicates(of_one) for of_one in found]
     else:
         distinct = found

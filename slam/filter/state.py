@@ -116,7 +116,6 @@ class FoundPlaces:
         field_sensitivity: (H, 6, NODES) how the pose follows the sensor's distortion field, camera chart
             (`slam.registration.field_sensitivity`); zero where the frame is lost or became a keyframe.
         ties: leaves (H, ...), to the keyframes that it was compared with.
-        log_weights: (H,) after this frame.
         ancestors: (H,) hypothesis before this frame that each one goes on.
     """
 
@@ -125,7 +124,6 @@ class FoundPlaces:
     covariances: NDArray[np.float32]
     field_sensitivity: NDArray[np.float32]
     ties: Ties
-    log_weights: NDArray[np.float32]
     ancestors: NDArray[np.int32]
 
 
@@ -142,7 +140,6 @@ class FrameInfo:
         lost: whether no pose agreed with the map.
         unexpected: whether no pose agreed where the camera was expected, and the map was searched.
         explained: share of returns on the map's surface.
-        covered: share of returns that meet the map.
         keyframes: number of keyframes after this frame.
         is_keyframe: whether it became the last of them.
         doubt: what a second motion leaves open about it.
@@ -155,7 +152,6 @@ class FrameInfo:
     lost: bool
     unexpected: bool
     explained: float
-    covered: float
     keyframes: int
     is_keyframe: bool
     doubt: Doubt

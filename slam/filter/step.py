@@ -66,7 +66,7 @@ def step(
         view: the frame.
         time_ns: its stamp.
         config: settings.
-        odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used and not degenerate.
+        odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used: one more start of the search.
     """
     prediction = predict(state, time_ns)
     found = find_places(state, view, prediction, config, odometry)
@@ -158,7 +158,6 @@ def _frame_info(
         lost=found.lost,
         unexpected=found.unexpected,
         explained=best.explained,
-        covered=best.covered,
         keyframes=len(state.keyframe_map),
         is_keyframe=is_keyframe,
         doubt=doubt,
@@ -199,7 +198,6 @@ def _places(
         covariances=covariances.astype(np.float32),
         field_sensitivity=following,
         ties=Ties(indices.astype(np.int32), from_camera, shares.astype(np.float32)),
-        log_weights=branches.log_weights.astype(np.float32),
         ancestors=info.ancestors,
     )
 

@@ -26,7 +26,7 @@ CANVAS_WIDTH = 160
 CANVAS = (CANVAS_HEIGHT, CANVAS_WIDTH)
 
 FINE_CANVAS = (240, 320)
-"""Rows and columns of the image that the final refinement of the keyframes looks at."""
+"""Rows and columns of the image that refinement of the keyframes looks at."""
 
 ONE_SURFACE_BAND = 0.03
 """Relative depth within which the pixels of a block, or the elements of several keyframes, are one surface,
@@ -84,18 +84,12 @@ def central_depth(view: CanvasView) -> float:
     return 1.0
 
 
-def reduction_factor(intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> int:
-    """Side in pixels of the square blocks that bring an image onto the canvas."""
-    rows, columns = canvas
-    return max(1, -(-intrinsics.width // columns), -(-intrinsics.height // rows))
-
-
 def view_of_frame(frame: Frame, intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> CanvasView:
     """A frame on a canvas of (rows, columns); one of another size than `intrinsics` is taken as resized."""
     height, width = frame.depth_m.shape
     if (height, width) != (intrinsics.height, intrinsics.width):
         intrinsics = intrinsics.resized(width, height)
-    factor = reduction_factor(intrinsics, canvas)
+    factor = max(1, -(-height // canvas[0]), -(-width // canvas[1]))  # side of blocks averaged to a pixel
     rows, columns = -(-height // factor), -(-width // factor)
     padded: NDArray[np.float32] = np.full((rows * factor, columns * factor), NO_RETURN, np.float32)
     padded[:height, :width] = frame.depth_m

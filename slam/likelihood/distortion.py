@@ -89,8 +89,9 @@ class Distortion:
     removed_per_m: NDArray[np.float64]
 
     @classmethod
-    def unknown(cls, factor: NDArray[np.float64]) -> Distortion:
-        """None, as the prior has it on average."""
+    def unknown(cls, sd_per_m: NDArray[np.float64]) -> Distortion:
+        """None, as the prior has it on average; deviations (rows, columns) of its nodes."""
+        factor = node_factor(sd_per_m)
         return cls(factor=factor, coordinates=np.zeros(factor.shape[1]), removed_per_m=np.zeros(len(factor)))
 
     @property

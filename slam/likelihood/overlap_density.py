@@ -339,11 +339,8 @@ def log_overlap_densities(
     samples: PointSample,
     surface_from_images: jax.Array,
     noise: DepthNoise,
-    disparities_per_m: jax.Array,
 ) -> jax.Array:
     """Log densities (B, L) of B images' samples (B, ...) given one surface, at poses (B, L, 7).
-
-    The distortion field's nodes (L, NODES) go with the poses.
 
     Base measure: Lebesgue in metres of each pixel's gap. Counted are the pixels that meet the surface from
     all of the poses: those that come and go at the edges would not compare.
@@ -351,7 +348,7 @@ def log_overlap_densities(
 
     def at_poses(pair: tuple[PointSample, jax.Array]) -> jax.Array:
         sample, poses = pair
-        gaps = jax.vmap(lambda *at: _gaps(surface, sample, at[0], noise, at[1]))(poses, disparities_per_m)
+        gaps = jax.vmap(lambda pose: _gaps(surface, sample, pose, noise, None))(poses)
         log_surface = jnp.logaddexp(_log_normal(gaps, gaps.variance_m2), LOG_OUTLIER)
         return jnp.where(gaps.meets.all(0), log_surface, 0.0).sum(1)
 

@@ -47,15 +47,14 @@ def circular_steps(registrar: KeyframeRegistrar, distances_m: NDArray[np.float64
 
 
 def repeat_step(step: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Poses (N, 4, 4) that a step (4, 4) leads through, from the identity."""
-    return np.stack([np.linalg.matrix_power(step, index) for index in range(count)])
+    """Poses (..., N, 4, 4) that a step (..., 4, 4) leads through, from the identity."""
+    return np.stack([np.linalg.matrix_power(step, index) for index in range(count)], axis=-3)
 
 
 def _scores(registrar: KeyframeRegistrar, steps: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
     """Sums (C,) over the judging images of their approximate log densities in the map of all others."""
     count = len(registrar)
-    paths = np.stack([np.linalg.matrix_power(steps, index) for index in range(count)], axis=1)
-    return registrar.log_scores(range(count), paths, range(0, count, -(-count // JUDGING)), blur)
+    return registrar.log_scores(repeat_step(steps, count), range(0, count, -(-count // JUDGING)), blur)
 
 
 def _first_distinct(steps: NDArray[np.float64], count: int) -> NDArray[np.float64]:

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from shapes.geometry import pose_sets
 from shapes.geometry.poses import matrices_of, poses_of, single_precision_poses
-from slam.keyframes.depth_view import CanvasView, central_depth
+from slam.keyframes.depth_view import CanvasView
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.registration.global_search import BATCH, log_scores_of_maps
-from slam.registration.pose_grids import ORBIT_DISTANCES
 from slam.registration.registered import CONVINCING_COVERED, Registration
 from slam.registration.search import Searcher
 
@@ -49,9 +49,8 @@ class KeyframeRegistrar:
     ) -> list[Registration]:
         """Plausible places of a keyframe anywhere in the map of `others`, the best first."""
         searcher = self._searcher(poses, index, others)
-        distances = np.asarray(ORBIT_DISTANCES) * central_depth(searcher.view)
         nearest = min(others, key=lambda other: abs(other - index))
-        found = searcher.anywhere(poses_of(poses[nearest]).astype(np.float32), distances)
+        found = searcher.anywhere(poses_of(poses[nearest]).astype(np.float32))
         return [located for located in found if located.is_plausible]
 
     def log_composite(self, poses: NDArray[np.float64]) -> float:
@@ -70,24 +69,19 @@ class KeyframeRegistrar:
         return 0.5 * np.stack([one.log_density_of_blocks(self.noise) for one in self._register_all(poses)])
 
     def log_scores(
-        self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float
+        self, poses: NDArray[np.float64], judged: Sequence[int], blur: float
     ) -> NDArray[np.float64]:
-        """Sums (C,) of approximate log densities of images, each in the map of the other `keyframes`.
+        """Sums (C,) of approximate log densities of images, each in the map of all others.
 
         Args:
-            keyframes: m of them.
-            poses: (C, m, 4, 4) where maps have these.
-            judged: those of them whose images count.
+            poses: (C, N, 4, 4) where maps have the keyframes.
+            judged: keyframes whose images count.
             blur: of surfaces, relative to depth.
         """
-        total, padding = np.zeros(len(poses)), -len(poses) % BATCH
-        padded = np.concatenate([poses, np.tile(poses[:1], (padding, 1, 1, 1))])
-        placed = np.tile(np.eye(4), (len(padded), len(self), 1, 1))
-        placed[:, list(keyframes)] = padded
+        total, placed = np.zeros(len(poses)), pose_sets.pad_to_multiple(poses, BATCH)
         everything = self.keyframe_map.stacked(np.arange(len(self)))
         for index in judged:
-            others = np.isin(np.arange(len(self)), keyframes)
-            others[index] = False
+            others = np.arange(len(self)) != index
             relative = single_precision_poses(np.linalg.inv(placed[:, [index]]) @ placed)
             seen = self.view(index), self.noise, blur
             for first in range(0, len(poses), BATCH):

@@ -84,8 +84,13 @@ def choose_map(
         modes = candidate_maps(registrar, list(present), motion, images, rng)
         heaviest = np.full(len(modes.shares), np.argmax(found.probabilities))
         poses = poses_of(modes.maps).astype(np.float32)
-        unknown = (None,) * len(poses)
-        return MapMixture(poses=poses, probabilities=modes.shares, hypotheses=heaviest, known=unknown)
+        return MapMixture(
+            poses=poses,
+            probabilities=modes.shares,
+            hypotheses=heaviest,
+            known=(None,) * len(poses),
+            undiscovered=modes.undiscovered * state.unseen_step.astype(np.float64),
+        )
     exponent = state.calibration.exponent
     maps = [
         _chosen(jax.random.fold_in(key, number), registrar, poses, exponent)

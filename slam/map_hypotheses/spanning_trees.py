@@ -146,8 +146,7 @@ def _score(registrar: KeyframeRegistrar, maps: list[NDArray[np.float64]]) -> lis
     """Approximate log densities of all images, each in the map of the others, for maps (N, 4, 4)."""
     if not maps:
         return []
-    every = range(len(registrar))
-    return registrar.log_scores(every, np.stack(maps), every, BLUR).tolist()
+    return registrar.log_scores(np.stack(maps), range(len(registrar)), BLUR).tolist()
 
 
 def _draw_tree(ways: Ways, count: int, rng: np.random.Generator) -> Tree:

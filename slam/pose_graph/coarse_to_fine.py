@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.likelihood.distortion import NODES
 from slam.pose_graph.gauss_newton import (
     HELD_DAMPING,
     HELD_INFLATIONS,
@@ -86,6 +85,5 @@ def _drawn_together(
 
 def _is_better(keyframes: Keyframes, one: GraphOptimum, other: NDArray[np.float32]) -> bool:
     """Whether the density of overlaps is greater at an optimum than at other poses (N, 7)."""
-    none = np.zeros((2, NODES))
-    log_densities = keyframes.log_densities(np.stack([one.poses, other]), none, one.exponents)
+    log_densities = keyframes.log_densities(np.stack([one.poses, other]), one.exponents)
     return bool(log_densities[0] > log_densities[1])

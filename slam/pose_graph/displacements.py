@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -26,30 +27,18 @@ def in_parts(kernel: Callable[..., Any], *arrays: NDArray[np.floating]) -> Any:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-def displaced(poses: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Poses (N, 7) displaced by (N, 6)."""
-    return in_parts(_displaced, poses, displacements)
+displaced = partial(in_parts, jax.jit(jax.vmap(pose_gaussian.displace)))
+"""Poses (N, 7) displaced by (N, 6)."""
 
+coordinates = partial(in_parts, jax.jit(jax.vmap(pose_gaussian.coordinates)))
+"""Coordinates (N, 6) of poses (N, 7), which come second, in the charts at others (N, 7)."""
 
-def coordinates(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Coordinates (N, 6) of poses (N, 7) in the charts at others (N, 7)."""
-    return in_parts(_coordinates, origins, poses)
+relative_poses = partial(in_parts, jax.jit(jax.vmap(relative_pose)))
+"""origin_from_pose (N, 7) of origins (N, 7) and poses (N, 7)."""
 
-
-def relative_poses(origins: NDArray[np.float32], poses: NDArray[np.float32]) -> NDArray[np.float32]:
-    """origin_from_pose (N, 7) of origins (N, 7) and poses (N, 7)."""
-    return in_parts(_relative, origins, poses)
+_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace, (None, 0))))
 
 
 def draw_poses(centres: NDArray[np.float32], displacements: NDArray[np.float64]) -> NDArray[np.float32]:
     """Poses (K, N, 7) displaced by (K, N, 6) from centres (N, 7)."""
     return in_parts(_drawn, centres, displacements.swapaxes(0, 1)).swapaxes(0, 1)
-
-
-_displaced = jax.jit(jax.vmap(pose_gaussian.displace))
-
-_coordinates = jax.jit(jax.vmap(pose_gaussian.coordinates))
-
-_relative = jax.jit(jax.vmap(relative_pose))
-
-_drawn = jax.jit(jax.vmap(jax.vmap(pose_gaussian.displace, (None, 0))))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shapes.geometry.poses import matrices_of
-from slam.likelihood.distortion import NODES, Distortion
+from slam.likelihood.distortion import Distortion
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.displacements import coordinates, displaced
 from slam.pose_graph.linearisation import Field, Linearised, exponents_of, linearised_at
@@ -224,7 +224,7 @@ def _best_of_step(
 ) -> NDArray[np.float32]:
     """Where the density is greatest along a step (N, 6) from poses (N, 7), which may be there."""
     along = np.stack([poses, *(displaced(poses, share * step) for share in STEP_SHARES)])
-    log_densities = keyframes.log_densities(along, np.zeros((len(along), NODES)), exponents)
+    log_densities = keyframes.log_densities(along, exponents)
     if motion is not None:
         log_densities += [motion.log_density(matrices_of(each)) for each in along]
     return along[int(np.argmax(log_densities))]

@@ -40,7 +40,7 @@ IMAGE_BUCKET = 4
 class KeyframeDetail:
     """A keyframe at full detail: its view, and `region_planes` of it.
 
-    JAX computes in the background: planes are asked for when the keyframe is made, and used at the end.
+    JAX computes in the background: planes are asked for long before a map is refined.
     `is_segmented` says whether large planes are one each; `known_pixels` are `pixels` where these are known.
     """
 
@@ -142,20 +142,14 @@ class Keyframes:
                 yield self.details[surface].value.surface, samples, surface, chosen
 
     def log_densities(
-        self,
-        poses: NDArray[np.float32],
-        disparities_per_m: NDArray[np.float64],
-        exponents: NDArray[np.float64],
+        self, poses: NDArray[np.float32], exponents: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Log densities (L,) of all overlaps at keyframes (L, N, 7) and distortion fields (L, NODES).
-
-        Those of each image to the power of its exponent (N,).
-        """
-        total, fields = np.zeros(len(poses)), disparities_per_m.astype(np.float32)
+        """Log densities (L,) of all overlaps at keyframes (L, N, 7), each image's to its exponent (N,)."""
+        total = np.zeros(len(poses))
         for surface, samples, index, images in self.batches(1):
             padded = np.resize(images, IMAGE_BUCKET)
             relative = _relative_by_image(poses[:, index], poses[:, padded])
-            densities = log_overlap_densities(surface, samples, relative, self.noise, fields)
+            densities = log_overlap_densities(surface, samples, relative, self.noise)
             total += exponents[images] @ np.asarray(densities, np.float64)[: len(images)]
         return total
 

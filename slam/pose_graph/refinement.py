@@ -14,7 +14,7 @@ which frames may be corrected.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from slam.filter import smc
 from slam.filter.state import Hypothesis
-from slam.likelihood.distortion import Distortion, node_factor
+from slam.likelihood.distortion import Distortion
 from slam.pose_graph import sparse_gaussian
 from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
 from slam.pose_graph.displacements import draw_poses
@@ -82,12 +82,15 @@ class MapMixture:
         hypotheses: (G,) which of the filter's last ones has the frames between the keyframes.
         known: for each map the pairs (E, 2) of keyframes that are known to see the same; None where they have
             been placed by search.
+        undiscovered: (6, 6) second moment, for each keyframe from the first, by which cameras may stand in a
+            map that a search has not found: that of a step of which nothing is known, times its probability.
     """
 
     poses: NDArray[np.float32]
     probabilities: NDArray[np.float64]
     hypotheses: NDArray[np.int_]
     known: tuple[NDArray[np.int32] | None, ...]
+    undiscovered: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
 
     @classmethod
     def of(cls, population: smc.Population[Hypothesis]) -> MapMixture:
@@ -102,8 +105,8 @@ class MapMixture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Refined:
-    """The keyframes of one map, K draws of them, and the distortion field; or of G maps, stacked.
+class RefinedKeyframes:
+    """The keyframes of G maps, K draws of them, and the distortion field; without (G,) of one.
 
     The field's coordinates are independent unit Gaussians a priori; nodes are `factor` times coordinates.
 
@@ -116,6 +119,7 @@ class _Refined:
         disparity_per_m: (G, NODES) the field's mean, as it is estimated jointly with the poses.
         sd_per_m: (G, NODES) its standard deviations.
         drawn: (K, N, 7).
+        mode: (K,) the map that each draw is of.
     """
 
     poses: NDArray[np.float32]
@@ -126,16 +130,6 @@ class _Refined:
     disparity_per_m: NDArray[np.float64]
     sd_per_m: NDArray[np.float64]
     drawn: NDArray[np.float32]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RefinedKeyframes(_Refined):
-    """The keyframes of G maps.
-
-    Attributes:
-        mode: (K,) the map that each draw is of.
-    """
-
     mode: NDArray[np.int_]
 
 
@@ -161,11 +155,12 @@ def refine_keyframes(
     """
     deal_key, draw_key = jax.random.split(key)
     mode_of = dealt(deal_key, maps.probabilities, count)
-    unknown = Distortion.unknown(node_factor(sd_per_m))
+    unknown = Distortion.unknown(sd_per_m)
     modes = [
         _refined(
             jax.random.fold_in(draw_key, mode),
-            _of_map(images, known),
+            # no loop was looked for in a map that was placed by search
+            replace(images, known=known, first_new=1 if known is None else images.first_new),
             poses,
             unknown,
             scales,
@@ -180,11 +175,6 @@ def refine_keyframes(
         mode=mode_of,
         drawn=np.stack([modes[mode].drawn[number] for number, mode in enumerate(mode_of)]),
     )
-
-
-def _of_map(images: KeyframeImages, known: NDArray[np.int32] | None) -> KeyframeImages:
-    """The images with what is known of a map; no loop was looked for in one that was placed by search."""
-    return replace(images, known=known, first_new=1 if known is None else images.first_new)
 
 
 def dealt(key: jax.Array, probabilities: NDArray[np.float64], count: int) -> NDArray[np.int_]:
@@ -205,7 +195,7 @@ def _refined(
     scales: Sequence[float],
     motion: TrajectoryPrior | None,
     count: int,
-) -> _Refined:
+) -> RefinedKeyframes:
     """One map, refined from where the filter has its keyframes (N, 7), and draws.
 
     Poses are those of the images as they are, and draws are given these; what an unknown field may have moved
@@ -220,7 +210,7 @@ def _refined(
         return _unrefined(filtered, unknown, scales, count)
     field = _estimated_field(keyframes, found, unknown, scales, motion)
     held = sparse_gaussian.connected_to_first(graph)
-    return _Refined(
+    return RefinedKeyframes(
         poses=np.where(held[:, None], found.poses, filtered),
         covariances=np.where(held[:, None, None], sparse_gaussian.conditional_marginals(graph), 0.0),
         held=held,
@@ -229,6 +219,7 @@ def _refined(
         ),
         **_told_of(field, unknown.factor),
         drawn=np.where(held[:, None], drawn, filtered),
+        mode=np.zeros(count, int),
     )
 
 
@@ -256,7 +247,7 @@ def _estimated_field(
 
 
 def _told_of(field: ScaledField, factor: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """The field's prior, as strong as it turned out, and its nodes (NODES,), by names of a `_Refined`."""
+    """The field's prior, as strong as it turned out, and nodes (NODES,), by names of `RefinedKeyframes`."""
     variance = np.einsum("nf,fg,ng->n", factor, field.covariance, factor)
     return {
         "factor": field.scale * factor,
@@ -267,14 +258,15 @@ def _told_of(field: ScaledField, factor: NDArray[np.float64]) -> dict[str, NDArr
 
 def _unrefined(
     poses: NDArray[np.float32], unknown: Distortion, scales: Sequence[float], count: int
-) -> _Refined:
+) -> RefinedKeyframes:
     """A map (N, 7) whose keyframes nothing ties to the first: the field is what it was a priori."""
     used, size = len(poses), unknown.factor.shape[1]
-    return _Refined(
+    return RefinedKeyframes(
         poses=poses,
         covariances=np.zeros((used, 6, 6)),
         held=np.arange(used) == 0,
         sensitivity=np.zeros((used, 6, size)),
         **_told_of(unseen_field(size, scales), unknown.factor),
         drawn=np.tile(poses, (count, 1, 1)),
+        mode=np.zeros(count, int),
     )

@@ -13,6 +13,7 @@ solved by the Schur complement of the poses, and c is integrated out of what is 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import jax
 import numpy as np
@@ -87,9 +88,10 @@ class PoseGraph:
     field: FieldTerm | None = None
     fixed: int = 1
 
-    def __len__(self) -> int:
-        """Number of terms."""
-        return len(self.pairs)
+    @cached_property
+    def factorised(self) -> BlockCholesky:
+        """The precision of all keyframes that are not fixed, `STIFFNESS` added to its diagonal."""
+        return _normal_equations(self, STIFFNESS)
 
 
 def damped_step(graph: PoseGraph, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -117,14 +119,14 @@ def draws(key: jax.Array, graph: PoseGraph, count: int) -> NDArray[np.float64]:
     drawn, held = noise.T.copy(), 6 * graph.fixed
     drawn[:held] = 0.0
     if graph.keyframes > graph.fixed:
-        drawn[held:] = _normal_equations(graph, STIFFNESS).transposed_solve(drawn[held:])
+        drawn[held:] = graph.factorised.transposed_solve(drawn[held:])
     return drawn.T.reshape(count, -1, 6)
 
 
 def field_posterior(graph: PoseGraph) -> FieldPosterior:
     """Of a graph whose terms share coordinates."""
     assert graph.field is not None
-    return _field_posterior(graph, graph.field, _normal_equations(graph, STIFFNESS))
+    return _field_posterior(graph, graph.field, graph.factorised)
 
 
 def _field_posterior(graph: PoseGraph, field: FieldTerm, factor: BlockCholesky) -> FieldPosterior:
@@ -145,7 +147,7 @@ def conditional_marginals(graph: PoseGraph) -> NDArray[np.float64]:
     """
     covariances = np.zeros((graph.keyframes, 6, 6))
     if graph.keyframes > graph.fixed:
-        covariances[graph.fixed :] = _normal_equations(graph, STIFFNESS).diagonal_of_inverse()
+        covariances[graph.fixed :] = graph.factorised.diagonal_of_inverse()
     return covariances
 
 
@@ -153,8 +155,8 @@ def connected_to_first(graph: PoseGraph) -> NDArray[np.bool_]:
     """Which keyframes (N,) the terms tie to the first, directly or through others; a joint one ties all."""
     if graph.joint is not None:
         return np.ones(graph.keyframes, bool)
-    ends = (graph.pairs[:, 0], graph.pairs[:, 1])
-    adjacency = scipy.sparse.coo_array((np.ones(len(graph)), ends), shape=(graph.keyframes, graph.keyframes))
+    terms = np.ones(len(graph.pairs)), tuple(graph.pairs.T)
+    adjacency = scipy.sparse.coo_array(terms, shape=(graph.keyframes, graph.keyframes))
     _, component = connected_components(adjacency, directed=False)
     return component == component[0]
 

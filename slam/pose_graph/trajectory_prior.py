@@ -48,11 +48,7 @@ class TrajectoryPrior:
     @classmethod
     def of(cls, state: FilterState, config: SlamConfig) -> TrajectoryPrior:
         """As the filter has it; free where the radius of an orbit is a guess, for it may be off by half."""
-        motion = (
-            OrbitMotion.default()
-            if config.orbit_radius_m and config.motion == "orbit"
-            else FreeMotion.default()
-        )
+        motion = state.motion if config.orbit_radius_m else FreeMotion.default()
         pivot, sigma = state.pivot.astype(np.float64), np.ones(PIVOT)
         if isinstance(motion, OrbitMotion):
             aim = np.asarray(motion.aim_scale_rad, np.float64)[:2]

@@ -174,8 +174,8 @@ def projected_scores(
     Its log factor is the larger one of the surface's Normal, blurred by `surface_sigma_m` so that a
     coarse grid of candidates cannot step over a mode, and of an outlier; or, beside the rendering, that of an
     unknown surface (on the lattice of the image density), without which candidates that fall on more of it
-    would win along a bare wall. It ranks candidates near one rendering; the proposal may use it, the weights
-    never do.
+    would win along a bare wall. It ranks candidates near one rendering; what is found is weighed by the image
+    density.
     """
     observed, rays = view.lattice(stride_px)
     points = rays * observed[None]
@@ -205,21 +205,21 @@ def align(
     start: jax.Array,
     hold: jax.Array | float,
     schedule: tuple[Passes, ...],
-) -> tuple[jax.Array, InlierCounts]:
+) -> jax.Array:
     """Local optimum (7,) of the view's density over model_from_camera, from `start` (7,).
 
     A point's surface element is the one it projects to, anew in each pass, so starts may be some
     hundredth of the field of view away; it is held at the start as in `PixelTerms.held_step`.
     """
 
-    def iteration(pose: jax.Array, inflation: jax.Array, stride_px: int) -> tuple[jax.Array, InlierCounts]:
+    def iteration(pose: jax.Array, inflation: jax.Array, stride_px: int) -> tuple[jax.Array, None]:
         planes, variance, observed, rays = associate(model, view, pose, stride_px)
         terms = pixel_terms(planes, variance, observed, rays, pose, noise, inflation)
         step = terms.held_step(pose_gaussian.coordinates(start, pose), hold)
-        return pose_gaussian.displace(pose, step), terms.agreement
+        return pose_gaussian.displace(pose, step), None
 
-    pose, agreements = start, None
+    pose = start
     for passes in schedule:
         inflations = jnp.asarray(passes.inflations, start.dtype)
-        pose, agreements = jax.lax.scan(partial(iteration, stride_px=passes.stride_px), pose, inflations)
-    return pose, jax.tree.map(lambda history: history[-1], agreements)
+        pose, _ = jax.lax.scan(partial(iteration, stride_px=passes.stride_px), pose, inflations)
+    return pose

@@ -1,8 +1,8 @@
 """Global search: scores of candidate poses against all keyframes at once, and ascent from the best.
 
 The reverse projection: a point of the frame lies on the surface of some keyframe, or in space that a keyframe
-observed as free, or where no keyframe looked. Nothing is rendered for a candidate; the proposal may use this,
-the weights never do.
+observed as free, or where no keyframe looked. Nothing is rendered for a candidate: scores say what to look
+at, and trees of keyframes are drawn by them; what is found is weighed by the images.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ BLOCK_SIDE_PX = 20
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Optimum:
-    """A local optimum of the image density for the mean map.
+    """A local optimum of the image density for the map of one hypothesis.
 
     Attributes:
         pose: (7,) reference_from_camera.
@@ -163,11 +163,11 @@ def _winner(
 ) -> jax.Array:
     """The best (7,) of the starts (STARTS, 7) once they are aligned, aligned finely."""
     align_coarse = partial(align, compared.model, view, noise, hold=hold, schedule=COARSE_SCHEDULE)
-    coarse, _ = jax.lax.optimization_barrier(jax.vmap(lambda start: align_coarse(start=start))(starts))
+    coarse = jax.lax.optimization_barrier(jax.vmap(lambda start: align_coarse(start=start))(starts))
     scores = compared.scores(view, noise, coarse, COARSE_STRIDE_PX // 2)
     lead = jnp.where(hold > 0, LEAST_GAIN * view.depth_m.size / COARSE_STRIDE_PX**2, 0.0)
     winner = coarse[jnp.argmax(scores.at[0].add(lead))]
-    return align(compared.model, view, noise, winner, hold, FINE_SCHEDULE)[0]
+    return align(compared.model, view, noise, winner, hold, FINE_SCHEDULE)
 
 
 @jit_stored()

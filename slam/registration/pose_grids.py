@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -31,6 +32,9 @@ TURNS_DEG = tuple(range(-180, 180, 15))
 
 TILTS_DEG = (-20, 0, 20)
 """Of hand-held cameras. Chosen by hand."""
+
+LOOK_TURNS_DEG, LOOK_TILTS_DEG = (-20, 0, 20), (-12, 0, 12)
+"""Of a camera that has come back to a keyframe. Search effort. Chosen by hand."""
 
 
 @cache
@@ -64,10 +68,15 @@ def orbit_steps(distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def turn_grid() -> NDArray[np.float64]:
     """Poses last_from_camera (C, 4, 4) of a camera that turns and tilts on the spot."""
-    angles = list(itertools.product(TURNS_DEG, TILTS_DEG))
-    matrices = np.tile(np.eye(4), (len(angles), 1, 1))
-    matrices[:, :3, :3] = Rotation.from_euler("yx", np.asarray(angles, float), degrees=True).as_matrix()
-    return matrices
+    return _turns(TURNS_DEG, TILTS_DEG)
+
+
+def _turns(turns_deg: Sequence[float], tilts_deg: Sequence[float]) -> NDArray[np.float64]:
+    """Poses (C, 4, 4) on the spot, turned about the image's vertical, then tilted."""
+    angles = np.asarray(list(itertools.product(turns_deg, tilts_deg)), float)
+    poses = np.tile(np.eye(4), (len(angles), 1, 1))
+    poses[:, :3, :3] = Rotation.from_euler("yx", angles, degrees=True).as_matrix()
+    return poses
 
 
 def grid_everywhere(
@@ -80,10 +89,6 @@ def grid_everywhere(
         keyframes: (N, 4, 4) poses that the camera may have come back to.
         distances_m: (D,) to the pivots of orbits.
     """
-    tilted = Rotation.from_euler(
-        "yx", list(itertools.product((-20.0, 0.0, 20.0), (-12.0, 0.0, 12.0))), degrees=True
-    ).as_matrix()
-    looks = np.tile(np.eye(4), (len(tilted), 1, 1))
-    looks[:, :3, :3] = tilted
+    looks = _turns(LOOK_TURNS_DEG, LOOK_TILTS_DEG)
     returns = (keyframes[:, None] @ looks[None]).reshape(-1, 4, 4)
     return np.concatenate([last @ orbit_steps(distances_m), last @ turn_grid(), returns])

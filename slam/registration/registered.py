@@ -32,7 +32,7 @@ PLAUSIBLE_COVERED = 0.1
 """The least with which the camera counts as found at all."""
 
 SAME_SHIFT_M, SAME_ANGLE_RAD = 0.02, 0.02
-"""Optima closer than this are one component of the proposal."""
+"""Optima closer than this are one place."""
 
 NEGLIGIBLE_LOG_SHARE = 15.0
 """exp(-15) is far less than a hypothesis must weigh."""

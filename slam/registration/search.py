@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from recordings.types import DepthNoise
 from shapes.geometry import pose_sets
 from shapes.geometry.poses import matrices_of, single_precision_poses
-from slam.keyframes.depth_view import CanvasView, framing
+from slam.keyframes.depth_view import CanvasView, central_depth, framing
 from slam.keyframes.keyframe_map import KeyframeMap, place_distances, sample_points, selected_keyframes
 from slam.registration import pose_grids
 from slam.registration.global_search import ascend, log_map_scores
@@ -156,8 +156,12 @@ class Searcher:
         optimum = optimum_at(local_map, self.view, self.noise, jnp.asarray(pose), hold)
         return Registration(optimum, indices, local_map)
 
-    def anywhere(self, last: ArrayLike, distances_m: NDArray[np.float64]) -> list[Registration]:
-        """Distinct optima anywhere in the map, best first; none where no climb leads to what it shows."""
+    def anywhere(self, last: ArrayLike) -> list[Registration]:
+        """Distinct optima anywhere in the map, best first; none where no climb leads to what it shows.
+
+        Among the candidates are orbits of the last known pose (7,) round what this view shows.
+        """
+        distances_m = np.asarray(pose_grids.ORBIT_DISTANCES) * central_depth(self.view)
         places = self._matrices[self._places]
         candidates = pose_grids.grid_everywhere(matrices_of(np.asarray(last)), places, distances_m)
         scores = self._map_scores(candidates, WIDE_BLUR)

@@ -224,3 +224,10 @@ def test_orthonormalised_is_the_nearest_rotation(seed):
     gram = rigid[:, :3, :3] @ np.swapaxes(rigid[:, :3, :3], 1, 2)
     np.testing.assert_allclose(gram, np.broadcast_to(np.eye(3), (20, 3, 3)), atol=1e-12)
     np.testing.assert_allclose(rigid, matrices, atol=2e-3)
+
+
+@pytest.mark.parametrize("broken", [np.diag([-1.0, 1, 1, 1]), np.full((4, 4), np.nan)])
+def test_orthonormalised_refuses_what_is_no_pose(broken: np.ndarray) -> None:
+    """A reflection or NaN is the caller's mistake."""
+    with pytest.raises(ValueError, match="a pose is"):
+        orthonormalised(broken)

@@ -7,11 +7,15 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
+from recordings.types import CameraIntrinsics
 from shapes.geometry import pose_gaussian
 from shapes.geometry.pose_sets import IDENTITY
+from slam.filter.init import first_frame_info
 from slam.filter.state import Ties
-from slam.pose_graph.refinement import PlacedKeyframes, RefinedKeyframes
-from slam.smoothing import _by_ties, _drawn, _marginals, _roots, _spread
+from slam.history import History
+from slam.likelihood.distortion import NODES
+from slam.pose_graph.refinement import MapMixture, PlacedKeyframes, RefinedKeyframes
+from slam.smoothing import _by_ties, _drawn, _marginals, _roots, _spread, smoothed
 from tests.statistical import assert_mean
 
 
@@ -153,3 +157,28 @@ def test_the_marginal_of_several_maps_is_about_the_likeliest(seed):
     expected = 0.3 * (spread[0] + np.outer(shift, shift)) + 0.7 * spread[1]
     np.testing.assert_array_equal(mean[0], ANCHOR)
     np.testing.assert_allclose(covariance[0], expected, atol=1e-4)
+
+
+def test_what_a_search_may_not_have_found_is_told_more_widely_of_each_further_keyframe(key):
+    """The reference stays certain; without a search nothing is added."""
+    poses = jnp.stack([jnp.asarray(IDENTITY), ANCHOR, DRAWN])
+    history = History()
+    for number in range(3):
+        history.append(number, replace(first_frame_info(4), keyframes=number + 1))
+    placed = replace(_placed(poses, [True] * 3, np.zeros((3, 6, 3))), factor=np.zeros((1, NODES, 3)))
+    step = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
+    sure = MapMixture(
+        poses=np.asarray(poses)[None],
+        probabilities=np.ones(1),
+        hypotheses=np.zeros(1, int),
+        known=(None,),
+    )
+    camera = CameraIntrinsics(width=8, height=6, fx=8.0, fy=8.0, cx=3.5, cy=2.5)
+
+    told, unsure = (
+        smoothed(key, history, maps, placed, camera).covariance
+        for maps in (sure, replace(sure, undiscovered=step))
+    )
+
+    np.testing.assert_allclose(told, 0.0, atol=1e-6)
+    np.testing.assert_allclose(unsure, [0.0 * step, step, 2.0 * step], atol=1e-6)

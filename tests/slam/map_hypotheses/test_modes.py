@@ -1,8 +1,11 @@
 """Several maps: alike ones are one, and those that no draw would be of are none."""
 
-import numpy as np
+from itertools import product
 
-from slam.map_hypotheses.modes import Modes
+import numpy as np
+import pytest
+
+from slam.map_hypotheses.modes import Modes, undiscovered_share
 
 
 def _map(shift_m: float) -> np.ndarray:
@@ -27,3 +30,50 @@ def test_a_map_without_a_weight_does_not_displace_the_others() -> None:
 
     np.testing.assert_array_equal(one.maps, maps[1:])
     np.testing.assert_allclose(none.shares, [0.5, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "tolerance"),
+    [
+        ([1 / 3] * 3, 0.01),
+        ([1 / 6] * 6, 0.01),
+        ([0.4, 0.3, 0.1, 0.1, 0.1], 0.03),
+        ([0.7, 0.1, 0.1, 0.1], 0.07),
+    ],
+)
+def test_what_six_starts_have_not_found_is_told_by_what_they_found_once(
+    probabilities: list[float], tolerance: float
+) -> None:
+    """On average over all outcomes, by enumeration; the bias, of order f2 / n^2, grows with unevenness."""
+    optima, starts = np.asarray(probabilities), 6
+    outcomes = np.asarray(list(product(range(len(optima)), repeat=starts)))
+    probable = optima[outcomes].prod(axis=1)
+    times_found = (outcomes[:, :, None] == np.arange(len(optima))).sum(axis=1)
+
+    told = probable @ [undiscovered_share(each) for each in times_found]
+    missed = probable @ ((times_found == 0) @ optima)
+
+    assert told == pytest.approx(missed, abs=tolerance)
+
+
+def test_starts_that_all_end_in_one_map_leave_nothing_open() -> None:
+    """As it is where nothing was sought, or by one start, which tells nothing of the next."""
+    alone, all_alike = np.asarray([0, 1]), np.asarray([6, 0])
+
+    assert undiscovered_share(all_alike) == undiscovered_share(alone) == 0.0
+
+
+def test_maps_that_a_search_found_once_stand_for_what_it_has_not_found() -> None:
+    """Six starts, six maps: however much likelier the best is, and it stays so."""
+    maps = [_map(0.5 * number) for number in range(8)]
+    log_weights = [-1000.0, 0.0, *[-100.0 * number for number in range(1, 7)]]
+
+    sure = Modes.of(maps, log_weights)
+    unsure = Modes.of(maps, log_weights, range(2, 8))
+
+    np.testing.assert_allclose(sure.shares, [1.0])
+    missed = undiscovered_share(np.ones(6, int))
+    assert missed == pytest.approx(25 / 27)
+    best, *others = (np.asarray([1.0 - missed, 0.0, 0.0, 0.0]) + missed / 7) / (1.0 - missed * 3 / 7)
+    np.testing.assert_allclose(unsure.shares, [best, *others])
+    np.testing.assert_array_equal(unsure.maps, [maps[1], *maps[2:5]])

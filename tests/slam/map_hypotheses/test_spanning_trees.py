@@ -93,11 +93,11 @@ class RingJury:
         return _Place(places[index], self._right(places, index) > 0)
 
     def log_scores(
-        self, keyframes: Sequence[int], poses: NDArray[np.float64], judged: Sequence[int], blur: float
+        self, poses: NDArray[np.float64], judged: Sequence[int], blur: float
     ) -> NDArray[np.float64]:
         """For neighbours that stand right, and one that stands wrong beside the first."""
         del blur
-        maps = [dict(zip(keyframes, one[:, 0, 3].tolist(), strict=True)) for one in poses]
+        maps = [dict(enumerate(one[:, 0, 3].tolist())) for one in poses]
         misled = [any(abs(places[k] - places[0] + WRONG_M) < 1e-6 for k in judged) for places in maps]
         right = [sum(self._right(places, index) for index in judged) for places in maps]
         return PER_NEIGHBOUR * np.asarray(right) + MISLEADING * np.asarray(misled)
