@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from recordings.types import CameraIntrinsics
 from scene.colour.camera_view import pooled_image, square_in_view
 from scene.colour.density import ColourNoise
+from scene.colour.lattice import Lattice
 from scene.colour.light import LampShares
 from scene.colour.posterior import ColourImage, Scene, View, colour_image, seen_together, visible_gain
 from scene.colour.rendering import render
 from scene.colour.scene_samples import SceneSamples, sampled
-from scene.colour.search import Searcher, find_under_any_lamp
+from scene.colour.search import find, find_under_any_lamp
 from scene.colour.surroundings import Surroundings
 from scene.colour.weighing import FoundScene
 from scene.colour.world import Kind, Light, TableWorld
@@ -67,12 +68,12 @@ def parse_colour(
         light=_light(config),
         noise=ColourNoise(),
     )
-    searcher = Searcher.of(world)
+    lattice = Lattice.of(world)
     if config.light:
-        found, lamps = searcher.find(image), LampShares.known(world.light)
+        found, lamps = find(lattice, image), LampShares.known(world.light)
     else:
-        searcher, found, lamps = find_under_any_lamp(searcher, image)
-    world, seen = searcher.world, colour_image(searcher.world, image)
+        lattice, found, lamps = find_under_any_lamp(lattice, image)
+    world, seen = lattice.world, colour_image(lattice.world, image)
     rng = np.random.default_rng(seed)
     samples = sampled(rng, world, seen, found, lamps, config.sweeps, config.chains)
     return _summary(world, seen, found, samples, frame), _strange_share(world, seen, found.best.scene)
@@ -106,7 +107,8 @@ def _summary(
     parents = np.full((kept, count), ROOT, np.int32)
     parents[:, taken] = count
     shown, nats = np.zeros(count), np.zeros(count)
-    view = _seen(world, found.best.scene)
+    best = found.best.scene
+    view = seen_together(world, render(world, best.kinds, best.poses))
     shown[taken], nats[taken] = _visible_share(view), visible_gain(world, image, view)
     numbers = [(kind, copy + 1) for kind in range(len(names)) for copy in range(world.most)]
     shares = np.array([samples.at_least(*one) for one in numbers])
@@ -161,10 +163,6 @@ def _standing(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     zero = np.zeros(half.shape)
     turn = [np.cos(half), zero, zero, np.sin(half)]
     return matrices_of(np.stack([*turn, poses[..., 0], poses[..., 1], zero], axis=-1))
-
-
-def _seen(world: TableWorld, scene: Scene) -> View:
-    return seen_together(world, render(world, scene.kinds, scene.poses))
 
 
 def _visible_share(view: View) -> NDArray[np.float64]:

@@ -37,8 +37,7 @@ class ParseConfig:
         graph: `infer` samples scene graphs, `fixed` keeps every object floating, which costs nothing then
             (the ablation 3DP3*); `search` lets things rest in the search alone.
         likelihood: what chains compare: `depth` images pixel by pixel, or the paper's point clouds (`cloud`).
-        colour: `off` reads depth alone, `only` colour alone (`scene.colour_parsing`); `add` compares both in
-            the search.
+        colour: `off` reads depth alone, `only` colour alone (`scene.colour_parsing`); `add` compares both.
         colour_weight: of `add`: exponent of the colours' factor; 0 leaves it out.
         table: of `only`: height of the camera over the table in metres, its pitch downwards and its roll in
             degrees; none takes the recorded pose over the plane z = 0 or the depth.
@@ -167,5 +166,5 @@ class ParseConfig:
 
     @property
     def adds_colour(self) -> bool:
-        """Whether the search compares colours beside depth."""
+        """Whether colours are compared beside depth."""
         return self.colour == "add" and self.colour_weight > 0

@@ -20,9 +20,8 @@ from scene.initialisation import initialise
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
-from scene.model.presence import LOG_SPINS, log_prior_odds
+from scene.model.number_prior import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import unproject
 from scene.observation.frame_data import SceneData
 from scene.presence.depth_candidates import PresenceFrames, nearest_shown
 from scene.presence.size_prior import SizePrior
@@ -169,8 +168,7 @@ def visible_fractions(
 
 def _foreground(view: SceneData, first_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points (N, 3) in the first camera's frame that may show an object."""
-    seen = unproject(np.asarray(view.view.depth_m), view.view.camera)[view.foreground]
-    return transform_points(first_from_camera, seen)
+    return transform_points(first_from_camera, view.view.points_m[view.foreground])
 
 
 def _cells(points_m: NDArray[np.float64]) -> int:
@@ -190,8 +188,7 @@ def _best_of_each(
     frames = PresenceFrames(compared=compared, renderer=renderer, log_half=log_half)
     in_world = compared.world_from_camera @ matrices_of(np.concatenate([one.poses for one in starts]))
     states = np.concatenate([poses_of(in_world), np.tile(log_half, (len(starts), 1))], axis=1)
-    whole = np.zeros(len(states), np.intp)
-    shown = frames.shown(np.tile(np.arange(count), len(starts)), states, whole)
+    shown = frames.shown(np.tile(np.arange(count), len(starts)), states)
     depth_m, log_gain = (part.reshape(len(starts), count, -1) for part in shown)
     found = np.stack([one.found for one in starts])
     log_odds = np.full(found.shape, log_prior_odds(config.presence))

@@ -79,33 +79,22 @@ def refine_poses(
     world_from_camera = compared.world_from_camera
     best = poses_of(world_from_camera @ matrices_of(start.poses))
     particles = np.repeat(best[:, None], PARTICLES, axis=1)
-    priors = _pose_priors(compared, objects, start, best[start.found, 4:], config)
+    supports = carrying(compared.data.supports, objects, start)
+    prior = pose_prior(supports, prior_space(compared.data.table, best[start.found, 4:]), config)
+    priors = PosePriors.over(prior, compared, supports, objects, len(objects), config)
     frames = PresenceFrames(compared=compared, renderer=renderer, log_half=priors.sizes.log_half)
     for one in np.flatnonzero(start.found).tolist():
-        seen = _SeenObject.beside(frames, priors, one, best, start.found)
+        log_density = _log_density_beside(frames, priors, one, best, start.found)
         seeds = poses_of(world_from_camera @ matrices_of(_seeds(start, objects[one], one)))
         poses, log_densities = anneal(
             rng,
-            seen.log_density,
+            log_density,
             seeds,
             Steps(line=objects[one].spin_line, spins_freely=objects[one].spins_freely),
         )
         particles[one] = poses[np.argsort(-log_densities, kind="stable")]
         best[one] = particles[one, 0]
     return particles
-
-
-def _pose_priors(
-    compared: ComparedFrames,
-    objects: Sequence[SceneObject],
-    start: Initialisation,
-    places_m: NDArray[np.float64],
-    config: ParseConfig,
-) -> PosePriors:
-    """Those of chains that start at places (P, 3) in the world."""
-    supports = carrying(compared.data.supports, objects, start)
-    prior = pose_prior(supports, prior_space(compared.data.table, places_m), config)
-    return PosePriors.over(prior, compared, supports, objects, len(objects), config)
 
 
 def _seeds(start: Initialisation, known: SceneObject, one: int) -> NDArray[np.float64]:
@@ -118,54 +107,34 @@ def _seeds(start: Initialisation, known: SceneObject, one: int) -> NDArray[np.fl
     return distinct(poses_of((matrices_of(poses)[:, None] @ alike[None]).reshape(-1, 4, 4)))[:MOST_SEEDS]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _SeenObject:
-    """One object before the others.
-
-    Attributes:
-        frames: what is seen.
-        priors: of poses.
-        one: its number.
-        front_m: (X,) depth of the others, +inf where none is.
-        front_gain: (X,) their log gain.
-    """
-
-    frames: PresenceFrames
-    priors: PosePriors
-    one: int
-    front_m: NDArray[np.float32]
-    front_gain: NDArray[np.float32]
-
-    @classmethod
-    def beside(
-        cls,
-        frames: PresenceFrames,
-        priors: PosePriors,
-        one: int,
-        poses: NDArray[np.float64],
-        found: NDArray[np.bool_],
-    ) -> _SeenObject:
-        """Beside all others `found` (N,) at poses (N, 7) world_from_box."""
-        front_m, front_gain = np.full(frames.pixels, np.inf, np.float32), np.zeros(frames.pixels, np.float32)
-        others = np.flatnonzero(found & (np.arange(len(found)) != one))
-        if len(others):
-            states = np.concatenate([poses[others], frames.log_half[others]], axis=1)
-            front_m, front_gain = nearest_shown(*frames.shown(others, states, np.zeros(len(others), np.intp)))
-        return cls(frames=frames, priors=priors, one=one, front_m=front_m, front_gain=front_gain)
-
-    def log_density(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Log likelihood over that without the object, and log prior, (S,) of poses (S, 7) world_from_box."""
-        owners, log_half = np.full(len(poses), self.one), self.frames.log_half[self.one]
-        states = np.concatenate([poses, np.tile(log_half, (len(poses), 1))], axis=1)
-        shown = self.frames.shown(owners, states, np.zeros(len(poses), np.intp))
-        half_m = np.tile(np.exp(log_half), (1, len(poses), 1))
-        log_prior = self.priors.log_alone(poses[None], half_m)[0]
-        log_prior += self.priors.log_not_buried(np.array([self.one]), poses[None])[0]
-        return gain_before(shown, (self.front_m, self.front_gain)), log_prior
-
-
 LogDensity = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 """Log likelihood and log prior (S,) of poses (S, 7)."""
+
+
+def _log_density_beside(
+    frames: PresenceFrames,
+    priors: PosePriors,
+    one: int,
+    poses: NDArray[np.float64],
+    found: NDArray[np.bool_],
+) -> LogDensity:
+    """That of one object over the scene without it, beside all others `found` (N,) at poses (N, 7)."""
+    front = np.full(frames.pixels, np.inf, np.float32), np.zeros(frames.pixels, np.float32)
+    others = np.flatnonzero(found & (np.arange(len(found)) != one))
+    if len(others):
+        states = np.concatenate([poses[others], frames.log_half[others]], axis=1)
+        front = nearest_shown(*frames.shown(others, states))
+
+    def log_density(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        owners, log_half = np.full(len(poses), one), frames.log_half[one]
+        states = np.concatenate([poses, np.tile(log_half, (len(poses), 1))], axis=1)
+        shown = frames.shown(owners, states)
+        half_m = np.tile(np.exp(log_half), (1, len(poses), 1))
+        log_prior = priors.log_alone(poses[None], half_m)[0]
+        log_prior += priors.log_not_buried(np.array([one]), poses[None])[0]
+        return gain_before(shown, front), log_prior
+
+    return log_density
 
 
 def anneal(

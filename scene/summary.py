@@ -14,8 +14,7 @@ from scene.common_errors import with_common_errors
 from scene.config import ParseConfig
 from scene.copies import copies_among
 from scene.hidden.hidden_places import HiddenPlaces
-from scene.mcmc.samples import Samples
-from scene.mcmc.sampling import SampledScenes
+from scene.mcmc.sampling import SampledScenes, Samples
 from scene.model.scene_graph import ROOT
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import FoundObjects

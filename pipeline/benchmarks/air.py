@@ -19,8 +19,9 @@ from pipeline.evaluation.intervals import wilson_interval
 from pipeline.simplification import few_triangles
 from pipeline.synthesis.air import AirScene, air_scene, air_world
 from scene.colour.camera_view import LONGEST_PX, pooled_image
+from scene.colour.lattice import Lattice
 from scene.colour.posterior import colour_image, log_posterior
-from scene.colour.search import Searcher, find_under_any_lamp
+from scene.colour.search import find, find_under_any_lamp
 from scene.colour.weighing import FoundScene
 from scene.colour.world import Light, TableWorld
 
@@ -96,7 +97,7 @@ def measure_air(
     rows = {row.scene: row for row in read_rows(path)} if path else {}
     started = time.perf_counter()
     world = air_world(*size)
-    searcher = Searcher.of(searched(world))
+    searcher = Lattice.of(searched(world))
     set_up_s = time.perf_counter() - started
     wanted = range(first, first + scenes)
     for number in wanted:
@@ -130,7 +131,7 @@ def _lamp(number: int) -> Light:
     return Light(direction=(across * np.cos(turn), across * np.sin(turn), up), ambient=ambient)
 
 
-def _row(searcher: Searcher, scene: AirScene, number: int, any_lamp: bool) -> AirRow:
+def _row(searcher: Lattice, scene: AirScene, number: int, any_lamp: bool) -> AirRow:
     image, camera = scene.image, air_world(*scene.image.shape[1::-1]).camera
     if max(camera.width, camera.height) > LONGEST_PX:
         rgb = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
@@ -139,7 +140,7 @@ def _row(searcher: Searcher, scene: AirScene, number: int, any_lamp: bool) -> Ai
     if any_lamp:
         searcher, found, _ = find_under_any_lamp(searcher, image)
     else:
-        found = searcher.find(image)
+        found = find(searcher, image)
     seconds, core_seconds = time.perf_counter() - started, time.process_time() - core_started
     world = searcher.world
     truth = log_posterior(world, colour_image(world, image), scene.truth)

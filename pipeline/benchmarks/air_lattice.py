@@ -19,11 +19,12 @@ from scene.colour.chains import State, Target, kinds_of, log_spins, sample_scene
 from scene.colour.density import ColourNoise, sample
 from scene.colour.lattice import Lattice
 from scene.colour.posterior import (
+    OVERLAP_M,
     ColourImage,
     Scene,
-    boxes_overlap,
     colour_image,
     log_prior,
+    overlap_depths,
     seen_together,
     segments_of,
     visible_gain,
@@ -254,7 +255,7 @@ def _states(world: TableWorld) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 def _overlaps(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     count = len(kinds)
     both = np.repeat(kinds[:, None], count, axis=1), np.repeat(poses[:, None], count, axis=1)
-    return boxes_overlap(world, *both, both[0].T, both[1].swapaxes(0, 1))
+    return overlap_depths(world, *both, both[0].T, both[1].swapaxes(0, 1))[0] > OVERLAP_M
 
 
 def _log_posteriors(

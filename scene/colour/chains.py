@@ -61,7 +61,7 @@ Target = Callable[[Scene, int], float]
 
 def log_spins(world: TableWorld, scene: Scene) -> float:
     """Log prior of the yaws that round things carry along."""
-    return -np.log(2 * np.pi) * sum(world.kinds[kind].turns == 0 for kind in scene.kinds)
+    return -np.log(2 * np.pi) * world.spins[scene.kinds].sum()
 
 
 def sample_scenes(

@@ -43,6 +43,8 @@ VOTES = 0.5
 """Share that a thing fills of the pixels that vote."""
 FITS = 5
 """Steps of expectation and maximisation after the vote; the last changes an albedo by under 1e-4."""
+FITS_OF_MANY = 3
+"""The same where many things are tried; two more change evidences by 0.05 nats."""
 STORED = 256
 """Values of a channel; an outlier takes each as likely."""
 LEAST = 1e-30
@@ -152,10 +154,6 @@ class Segments:
         pixels = (self.share[rows], self.base[rows], *others)
         return Segments(start, self.colour[rows], self.lit[rows], self.is_known[chosen], *pixels)
 
-    def prior(self, noise: ColourNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Mean and standard deviation (B, 1) of a Gaussian that is, or is near, the prior of the factor a."""
-        return factor_prior(self.is_known[:, None], noise)
-
     def variances(self, factor: NDArray[np.floating], noise: ColourNoise) -> NDArray[np.floating] | float:
         """Of colours (P, C, ...), given the factors (P, C, ...) of their objects."""
         if self.unresolved is None:
@@ -211,7 +209,7 @@ class Fit:
 
 def fit(segments: Segments, noise: ColourNoise, steps: int = FITS) -> Fit:
     """A vote, then expectation and maximisation."""
-    mean, sd = segments.prior(noise)
+    mean, sd = factor_prior(segments.is_known[:, None], noise)
     factor, precision = _voted(segments, mean), np.zeros(mean.shape) + sd**-2
     rest = segments.colour - segments.base
     clipped = np.isinf(segments.colour)
@@ -245,14 +243,14 @@ def _expected(
 
 def laplace_evidence(
     segments: Segments, noise: ColourNoise, fitted: Fit | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Log evidence (B,) by a Gaussian at the most probable factors (B, C), and these; for searching."""
+) -> NDArray[np.float64]:
+    """Log evidence (B,) by a Gaussian at the most probable factors (B, C); for searching."""
     fitted = fit(segments, noise) if fitted is None else fitted
     rendered = segments.own * fitted.factor[segments.owner] + segments.base
     density = log_density(segments.colour, rendered, noise, np.sqrt(fitted.variance))
     joint = sums(segments.start, density) + _log_prior(fitted.factor, segments.is_known[:, None], noise)
     evidence = joint + 0.5 * np.log(2 * np.pi / fitted.precision)
-    return np.where(np.diff(segments.start) > 0, evidence.sum(axis=1), 0.0), fitted.factor
+    return np.where(np.diff(segments.start) > 0, evidence.sum(axis=1), 0.0)
 
 
 def albedo_evidence(segments: Segments, noise: ColourNoise) -> NDArray[np.float64]:

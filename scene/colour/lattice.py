@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from scene.colour.density import fit, sums
+from scene.colour.density import FITS_OF_MANY, fit, sums
 from scene.colour.rendering import SAMPLES, Layers, render_with_normals
 from scene.colour.surroundings import Placed, Surroundings, forbidden
 from scene.colour.world import Light, TableWorld
@@ -34,8 +34,6 @@ OF_EACH_KIND = 3
 """Candidates of each kind at a site: a mug's handle may be taken to be on any side, ..."""
 OF_EACH_SITE = 4
 """... of all kinds together: of 117 things of development scenes 115 are among the first three."""
-FITS = 3
-"""Steps by which their albedos are fitted; two more change evidences by 0.05 nats."""
 BLUR = 2.0
 """Times the noise with which states are judged, being half a cell off."""
 PARTED = 1.5
@@ -168,7 +166,7 @@ def _gains(lattice: Lattice, around: Surroundings, states: NDArray[np.int64]) ->
     """Of states (B,)."""
     world, noise = lattice.world, lattice.world.noise.blurred(BLUR)
     placed = Placed.of(world, around, lattice.layers.of(states), np.zeros(len(states), np.int64), rough=True)
-    return placed.gains(noise, fit(placed.segments, noise, steps=FITS))
+    return placed.gains(noise, fit(placed.segments, noise, steps=FITS_OF_MANY))
 
 
 def _parted(lattice: Lattice, states: NDArray[np.int64], ranked: NDArray[np.int64], wanted: int) -> list[int]:

@@ -62,7 +62,7 @@ class LampShares:
             shade=np.concatenate([light.shade(normals) for light in tried]),
         )
         view = seen_together(world, every, np.repeat(np.arange(tiled), things))
-        values, _ = laplace_evidence(segments_of(world, image, view), world.noise)
+        values = laplace_evidence(segments_of(world, image, view), world.noise)
         values = values.reshape(len(tried), len(scene)).sum(axis=1)
         shares = np.exp(values - np.logaddexp.reduce(values))
         return cls(tried, np.log((1 - EVENLY) * shares + EVENLY / len(tried)))

@@ -96,9 +96,8 @@ def log_prior(world: TableWorld, scene: Scene) -> float:
         return -np.inf
     if overlapping(world, scene).any():
         return -np.inf
-    round_ones = np.array([world.kinds[kind].turns == 0 for kind in scene.kinds], np.bool_)
     each = -np.log(len(world.kinds)) - 2 * np.log(2 * world.half_m)
-    spins = (~round_ones).sum() * np.log(2 * np.pi)
+    spins = (~world.spins[scene.kinds]).sum() * np.log(2 * np.pi)
     return float(len(scene) * each - spins + gammaln(len(scene) + 1) - np.log(world.most + 1))
 
 
@@ -189,20 +188,8 @@ def overlapping(world: TableWorld, scene: Scene) -> NDArray[np.bool_]:
     """Which pairs (N, N) of different things overlap by more than `OVERLAP_M`."""
     poses = np.repeat(scene.poses[:, None], len(scene), axis=1)
     kinds = np.repeat(scene.kinds[:, None], len(scene), axis=1)
-    both = boxes_overlap(world, kinds, poses, kinds.T, poses.swapaxes(0, 1))
-    return both & ~np.eye(len(scene), dtype=np.bool_)
-
-
-def boxes_overlap(
-    world: TableWorld,
-    kinds: NDArray[np.int64],
-    poses: NDArray[np.float64],
-    other_kinds: NDArray[np.int64],
-    other_poses: NDArray[np.float64],
-    overlap_m: float = OVERLAP_M,
-) -> NDArray[np.bool_]:
-    """Whether boxes (...) overlap others (...) by more than so much along each axis that could part them."""
-    return overlap_depths(world, kinds, poses, other_kinds, other_poses)[0] > overlap_m
+    depths, _ = overlap_depths(world, kinds, poses, kinds.T, poses.swapaxes(0, 1))
+    return (depths > OVERLAP_M) & ~np.eye(len(scene), dtype=np.bool_)
 
 
 def overlap_depths(

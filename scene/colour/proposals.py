@@ -73,9 +73,9 @@ class FoundThings:
             chosen = rng.choice(len(self.kinds), size=len(near), p=self.shares / self.shares.sum())
             kinds[near] = self.kinds[chosen]
             poses[near] = self.means[chosen] + self._drawn(rng, chosen)
-            turns = np.maximum(self._turns[kinds[near]], 1)
+            turns = np.maximum(self.world.turns[kinds[near]], 1)
             poses[near, 2] += rng.integers(turns) * (2 * np.pi / turns)
-            spins = near[self._turns[kinds[near]] == 0]
+            spins = near[self.world.turns[kinds[near]] == 0]
             poses[spins, 2] = rng.uniform(0, 2 * np.pi, len(spins))
             poses[:, 2] %= 2 * np.pi
         return kinds, poses
@@ -86,7 +86,7 @@ class FoundThings:
         inside = (np.abs(poses[:, :2]) <= self.world.half_m).all(axis=1)
         density = inside * (self.anywhere / (len(self.world.kinds) * side**2 * 2 * np.pi))
         apart = poses[:, None] - self.means  # (B, M, 3)
-        turns, spins = self._turns[self.kinds], self._turns[self.kinds] == 0
+        turns, spins = self.world.turns[self.kinds], self.world.turns[self.kinds] == 0
         period = 2 * np.pi / np.maximum(turns, 1)
         apart[..., 2] -= period * np.round(apart[..., 2] / period)
         away = np.repeat(apart[:, :, None], len(WRAPS), axis=2)
@@ -115,7 +115,3 @@ class FoundThings:
         """Displacements (B, 3) from things, of spreads chosen evenly."""
         spread = rng.choice(SPREADS, (len(chosen), 1)) * rng.standard_normal((len(chosen), 3))
         return np.einsum("bij,bj->bi", np.linalg.cholesky(self.covariance)[chosen], spread)
-
-    @property
-    def _turns(self) -> NDArray[np.int64]:
-        return np.array([kind.turns for kind in self.world.kinds])

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.colour.density import fit, sums
+from scene.colour.density import FITS_OF_MANY, fit, sums
 from scene.colour.rendering import SAMPLES, Layers, Motion, Neighbours, render_with_motion
 from scene.colour.surroundings import Placed, Surroundings, forbidden, pushed_out
 from scene.colour.world import TableWorld
 
-FITS = 3
-"""Steps by which albedos are fitted; two more change evidences by 0.05 nats."""
 LONGEST_STEP = np.array([0.015, 0.015, 0.4])
 """Three quarters of a lattice cell: metres, metres, radians."""
 BLURS = (8.0, 4.0, 2.0)
@@ -175,7 +173,7 @@ def _stepped(
     noise = world.noise.blurred(blur)
     placed = Placed.of(world, around, layers, images, rough=blur > 1.0)
     segments = placed.segments
-    fitted = fit(segments, noise, steps=FITS)
+    fitted = fit(segments, noise, steps=FITS_OF_MANY)
     factor = fitted.factor[segments.owner]
     contrast = placed.free * segments.lit * factor - placed.behind
     lit_change = _lit_change(world, layers, motion, around.image.colour.shape[1])

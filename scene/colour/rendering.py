@@ -120,11 +120,9 @@ class Motion:
     velocity: NDArray[np.float64]
 
 
-def render(
-    world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64], samples: int = SAMPLES
-) -> Layers:
+def render(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> Layers:
     """Things (B,) of these kinds at poses (B, 3), each alone."""
-    return render_with_normals(world, kinds, poses, samples)[0]
+    return render_with_normals(world, kinds, poses)[0]
 
 
 def render_with_normals(

@@ -87,7 +87,7 @@ def sampled(
         poses.append(own_poses)
         values.append(own_values)
     every = np.stack(poses, axis=1)
-    spins = [world.kinds[kind].turns == 0 for kind in found.best.scene.kinds]
+    spins = world.spins[found.best.scene.kinds]
     every[..., spins, 2] = rng.uniform(0, 2 * np.pi, (*every.shape[:2], sum(spins)))
     share = moved / max(chains * (sweeps - dropped - 1), 1)
     return SceneSamples(every.reshape(-1, *every.shape[2:]), np.stack(values, axis=1).ravel(), share, kinds)
@@ -124,6 +124,6 @@ def _paired(world: TableWorld, scene: Scene, best: Scene) -> NDArray[np.float64]
     apart = np.linalg.norm(best.poses[:, None, :2] - scene.poses[None, :, :2], axis=-1)
     order = linear_sum_assignment(apart + FAR * (best.kinds[:, None] != scene.kinds[None]))[1]
     poses = scene.poses[order].copy()
-    period = 2 * np.pi / np.maximum([world.kinds[kind].turns for kind in best.kinds], 1)
+    period = 2 * np.pi / np.maximum(world.turns[best.kinds], 1)
     poses[:, 2] -= period * np.round((poses[:, 2] - best.poses[:, 2]) / period)
     return poses

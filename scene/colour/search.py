@@ -9,7 +9,7 @@ gives p(N | image). A search: what it misses it does not count.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -22,7 +22,7 @@ from scene.colour.refinement import TURNED, Refined, refine, shaken
 from scene.colour.rendering import render
 from scene.colour.surroundings import Surroundings, parted
 from scene.colour.weighing import FoundScene, Posed, Weighed, laplace_gains, weighed_scene
-from scene.colour.world import Light, TableWorld
+from scene.colour.world import TableWorld
 
 COMPARED = 3
 """Refined candidates whose scenes are weighed together with their surroundings."""
@@ -51,12 +51,16 @@ DOUBTFUL_NATS = 20.0
 class _Table:
     """The search on one image: the best scene of each number and kinds so far."""
 
-    world: TableWorld
     lattice: Lattice
     image: ColourImage
     found: dict[tuple[int, ...], Weighed] = field(default_factory=dict)
     grown: dict[bytes, list[Weighed]] = field(default_factory=dict)
     excess: dict[bytes, NDArray[np.float64]] = field(default_factory=dict)
+
+    @property
+    def world(self) -> TableWorld:
+        """Of the lattice."""
+        return self.lattice.world
 
     def weigh(self, posed: Sequence[Posed]) -> list[Weighed]:
         """By Laplace; each is kept if it is the best of its number and kinds."""
@@ -287,54 +291,42 @@ def _key(scene: Scene) -> bytes:
     return scene.kinds.tobytes() + scene.poses.tobytes()
 
 
-@dataclass(frozen=True, eq=False)
-class Searcher:
-    """A world with its lattice rendered; `find` serves every image of its camera."""
+def find(lattice: Lattice, image: NDArray[np.floating]) -> FoundScene:
+    """The most probable scene of an image (H, W, C) in 0..1, linear in light, its median the table.
 
-    world: TableWorld
-    lattice: Lattice
-
-    @classmethod
-    def of(cls, world: TableWorld) -> Searcher:
-        """Render the lattice."""
-        return cls(world, Lattice.of(world))
-
-    def under(self, light: Light) -> Searcher:
-        """The same under another lamp."""
-        return Searcher(replace(self.world, light=light), self.lattice.under(light))
-
-    def find(self, image: NDArray[np.floating]) -> FoundScene:
-        """The most probable scene of an image (H, W, C) in 0..1, linear in light, its median the table."""
-        table = _Table(self.world, self.lattice, colour_image(self.world, image))
-        (best,) = table.weigh([(Scene.empty(), np.zeros((0, 3, 3)))])
-        while (more := max([best, *table.added(best)], key=_evidence)) is not best:
-            best = table.settled(more)
-        if (turned := table.spun(best)) is not best:
-            best = table.settled(turned)
-        for _ in range(MENDS):
-            before, best = best, table.mended(best)
-            if best is before:
-                break
-        best = table.shaken(best)
-        table.lessened(best)
-        return table.summed(best)
+    Args:
+        lattice: rendered, of the image's camera; it serves every image.
+        image: that is searched.
+    """
+    table = _Table(lattice, colour_image(lattice.world, image))
+    (best,) = table.weigh([(Scene.empty(), np.zeros((0, 3, 3)))])
+    while (more := max([best, *table.added(best)], key=_evidence)) is not best:
+        best = table.settled(more)
+    if (turned := table.spun(best)) is not best:
+        best = table.settled(turned)
+    for _ in range(MENDS):
+        before, best = best, table.mended(best)
+        if best is before:
+            break
+    best = table.shaken(best)
+    table.lessened(best)
+    return table.summed(best)
 
 
 def find_under_any_lamp(
-    searcher: Searcher, image: NDArray[np.floating]
-) -> tuple[Searcher, FoundScene, LampShares]:
-    """What is found under the searcher's lamp tells the lamp; the search is made again under the best one.
+    lattice: Lattice, image: NDArray[np.floating]
+) -> tuple[Lattice, FoundScene, LampShares]:
+    """What is found under the lattice's lamp tells the lamp; the search is made again under the best one.
 
     Args:
-        searcher: of any lamp.
-        image: as `Searcher.find` takes it.
+        lattice: of any lamp.
+        image: as `find` takes it.
     """
-    found = searcher.find(image)
+    found, world = find(lattice, image), lattice.world
     if not len(found.best.scene):
-        return searcher, found, LampShares.known(searcher.world.light)
-    view = colour_image(searcher.world, image)
-    lamps = LampShares.of(searcher.world, view, found.best.scene)
-    if lamps.most_probable != searcher.world.light:
-        searcher = searcher.under(lamps.most_probable)
-        found = searcher.find(image)
-    return searcher, found, lamps
+        return lattice, found, LampShares.known(world.light)
+    lamps = LampShares.of(world, colour_image(world, image), found.best.scene)
+    if lamps.most_probable != world.light:
+        lattice = lattice.under(lamps.most_probable)
+        found = find(lattice, image)
+    return lattice, found, lamps

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from scene.colour.density import ColourNoise, Fit, Segments, laplace_evidence, log_density, sums
+from scene.colour.density import ColourNoise, Fit, Segments, fit, laplace_evidence, log_density, sums
 from scene.colour.posterior import (
     OVERLAP_M,
     ColourImage,
     Scene,
-    boxes_overlap,
     overlap_depths,
     seen_together,
     segments_of,
@@ -112,7 +111,7 @@ class Explained:
         """Things (B,) that stand in these scenes (B,)."""
         view = seen_together(world, layers, scenes)
         segments = segments_of(world, image, view)
-        _, albedo = laplace_evidence(segments, world.noise)
+        albedo = fit(segments, world.noise).factor
         own = view.share[:, None] * layers.lit(image.colour.shape[1]) * albedo[layers.owner]
         self.rendered[view.place] = view.table[:, None] * image.table_colour
         np.add.at(self.rendered, view.place, own)
@@ -196,8 +195,7 @@ class Placed:
 
     def gains(self, noise: ColourNoise, fitted: Fit) -> NDArray[np.float64]:
         """What each would add to the log evidence (B,), by Laplace."""
-        evidence, _ = laplace_evidence(self.segments, noise, fitted)
-        return evidence - sums(self.segments.start, self.explained)
+        return laplace_evidence(self.segments, noise, fitted) - sums(self.segments.start, self.explained)
 
 
 def forbidden(
@@ -211,5 +209,5 @@ def forbidden(
     outside = np.asarray((np.abs(poses[:, :2]) > world.half_m).any(axis=1))
     for kind, pose in zip(rest.kinds, rest.poses, strict=True):
         others = np.full(len(kinds), kind), np.broadcast_to(pose, poses.shape)
-        outside |= boxes_overlap(world, kinds, poses, *others, overlap_m)
+        outside |= overlap_depths(world, kinds, poses, *others)[0] > overlap_m
     return outside

@@ -61,7 +61,7 @@ def laplace_gains(world: TableWorld, image: ColourImage, scenes: Sequence[Scene]
     view = seen_together(world, layers, owner)
     segments = segments_of(world, image, view)
     table = np.concatenate([[0], np.cumsum(image.table[layers.pixel[view.leads]])])
-    gains = laplace_evidence(segments, world.noise)[0] - np.diff(table[segments.start])
+    gains = laplace_evidence(segments, world.noise) - np.diff(table[segments.start])
     return np.asarray(np.bincount(owner, gains, minlength=len(scenes)), np.float64)
 
 
@@ -69,6 +69,6 @@ def weighed_scene(
     world: TableWorld, scene: Scene, covariance: NDArray[np.float64], log_density: float
 ) -> Weighed:
     """With the volume (Laplace 1774) of the poses under their Gaussians (N, 3, 3)."""
-    turns = np.array([world.kinds[kind].turns for kind in scene.kinds], np.int64)
+    turns = world.turns[scene.kinds]
     volume = 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1].sum() + np.log(np.maximum(turns, 1)).sum()
     return Weighed(scene, covariance, log_density, log_density + float(volume))

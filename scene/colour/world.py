@@ -182,9 +182,14 @@ class TableWorld:
         return np.array([float(np.linalg.norm(np.abs(one.middle_m) + one.half_m)) for one in self.kinds])
 
     @cached_property
+    def turns(self) -> NDArray[np.int64]:
+        """(K,) by how many turns each kind looks the same."""
+        return np.array([kind.turns for kind in self.kinds])
+
+    @cached_property
     def spins(self) -> NDArray[np.bool_]:
         """(K,) whether the yaw says nothing, of each kind."""
-        return np.array([kind.turns == 0 for kind in self.kinds])
+        return self.turns == 0
 
     @cached_property
     def face_tints(self) -> NDArray[np.float64]:

@@ -49,11 +49,6 @@ class SeenImage:
     rest_m: NDArray[np.float32]
     weight: float = 1.0
 
-    def middle_seen(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether world points (n, 3) project into the image."""
-        in_camera_m = transform_points(self.camera_from_world, points_m)
-        return project_into(self.camera, self.observed_m.shape, in_camera_m)
-
 
 def project_into(
     camera: Camera | CameraIntrinsics, shape: tuple[int, ...], points_m: NDArray[np.float64]
@@ -86,7 +81,11 @@ class DepthImages:
 
     def seen(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether world points (n, 3) project into any image."""
-        return np.any([image.middle_seen(points_m) for image in self.images], axis=0)
+        seen = [
+            project_into(one.camera, one.observed_m.shape, transform_points(one.camera_from_world, points_m))
+            for one in self.images
+        ]
+        return np.any(seen, axis=0)
 
     def layers(self, one: SceneObject, world_from_box: NDArray[np.float64]) -> NDArray[np.float32]:
         """Depth (n, H, W) of an object alone at poses (n, 4, 4) in the first image; +inf where it is not."""

@@ -98,25 +98,19 @@ def hidden_places(
         ValueError: there is no room for an object asked for exactly, or nothing tells where it might be.
     """
     places = HiddenPlaces.none(len(objects))
-    surroundings = _Surroundings(
-        views=views,
-        camera_from_world=camera_from_world,
-        supports=tuple(supports),
-        noise=noise,
-        config=config,
-    )
+    around = views, camera_from_world, tuple(supports), noise, config
     missing = [one for one in range(len(objects)) if one not in placed]
     asked = [one for one in missing if objects[one].name in config.exact]
     if not supports and not config.region:
         if asked:
             raise ValueError("no support was found; tell with --region where hidden objects may be")
         return places
-    beside_all = surroundings.beside(placed)
+    beside_all = _beside(placed, *around)
     for one in range(len(objects)):
         if one in asked:
             continue
         others = {number: known for number, known in placed.items() if number != one}
-        prior, images = surroundings.beside(others) if one in placed else beside_all
+        prior, images = _beside(others, *around) if one in placed else beside_all
         with suppress(NoRoomError):
             ratio = mean_ratio(rng, [objects[one]], prior, images, draws=DRAWS, keep=KEPT)
             places.share[one], places.share_std[one] = ratio.mean, ratio.standard_error
@@ -134,31 +128,26 @@ def hidden_places(
     return replace(places, both=exact.both)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Surroundings:
-    """Where objects may be out of sight; attributes as the arguments of `hidden_places`."""
-
-    views: Sequence[SceneData]
-    camera_from_world: NDArray[np.float64]
-    supports: tuple[Support, ...]
-    noise: DepthNoise
-    config: ParseConfig
-
-    def beside(self, placed: Mapping[int, PlacedObject]) -> tuple[PosePrior, DepthImages]:
-        """The prior of poses beside some objects, at rest in sight or in the region, and what images say."""
-        known = list(placed.values())
-        images = DepthImages(
-            [
-                seen_image(view.view, pose, known, pixel_weight(view))
-                for view, pose in zip(self.views, self.camera_from_world, strict=True)
-            ],
-            self.noise,
-        )
-        if self.supports:
-            return RestingPoses(supports=self.supports, others=tuple(known), in_sight=images.seen), images
-        low_m, high_m = np.array(self.config.region[:3]), np.array(self.config.region[3:])
-        world_from_first = np.asarray(np.linalg.inv(self.camera_from_world[0]), np.float64)
-        return EulerUniformPoses(low_m=low_m, high_m=high_m, world_from_cuboid=world_from_first), images
+def _beside(
+    placed: Mapping[int, PlacedObject],
+    views: Sequence[SceneData],
+    camera_from_world: NDArray[np.float64],
+    supports: tuple[Support, ...],
+    noise: DepthNoise,
+    config: ParseConfig,
+) -> tuple[PosePrior, DepthImages]:
+    """The prior of poses beside some objects, at rest in sight or in the region, and what images say."""
+    known = list(placed.values())
+    seen = [
+        seen_image(view.view, pose, known, pixel_weight(view))
+        for view, pose in zip(views, camera_from_world, strict=True)
+    ]
+    images = DepthImages(seen, noise)
+    if supports:
+        return RestingPoses(supports=supports, others=tuple(known), in_sight=images.seen), images
+    low_m, high_m = np.array(config.region[:3]), np.array(config.region[3:])
+    world_from_first = np.asarray(np.linalg.inv(camera_from_world[0]), np.float64)
+    return EulerUniformPoses(low_m=low_m, high_m=high_m, world_from_cuboid=world_from_first), images
 
 
 def pixel_weight(view: SceneData) -> float:

@@ -97,14 +97,10 @@ class ColourLayers:
     @classmethod
     def of(
         cls, data: SceneData, objects: Sequence[SceneObject], depth_density: PixelDensity, gamma: float
-    ) -> ColourLayers:
-        """Those of a frame.
-
-        Raises:
-            ValueError: it has no colours.
-        """
+    ) -> ColourLayers | None:
+        """Those of a frame; None where its colours are not compared."""
         if data.rgb is None:
-            raise ValueError("the frame has no colours")
+            return None
         density = ColourDensity.of(*window_colours(data.rgb, data.rgb_known, data.window, gamma))
         return cls(density, depth_density, ColourTables.of(objects), data.window.camera)
 

@@ -63,21 +63,22 @@ class ComparedFrames:
             learned: how well pixels foretell each other.
             config: settings.
         """
-        densities = [_density(view, noise, learned, config) for view in views]
+        windows, error_m = [view.window for view in views], config.model_error_m
+        densities = [
+            PixelDensity.of(window.depth_m, view.support_m, noise, error_m, window.stride, learned)
+            for view, window in zip(views, windows, strict=True)
+        ]
         data = views[searched]
         camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
         world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
         world_from_first = world_from_camera @ np.linalg.inv(first_camera_from_camera[searched])
-        colours = None
-        if data.rgb is not None:
-            colours = ColourLayers.of(data, objects, densities[searched], config.gamma)
         return cls(
             views=views,
             densities=densities,
             camera_from_world=np.linalg.inv(world_from_first @ first_camera_from_camera),
             searched=searched,
             world_from_camera=world_from_camera,
-            colours=colours,
+            colours=ColourLayers.of(data, objects, densities[searched], config.gamma),
             colour_weight=config.colour_weight,
         )
 
@@ -109,13 +110,3 @@ class ComparedFrames:
         return ComparedColours(
             self.colours.of_objects(objects), jnp.float32(self.colour_weight), self.searched
         )
-
-
-def _density(
-    view: SceneData, noise: DepthNoise, learned: UnknownWeights, config: ParseConfig
-) -> PixelDensity:
-    """The density of a view's window."""
-    window = view.window
-    return PixelDensity.of(
-        window.depth_m, view.support_m, noise, config.model_error_m, window.stride, learned
-    )

@@ -37,9 +37,9 @@ def layer_densities(
 def layer_gains(
     density: PixelDensity, layers_m: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What layers (n, H, W) add to the supports' log density where they are before these, and their depth.
+    """Depth of layers (n, H, W) where they are before the supports, and what they add to their log density.
 
-    Elsewhere 0 and +inf.
+    Elsewhere +inf and 0.
     """
     rest_m, log_rest = np.asarray(density.image.rest_m), np.asarray(density.log_rest)
 
@@ -47,7 +47,8 @@ def layer_gains(
         before = depth_m < crops.of(rest_m)
         return np.where(before, log_density - crops.of(log_rest), 0), np.where(before, depth_m, np.inf)
 
-    return _in_crops(density, layers_m, over_rest)
+    gain, depth_m = _in_crops(density, layers_m, over_rest)
+    return depth_m, gain
 
 
 def _in_crops(

@@ -38,23 +38,20 @@ def is_thin(one: SceneObject, pitch_m: float) -> bool:
     return bool(2 * one.half_extents_m.min() < THINNEST_CELLS * pitch_m)
 
 
-def detector(one: SceneObject, pitch_m: float, *, standing: bool, seed: int = 0) -> Detector:
+def detector(one: SceneObject, pitch_m: float, *, standing: bool) -> Detector:
     """The detector of a shape, from the cache folder or made and kept there.
 
     Args:
         one: the object.
         pitch_m: edge of a fine cell.
         standing: whether resting orientations come first, in a grid with z up.
-        seed: of the masks.
     """
     rotations = tried_rotations(one.rests if standing else None)
     shapes = {"offsets": (len(rotations), MOST_CELLS, 3), "weights": (len(rotations), MOST_CELLS)}
 
     def make() -> Arrays:
         pitches_m = {"coarse": 2 * pitch_m, "fine": pitch_m}
-        made = {
-            name: shape_masks(one, pitch, standing=standing, seed=seed) for name, pitch in pitches_m.items()
-        }
+        made = {name: shape_masks(one, pitch, standing=standing) for name, pitch in pitches_m.items()}
         return {f"{name}_{part}": getattr(masks, part) for name, masks in made.items() for part in shapes}
 
     def is_whole(arrays: Arrays) -> bool:
@@ -63,7 +60,7 @@ def detector(one: SceneObject, pitch_m: float, *, standing: bool, seed: int = 0)
             arrays[name].shape == shape and arrays[name].dtype == np.int8 for name, shape in wanted.items()
         )
 
-    made_from = one.points_m, one.normals, one.rests, one.library.table, pitch_m, standing, seed
+    made_from = one.points_m, one.normals, one.rests, one.library.table, pitch_m, standing
     sources = [masks_source.__file__, rotations_source.__file__]
     arrays = cached_arrays("masks", made_from, sources, make, is_whole)
     masks = {

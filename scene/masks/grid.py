@@ -116,8 +116,7 @@ def seen_space(data: SceneData, radius_m: float) -> SeenSpace | None:
         low_m, size = _bounds(low_m, high_m, pitch_m, data)
     camera_from_grid = camera_from_axes.copy()
     camera_from_grid[:3, 3] += rotation @ low_m
-    pooled_m = unproject(np.asarray(data.view.depth_m), data.view.camera)
-    cells = np.floor(((pooled_m - origin_m) @ rotation - low_m) / pitch_m).astype(np.int64)
+    cells = np.floor(((data.view.points_m - origin_m) @ rotation - low_m) / pitch_m).astype(np.int64)
     cells[((cells < 0) | (cells >= size)).any(axis=-1)] = -1
     free = _carved(data, size, pitch_m, camera_from_grid)
     if data.table:

@@ -64,16 +64,15 @@ class ShapeMasks:
         return np.maximum(np.maximum(self.weights, 0).sum(axis=1), 1).astype(np.float32)
 
 
-def shape_masks(one: SceneObject, pitch_m: float, *, standing: bool, seed: int) -> ShapeMasks:
+def shape_masks(one: SceneObject, pitch_m: float, *, standing: bool) -> ShapeMasks:
     """The masks of an object.
 
     Args:
         one: the object.
         pitch_m: edge of a cell.
         standing: whether resting orientations come first, in a grid with z up.
-        seed: of the heads.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rotations = tried_rotations(one.rests if standing else None)
     tree = KDTree(surface_m := _surface(one, rng))
     offsets = np.zeros((len(rotations), MOST_CELLS, 3), np.int8)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.mcmc.samples import Samples
+from scene.mcmc.sampling import Samples
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
 from scene.objects.symmetry import turns_about
@@ -83,46 +83,16 @@ def with_drawn_turns(
         log_shares = seen.log_shares(slot, turns)
         here = matrices_of(samples.poses[..., slot, :])
         best = world_from_camera @ matrices_of(np.asarray(seen.poses[slot], np.float64))
-        turned = _Turned(here, turns, *_turns_taken(best, here, turns))
-        samples = _with_drawn_turn(rng, one, slot, log_shares, turned, samples)
+        before, same = _turns_taken(best, here, turns)
+        drawn = rng.choice(len(log_shares), p=np.exp(log_shares), size=before.shape)
+        after = here @ np.linalg.inv(turns)[before] @ turns[drawn]
+        if one.colour.spins:
+            after = after @ _between(rng, one, before.shape)
+        poses = samples.poses.copy()
+        poses[..., slot, :] = np.where(same[..., None], poses_of(after), poses[..., slot, :])
+        gained = np.where(same, log_shares[drawn] - log_shares[before], 0.0)
+        samples = replace(samples, poses=poses, log_posterior=samples.log_posterior + gained)
     return samples
-
-
-@dataclass(frozen=True, eq=False)
-class _Turned:
-    """What the samples of one object are.
-
-    Attributes:
-        here: (S, chains, 4, 4) its poses.
-        turns: (T, 4, 4) that it may take.
-        before: (S, chains) which of these it has taken.
-        same: (S, chains) whether it is where the colours were compared.
-    """
-
-    here: NDArray[np.float64]
-    turns: NDArray[np.float64]
-    before: NDArray[np.int_]
-    same: NDArray[np.bool_]
-
-
-def _with_drawn_turn(
-    rng: np.random.Generator,
-    one: SceneObject,
-    slot: int,
-    log_shares: NDArray[np.float64],
-    turned: _Turned,
-    samples: Samples,
-) -> Samples:
-    """Turns that depth does not tell, from their conditional."""
-    drawn = rng.choice(len(log_shares), p=np.exp(log_shares), size=turned.before.shape)
-    after = turned.here @ np.linalg.inv(turned.turns)[turned.before] @ turned.turns[drawn]
-    if one.colour is not None and one.colour.spins:
-        after = after @ _between(rng, one, turned.before.shape)
-    poses = samples.poses.copy()
-    poses[..., slot, :] = np.where(turned.same[..., None], poses_of(after), poses[..., slot, :])
-    gained = log_shares[drawn] - log_shares[turned.before]
-    log_posterior = samples.log_posterior + np.where(turned.same, gained, 0.0)
-    return replace(samples, poses=poses, log_posterior=log_posterior)
 
 
 def turns_of(one: SceneObject) -> NDArray[np.float64]:

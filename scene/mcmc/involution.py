@@ -67,15 +67,15 @@ class CandidateSet:
     log_offered: jax.Array
 
 
-def propose(dice: Variates, model: SceneModel, move: Move, state: ChainState, count: int) -> CandidateSet:
+def propose(model: SceneModel, move: Move, count: int, dice: Variates, state: ChainState) -> CandidateSet:
     """Choose the objects, draw the auxiliary variables and apply the involution.
 
     Args:
-        dice: a number for each object, and those of the move.
         model: the target.
         move: the family of proposals.
-        state: the chain.
         count: K, places in the offer.
+        dice: a number for each object, and those of the move.
+        state: the chain.
     """
     scene = state.scene
     chosen, context, auxiliary = draw(dice, model, move, scene)

@@ -145,7 +145,7 @@ def sweep(
 
 def _grafted(key: jax.Array, dice: Variates, state: ChainState, model: SceneModel, move: Move) -> ChainState:
     """Another edge, poses as they are: data that see nothing else keep their estimate."""
-    offer = propose(dice.without(2), model, move, state, 2)
+    offer = propose(model, move, 2, dice.without(2), state)
     if not model.likelihood.depends_on_graph:
         blind = replace(model, likelihood=NoData())
         decided, _ = decide(
@@ -181,15 +181,11 @@ def _posed(
         first = jnp.where(jnp.arange(count) == 0, jnp.zeros_like(state.log_prior), jnp.inf)
         return CandidateSet(scenes, first)
 
-    def among(
-        candidates: IndependenceMultipleTry | LocalMultipleTry,
-    ) -> Callable[[Variates, ChainState], CandidateSet]:
-        return lambda dice, state: candidates.propose(dice, model, state)
-
-    def by(move: Move) -> Callable[[Variates, ChainState], CandidateSet]:
-        return lambda dice, state: propose(dice, model, move, state, count)
-
-    offers = [same, *(among(one) for one in kernel.candidates), *(by(move) for move in kernel.others)]
+    offers = [
+        same,
+        *(partial(one.propose, model) for one in kernel.candidates),
+        *(partial(propose, model, move, count) for move in kernel.others),
+    ]
     offer = jax.lax.switch(kind, offers, dice.without(2), state)
     moved = jnp.any(offer.scenes.poses != state.scene.poses[None], axis=2)
     keys = candidate_keys(key, count)

@@ -82,7 +82,7 @@ class LocalMultipleTry:
         """Numbers that a draw takes."""
         return 7 * self.count
 
-    def propose(self, dice: Variates, model: SceneModel, state: ChainState) -> CandidateSet:
+    def propose(self, model: SceneModel, dice: Variates, state: ChainState) -> CandidateSet:
         """The scenes, of which one is to be chosen."""
         scene = state.scene
         chosen = draw_object(scene.present & model.bodies.movable, dice.uniform[0])

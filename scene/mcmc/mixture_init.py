@@ -1,4 +1,4 @@
-"""Initial proposal mixtures: for each object its refined Gaussians and the best poses of the search."""
+"""Initial proposal mixtures: for each object Gaussians round particles, and the best poses of the search."""
 
 from __future__ import annotations
 

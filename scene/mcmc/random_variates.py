@@ -32,9 +32,9 @@ class Variates:
             jax.random.normal(normal_key, (*lead, normals), dtype),
         )
 
-    def without(self, uniforms: int, normals: int = 0) -> Variates:
-        """Those (U,) and (Z,) that are left after the first ones."""
-        return Variates(self.uniform[uniforms:], self.normal[normals:])
+    def without(self, uniforms: int) -> Variates:
+        """Those that are left after the first uniform ones (U,)."""
+        return Variates(self.uniform[uniforms:], self.normal)
 
 
 def draw_index(weights: jax.Array, uniform: jax.Array) -> jax.Array:

@@ -22,7 +22,6 @@ from scene.mcmc.edges import EdgeMove
 from scene.mcmc.kernel import Kernel, run_block, scene_kernel
 from scene.mcmc.mixture_adaptation import adapt_mixture
 from scene.mcmc.mixture_init import pose_proposals
-from scene.mcmc.samples import Samples
 from scene.mcmc.symmetry_arrays import SpinLines, Symmetries
 from scene.model.posterior import ChainState, SceneModel, start_chain
 from scene.model.scene_graph import SceneGraph, floating_scene
@@ -48,6 +47,28 @@ BURN_IN_BLOCKS = 2
 TOGETHER = 8
 """Chains in a kernel; kernels run side by side, each on a core. Of 16 chains groups of eight take two thirds
 of the time that four chains of as many moves in groups of two take."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Samples:
+    """Kept states of chains: (S, chains, ...) of whole runs, any leading axes before.
+
+    Attributes:
+        poses: (..., C, 7) world_from_box.
+        parents: (..., C).
+        parent_faces: (..., C).
+        child_faces: (..., C).
+        log_posterior: (...).
+        accepted: (...) share of the moves of poses before it that were accepted.
+    """
+
+    poses: NDArray[np.float64]
+    parents: NDArray[np.int32]
+    parent_faces: NDArray[np.int32]
+    child_faces: NDArray[np.int32]
+    log_posterior: NDArray[np.float64]
+    accepted: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +206,7 @@ def _sample(
             model = replace(model, likelihood=replace(likelihood, fresh_share=share))
         if progress:
             progress(block + 1, blocks)
-    return SampledScenes(Samples.joined(kept), variance, model)
+    return SampledScenes(jax.tree.map(lambda *leaves: np.concatenate(leaves), *kept), variance, model)
 
 
 def _advanced(

@@ -160,11 +160,6 @@ class FlipMove:
         return there, auxiliary, jnp.zeros((), dtype)
 
 
-def at_pose(scene: SceneGraph, chosen: jax.Array, pose: jax.Array) -> SceneGraph:
-    """The scene with one object at another pose (7,), everything else in its place."""
-    return replace(scene, poses=scene.poses.at[chosen].set(pose))
-
-
 def displace(scene: SceneGraph, chosen: jax.Array, pose: jax.Array, carry: jax.Array) -> SceneGraph:
     """The scene with an object at a new pose (7,), its descendants carried along or left in place."""
     pose, before = normalise(pose), scene.poses[chosen]

@@ -6,6 +6,7 @@ eq. 5), so that a prior is a table: the probability of one given set, by its siz
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,6 +18,12 @@ SHAPES = 2.0
 """Shapes asked for, there or not, that weigh as much as the prior presence does: Beta(2 p, 2 (1 - p)). With
 p = 1/2 every number of them is then as probable, which corrects for how many are asked for (Scott and Berger
 2010). A large weight would claim to know which share of them is there."""
+
+LOG_SHARE_OF_POSES = -20.0
+"""Log prior probability of the poses that fit alike: within about 2 mm and 2 degrees, of all on a table."""
+
+LOG_SPINS = math.log(360 / 4)
+"""Log of how many times as many poses fit alike of a shape that is round about a line: it spins freely."""
 
 
 class NumberPrior(Protocol):
@@ -48,17 +55,15 @@ class BinomialNumber:
 
 @dataclass(frozen=True)
 class UncertainBinomialNumber:
-    """Binomial with a presence that is itself uncertain: Beta(w p, w (1 - p)).
+    """Binomial with a presence that is itself uncertain: Beta(w p, w (1 - p)), w = `SHAPES`.
 
     Where most of what is asked for is missing, each of the others is less probable.
 
     Attributes:
         presence: p, the mean.
-        weight: w, in slots.
     """
 
     presence: float
-    weight: float = SHAPES
 
     def __post_init__(self) -> None:
         _check_presence(self.presence)
@@ -66,7 +71,7 @@ class UncertainBinomialNumber:
     def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
         """Beta function of the counts over that of none."""
         there = np.arange(slots + 1)
-        first, second = self.weight * self.presence, self.weight * (1 - self.presence)
+        first, second = SHAPES * self.presence, SHAPES * (1 - self.presence)
         return betaln(first + there, second + slots - there) - betaln(first, second)
 
 
@@ -98,3 +103,8 @@ def _log_sets(slots: int) -> NDArray[np.float64]:
     """Log number (slots + 1,) of the sets of each size."""
     there = np.arange(slots + 1)
     return gammaln(slots + 1) - gammaln(there + 1) - gammaln(slots - there + 1)
+
+
+def log_prior_odds(presence: float) -> float:
+    """Of an object being there in one pose, up to poses that fit alike, against its being absent."""
+    return math.log(presence / (1 - presence)) + LOG_SHARE_OF_POSES

@@ -1,4 +1,4 @@
-"""A depth image at the search's resolution: pooled pixels, filled holes, surface normals."""
+"""A depth image at the search's resolution: pooled pixels and surface normals."""
 
 from __future__ import annotations
 
@@ -39,6 +39,11 @@ class PooledView:
     depth_m: jax.Array
     normals: jax.Array
     unexplained: jax.Array
+
+    @property
+    def points_m(self) -> NDArray[np.float64]:
+        """Points (H, W, 3) in the camera frame."""
+        return unproject(np.asarray(self.depth_m), self.camera)
 
     def pixels(
         self, points_m: NDArray[np.float64]

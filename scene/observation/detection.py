@@ -49,7 +49,7 @@ TURNS = 45
 """Rectangles that are tried, 2 degrees apart: the best is then at most 2% larger than the least."""
 
 PIECE_POINTS = 5
-"""Within that distance of each other; pieces that a neighbour has taken points from have fewer."""
+"""Within `CONNECTED_M` of each other; pieces that a neighbour has taken points from have fewer."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,7 +22,7 @@ from scene.observation.depth_view import PooledView, pooled_view, unproject
 from scene.observation.detection import SupportPlane, as_seen, given_support, joined, support_planes
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import PixelWindow, window_of
-from scene.observation.standing import HIGHEST_M, LOWEST_M, MARGIN_M, Pieces, is_over, pieces_on
+from scene.observation.standing import HIGHEST_M, LOWEST_M, MARGIN_M, is_over, pieces_on
 from shapes.geometry.poses import transform_points
 
 VIEW_WIDTH = 320
@@ -199,7 +199,7 @@ def _data_over(
     compact = np.ones(view.depth_m.shape, bool)
     if supports:
         surface = _surface_of_any(supports, view)
-        pieces = _pieces(supports, view, surface)
+        pieces = pieces_on(supports, view.points_m, surface)
         elsewhere, compact = (pieces.things_on(range(first, len(supports))) for first in (1, 0))
         foreground &= is_over(supports[0], points) | _enlarged(elsewhere, factor, foreground.shape)
         foreground &= ~_enlarged(surface, factor, foreground.shape)
@@ -228,9 +228,8 @@ def _is_seen(view: PooledView, table: SupportPlane) -> bool:
     A plane that cuts through things that hang in the air lets most of what is behind it be seen.
     """
     observed_m = np.asarray(view.depth_m)
-    points = unproject(observed_m, view.camera)
     plane_m = _plane_depth(table, unproject(np.ones_like(observed_m), view.camera), 0.0)
-    shows = (observed_m != NO_RETURN) & (np.abs(table.in_table_frame(points)[..., 2]) < WARP_M)
+    shows = (observed_m != NO_RETURN) & (np.abs(table.in_table_frame(view.points_m)[..., 2]) < WARP_M)
     hidden = (observed_m != NO_RETURN) & (observed_m < plane_m) & ~shows
     expected = np.isfinite(plane_m) & ~hidden
     return bool((shows & expected).sum() > SEEN_SHARE * expected.sum())
@@ -287,8 +286,7 @@ def _near(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 def _continued(table: SupportPlane, view: PooledView) -> SupportPlane:
     """The table, going on beyond the image under what is seen at the border and has its foot out of sight."""
-    depth_m = np.asarray(view.depth_m)
-    points_m = unproject(depth_m, view.camera)[_near(depth_m)]
+    points_m = view.points_m[_near(np.asarray(view.depth_m))]
     inside = table.in_table_frame(points_m)
     round_it = (np.abs(inside[:, :2]) < table.half_size_m + UNSEEN_M).all(axis=-1)
     heights = table.heights(points_m[round_it])
@@ -315,13 +313,9 @@ def _busiest_first(
         return supports
     left_out = _surface_of_any(supports, view)
     if region:
-        left_out |= ~_within(region, unproject(np.asarray(view.depth_m), view.camera))
-    carried = _pieces(supports, view, left_out).carried(len(supports))
+        left_out |= ~_within(region, view.points_m)
+    carried = pieces_on(supports, view.points_m, left_out).carried(len(supports))
     return [supports[number] for number in np.argsort(-carried, kind="stable")]
-
-
-def _pieces(supports: Sequence[SupportPlane], view: PooledView, surface: NDArray[np.bool_]) -> Pieces:
-    return pieces_on(supports, unproject(np.asarray(view.depth_m), view.camera), surface)
 
 
 def _surface_of_any(supports: Sequence[SupportPlane], view: PooledView) -> NDArray[np.bool_]:

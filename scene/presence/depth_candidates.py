@@ -44,7 +44,7 @@ class PresenceFrames:
         return rng.integers(self.renderer.draws, size=shape)
 
     def shown(
-        self, slots: NDArray[np.integer], states: NDArray[np.float64], shapes: NDArray[np.integer]
+        self, slots: NDArray[np.integer], states: NDArray[np.float64], shapes: NDArray[np.integer] | int = 0
     ) -> Shown:
         """Depth and log gain (n, X) of slots (n,) in states (n, 10), of these draws (n,) of their shapes.
 
@@ -55,7 +55,7 @@ class PresenceFrames:
 
         def in_frame(frame: int, in_camera: NDArray[np.float64]) -> Shown:
             layers_m = self.renderer.layers(numbers, in_camera, self.compared.views[frame].window, scales)
-            depth_m, gain = self._weighed(frame, layers_m)
+            depth_m, gain = layer_gains(self.compared.densities[frame], layers_m)
             colours = self.compared.colours
             if colours is not None and self.compared.searched == frame:
                 factors = self.compared.colour_weight * colours.log_factors(slots, in_camera, layers_m)
@@ -71,7 +71,9 @@ class PresenceFrames:
         def in_frame(frame: int, in_camera: NDArray[np.float64]) -> Shown:
             window = self.compared.views[frame].window
             given = in_camera, solid_half_sizes(states), is_round
-            return self._weighed(frame, solid_layers(window.camera, *given, *window.depth_m.shape))
+            return layer_gains(
+                self.compared.densities[frame], solid_layers(window.camera, *given, *window.depth_m.shape)
+            )
 
         return self._in_all_frames(states[:, :7], in_frame)
 
@@ -87,11 +89,6 @@ class PresenceFrames:
         if len(shown) == 1:
             return shown[0]
         depth_m, gain = (np.concatenate(leaves, axis=1) for leaves in zip(*shown, strict=True))
-        return depth_m, gain
-
-    def _weighed(self, frame: int, layers_m: NDArray[np.float32]) -> Shown:
-        """Depth and log gain (n, H, W) of layers (n, H, W) alone."""
-        gain, depth_m = layer_gains(self.compared.densities[frame], layers_m)
         return depth_m, gain
 
 

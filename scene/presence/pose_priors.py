@@ -132,18 +132,12 @@ class PosePriors:
         floating = self._floating(poses[..., 4:].reshape(-1, 3)).reshape(poses.shape[:2])
         if not self.grafts:
             return floating
-        shape = len(self.supports), floating.size
-        two = [
-            np.stack(
-                [np.repeat(on[:, None], shape[1], axis=1), np.broadcast_to(own, (*shape, own.shape[-1]))]
-            )
-            for on, own in (
-                (self.supports, poses.reshape(-1, 7)),
-                (np.asarray(self.slab_half_m), half_m.reshape(-1, 3)),
-            )
-        ]
-        contacts = self._contacts(*(part.reshape(2, -1, part.shape[-1]) for part in two), on_support=True)
-        return self.floating_weight * floating + contacts.reshape(shape).sum(axis=0).reshape(floating.shape)
+        parts = (self.supports, poses), (self.slab_half_m, half_m)
+        pairs = [np.stack(np.broadcast_arrays(on[:, None, None], own)) for on, own in parts]
+        contacts = self._contacts(*(part.reshape(2, -1, part.shape[-1]) for part in pairs), on_support=True)
+        return self.floating_weight * floating + contacts.reshape(len(self.supports), *floating.shape).sum(
+            axis=0
+        )
 
     def _weights_beside(
         self,

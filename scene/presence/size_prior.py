@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.likelihood.pixel_density import SUPPORT_ERROR
 from scene.objects.scene_object import SceneObject
-
-SCALE_ERROR = 0.01
-"""Standard deviation of a depth camera's scale, as `pixel_density.SUPPORT_ERROR`."""
 
 ALONG = 0.9
 """Cosine to an axis of its box of the line about which an object is round, whose other axes have one size."""
@@ -46,7 +44,7 @@ class SizePrior:
             if abs(known.spin_line[0, axis]) > ALONG:
                 first, second = np.delete(np.arange(3), axis)
                 ties[one, second] = first
-        sigma = np.hypot(SCALE_ERROR, surface_error_m / half_m)
+        sigma = np.hypot(SUPPORT_ERROR, surface_error_m / half_m)
         return cls(log_half=np.log(half_m), sigma=np.take_along_axis(sigma, ties, axis=1), ties=ties)
 
     def log_density(self, log_half: NDArray[np.float64], owners: NDArray[np.integer]) -> NDArray[np.float64]:

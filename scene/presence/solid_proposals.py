@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scene.observation.depth_view import unproject
 from scene.observation.detection import SupportPlane, least_rectangle
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import height_over_next
@@ -101,7 +100,7 @@ def _pieces(
     view: SceneData, world_from_camera: NDArray[np.float64]
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Points (P, 3) and normals (P, 3) of each piece, in the world."""
-    points_m = unproject(np.asarray(view.view.depth_m), view.view.camera)
+    points_m = view.view.points_m
     normals = np.asarray(view.view.normals, np.float64)
 
     def joined(one: tuple[slice, ...], other: tuple[slice, ...]) -> NDArray[np.bool_]:

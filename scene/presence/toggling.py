@@ -99,10 +99,6 @@ class Candidates:
                 shared[a, b], shared[b, a] = (of_a, of_b), (of_b, of_a)
         return shared
 
-    def overlapping(self) -> list[tuple[int, int]]:
-        """Pairs of slots whose candidates share pixels; that depends on no choice among them."""
-        return [pair for pair in self.shared if pair[0] < pair[1]]
-
     def log_weights(
         self, choice: NDArray[np.integer], slots: Sequence[int], power: float = 1.0
     ) -> NDArray[np.float64]:
@@ -277,7 +273,7 @@ def toggle(
     slots with all that they overlap. What moves of one slot knew is added to `visits`.
     """
     expected = np.zeros((candidates.slots, 3))
-    pairs = candidates.overlapping()
+    pairs = [pair for pair in candidates.shared if pair[0] < pair[1]]
     beside = [[other for one, other in candidates.shared if one == slot] for slot in range(candidates.slots)]
     for _ in range(sweeps):
         for slot in range(candidates.slots):

@@ -79,26 +79,17 @@ def decided(
     if not close:
         return pools, scene
     scenes = list({one.tobytes(): one for one in [scene, *others[close]]}.values())
-    best = _refined(key, pools, scene, pools.placed(scene), scene < pools.absent)
-    refined = np.stack([best] + [_refined_beside(key, pools, scene, best, one) for one in scenes[1:]], 1)
-    pools = pools.with_poses(refined[:, np.resize(np.arange(len(scenes)), 1 + RIVALS)], first)
+    refined = [_refined(key, pools, scene, pools.placed(scene), scene < pools.absent)]
+    for one in scenes[1:]:  # where it differs from the best scene, whose own are refined
+        differs = one != scene
+        poses = np.where(differs[:, None], pools.placed(one), refined[0])
+        refined.append(_refined(key, pools, one, poses, differs & (one < pools.absent)))
+    places = np.resize(np.arange(len(scenes)), 1 + RIVALS)
+    pools = pools.with_poses(np.stack(refined, axis=1)[:, places], first)
     scenes = [np.where(one < pools.absent, first + place, pools.absent) for place, one in enumerate(scenes)]
     log_densities = [float(_log_density(pools.layers, one)) for one in scenes]
     best = scenes[int(np.argmax(log_densities))]
     return pools, best_of(pools, best)
-
-
-def _refined_beside(
-    key: jax.Array,
-    pools: PosePools,
-    best: NDArray[np.integer],
-    best_poses: NDArray[np.float32],
-    scene: NDArray[np.integer],
-) -> NDArray[np.float32]:
-    """Poses (N, 7) of a scene, refined where it differs from the best scene, whose own are refined."""
-    differs = scene != best
-    poses = np.where(differs[:, None], pools.placed(scene), best_poses)
-    return _refined(key, pools, scene, poses, differs & (scene < pools.absent))
 
 
 def _refined(

@@ -15,7 +15,7 @@ from scene.config import ParseConfig
 from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
-from scene.model.presence import LOG_SPINS, log_prior_odds
+from scene.model.number_prior import LOG_SPINS, log_prior_odds
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
@@ -75,9 +75,7 @@ class PosePools:
             pixels=pixels,
             poses=np.tile(np.asarray(OUT_OF_SIGHT, np.float32), (len(objects), size, 1)),
             layers=pixels.no_layers(len(objects), size),
-            colours=None
-            if data.rgb is None
-            else ColourLayers.of(data, objects, pixels.density, config.gamma),
+            colours=ColourLayers.of(data, objects, pixels.density, config.gamma),
         )
 
     @property
@@ -114,19 +112,16 @@ class PosePools:
 
         Each is judged beside the others of a scene (N,).
         """
-        return np.stack([self._densest(*one, scene) for one in zip(objects, found, strict=True)])
-
-    def _densest(
-        self, one: int, poses: NDArray[np.float32], scene: NDArray[np.integer]
-    ) -> NDArray[np.float32]:
-        """Those (pool, 7) of the poses (n, 7) of one object."""
-        depth_m = self.renderer.layers(np.full(len(poses), one), poses, self.data.window)
-        front = nearest_layer(self.layers, jnp.asarray(scene), np.arange(len(scene)) != one)
-        table, sigma_m = self.data.table, self.config.contact_sigma_m
-        (log_prior,) = log_not_buried(table, [self.objects[one]], poses[None], sigma_m)
-        gains = gain_of(front, *map(jnp.asarray, self.pixels.shown(depth_m))) + log_prior
-        rotations = matrices_of(poses)[:, :3, :3].astype(np.float32)
-        return poses[np.asarray(best_distinct(rotations, poses[:, 4:], gains, self.config.pool))]
+        table, sigma_m, densest = self.data.table, self.config.contact_sigma_m, []
+        for one, poses in zip(objects, found, strict=True):
+            depth_m = self.renderer.layers(np.full(len(poses), one), poses, self.data.window)
+            front = nearest_layer(self.layers, jnp.asarray(scene), np.arange(len(scene)) != one)
+            (log_prior,) = log_not_buried(table, [self.objects[one]], poses[None], sigma_m)
+            gains = gain_of(front, *map(jnp.asarray, self.pixels.shown(depth_m))) + log_prior
+            rotations = matrices_of(poses)[:, :3, :3].astype(np.float32)
+            best = best_distinct(rotations, poses[:, 4:], gains, self.config.pool)
+            densest.append(poses[np.asarray(best)])
+        return np.stack(densest)
 
     def _told_by_depth(
         self, numbers: NDArray[np.integer], found: NDArray[np.float32], turned: NDArray[np.float32]

@@ -7,8 +7,6 @@ again, all objects in parallel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -49,38 +47,6 @@ BISECTIONS = 30
 """Of the power to which weights are tempered: to 1e-9."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """The frame on which N objects are refined.
-
-    Attributes:
-        data: the frame.
-        renderer: of these objects and others.
-        numbers: (N,) of the objects among the renderer's.
-        noise: of the sensor and the surfaces together.
-    """
-
-    data: SceneData
-    renderer: ObjectRenderer
-    numbers: NDArray[np.integer]
-    noise: DepthNoise
-
-    def log_ratio(
-        self, owners: NDArray[np.intp], poses: NDArray[np.float64], rest_m: NDArray[np.float32]
-    ) -> NDArray[np.float64]:
-        """Log likelihood ratio (J, S) of the image with the owner (J,) at poses (J, S, 7) and without it."""
-        count, draws = poses.shape[:2]
-        places = np.repeat(owners.astype(np.int32), draws)
-        objects = np.asarray(self.numbers, np.int32)[places]
-        flat = poses.reshape(-1, 7).astype(np.float32)
-        window = self.data.window
-        evidence, posed = _posed_before_rests(
-            self.renderer, self.noise, window.camera, window.depth_m, rest_m, places, objects, flat
-        )
-        ratio = log_likelihood_ratio(self.renderer.library, self.noise, evidence, posed)
-        return ratio.astype(np.float64).reshape(count, draws)
-
-
 def refine(
     key: jax.Array,
     data: SceneData,
@@ -104,7 +70,7 @@ def refine(
         noise: of the sensor and the surfaces together.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    frame, active = _Frame(data, renderer, numbers, noise), np.flatnonzero(moving)
+    active, window = np.flatnonzero(moving), data.window
     means, factors = np.array(poses), np.tile(np.diag(FIRST_SIGMA), (len(poses), 1, 1))
     for _ in range(TURNS):
         rest_m = _without_each(data, renderer, numbers, means, found)
@@ -114,7 +80,13 @@ def refine(
             normal[:, 0] = 0.0
             tangents = np.einsum("nij,nsj->nsi", factors[mine], normal)
             drawn = np.asarray(_moved(means[mine], tangents), np.float64)
-            log_weights = PIXEL_WEIGHT * frame.log_ratio(mine, drawn, rest_m)
+            places = np.repeat(mine.astype(np.int32), DRAWS)
+            which, flat = np.asarray(numbers, np.int32)[places], drawn.reshape(-1, 7).astype(np.float32)
+            evidence, posed = _posed_before_rests(
+                renderer, noise, window.camera, window.depth_m, rest_m, places, which, flat
+            )
+            ratio = log_likelihood_ratio(renderer.library, noise, evidence, posed)
+            log_weights = PIXEL_WEIGHT * ratio.astype(np.float64).reshape(TOGETHER, DRAWS)
             log_weights += 0.5 * (normal**2).sum(axis=-1)
             steps, factors[mine] = _gaussians(tangents, log_weights)
             means[mine] = np.asarray(_moved(means[mine], steps[:, None]), np.float64)[:, 0]
@@ -136,7 +108,7 @@ def _without_each(
 
 
 def distinct(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Those of poses (S, 7) that are `APART` from all before."""
+    """Those of poses (S, 7) that are `APART_M` or `APART_RAD` from all before."""
     sites = poses[:1]
     for pose in poses[1:]:
         angle = 2 * np.arccos(np.minimum(np.abs(sites[:, :4] @ pose[:4]), 1.0))

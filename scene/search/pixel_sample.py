@@ -20,8 +20,7 @@ PIXELS = 2048
 """Those of the foreground are filled up to a multiple of this, so that few kernels are compiled."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ComparedPixels:
     """The pixels of the foreground, where poses compete; they meet the others one by one.
 
@@ -34,10 +33,10 @@ class ComparedPixels:
     """
 
     density: PixelDensity
-    log_odds: jax.Array
-    uncontested: jax.Array
-    places: jax.Array
-    weight: jax.Array
+    log_odds: np.float32
+    uncontested: NDArray[np.bool_]
+    places: NDArray[np.intp]
+    weight: NDArray[np.float32]
 
     @classmethod
     def of(
@@ -65,27 +64,21 @@ class ComparedPixels:
         density = PixelDensity.of(
             window.depth_m, data.support_m, noise, surface_sigma_m, window.stride, learned
         )
-        numbers = (
-            np.float32(log_odds),
-            ~near,
-            np.resize(places, size).astype(np.int32),
-            weight,
-        )
-        return cls(density, *map(jax.device_put, numbers))
+        return cls(density, np.float32(log_odds), ~near, np.resize(places, size), weight)
 
     def no_layers(self, objects: int, poses: int) -> PoseLayers:
         """Layers of `poses` poses an object of which none shows anything, and of the absent object, last."""
         shape = objects, poses + 1
         log_alone = np.full(shape, self.log_odds, np.float32)
         log_alone[:, -1] = 0.0
-        rest_m, rest_log_density = _rest(self)
+        rest_m, log_rest = (np.ravel(one)[self.places] for one in self._rest)
         return PoseLayers(
             depth_m=jax.device_put(np.full((*shape, len(self.places)), np.inf, np.float32)),
             log_density=jax.device_put(np.zeros((*shape, len(self.places)), np.float32)),
             log_alone=jax.device_put(log_alone),
             rests=SupportTable.sure(*shape),
-            rest_m=rest_m,
-            rest_log_density=rest_log_density,
+            rest_m=jax.device_put(rest_m),
+            rest_log_density=jax.device_put(log_rest * self.weight),
         )
 
     def with_layers(
@@ -132,16 +125,14 @@ class ComparedPixels:
         )
         if log_colour is not None:
             log_density = log_density + np.asarray(log_colour).reshape(log_density.shape)
-        rest_m, log_rest = (np.ravel(one) for one in (self.density.image.rest_m, self.density.log_rest))
-        places, elsewhere = np.asarray(self.places), np.flatnonzero(self.uncontested)
+        rest_m, log_rest = map(np.ravel, self._rest)
+        elsewhere = np.flatnonzero(self.uncontested)
         seen = layer_m[:, elsewhere] < rest_m[elsewhere]
         gains = np.where(seen, log_density[:, elsewhere] - log_rest[elsewhere], 0.0)
-        alone = np.asarray(self.log_odds) + gains.sum(axis=1)
-        return layer_m[:, places], log_density[:, places] * np.asarray(self.weight), alone
+        alone = self.log_odds + gains.sum(axis=1)
+        return layer_m[:, self.places], log_density[:, self.places] * self.weight, alone
 
-
-@jax.jit
-def _rest(pixels: ComparedPixels) -> tuple[jax.Array, jax.Array]:
-    """Depth and log density (X,) of the background."""
-    rest_m, log_rest = pixels.density.image.rest_m.ravel(), pixels.density.log_rest.ravel()
-    return rest_m[pixels.places], log_rest[pixels.places] * pixels.weight
+    @property
+    def _rest(self) -> tuple[jax.Array, jax.Array]:
+        """Depth and log density (H, W) of the background."""
+        return self.density.image.rest_m, self.density.log_rest

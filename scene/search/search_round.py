@@ -20,7 +20,6 @@ from scene.masks.proposal import Atoms, MaskSearch, log_boltzmann
 from scene.objects.orientations import tried_rotations
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
-from scene.observation.depth_view import unproject
 from scene.observation.detection import SupportPlane, clusters
 from scene.search.assignment import PoseLayers, choose, log_conditional
 from scene.search.competing_scenes import best_of
@@ -105,7 +104,7 @@ class SearchRound:
         of each first.
         """
         data = pools.data
-        points = unproject(np.asarray(data.view.depth_m), data.view.camera).astype(np.float32)
+        points = data.view.points_m.astype(np.float32)
         enough = {
             one: mask if mask.sum() >= FEWEST_PIXELS else data.foreground for one, mask in masks.items()
         }

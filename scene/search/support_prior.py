@@ -21,7 +21,7 @@ from recordings.types import NO_RETURN
 from scene.execution import FAST_COMPILE, map_parallel, score_on_all_cores
 from scene.model.prior import FLOATING_HEIGHT_M, gap_density
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import PooledView, unproject
+from scene.observation.depth_view import PooledView
 from scene.observation.detection import SupportPlane
 from scene.search.support_table import SupportTable
 from shapes.geometry.poses import matrices_of, transform_points
@@ -218,7 +218,7 @@ def gaps_to_seen(
         undersides_m: (K, C, 3) in the table's frame, the lowest point first.
     """
     depth_m, foreground = np.asarray(view.depth_m), np.asarray(view.unexplained)
-    heights_m = table.in_table_frame(unproject(depth_m, view.camera))[..., 2]
+    heights_m = table.in_table_frame(view.points_m)[..., 2]
     down_m = STEP_M * (np.arange(STEPS) + 0.5)
     below_m = undersides_m[:, :, None] - down_m[:, None] * np.array([0.0, 0.0, 1.0])
     in_camera = transform_points(table.camera_from_table, below_m)

@@ -5,13 +5,14 @@ import pytest
 
 from pipeline.synthesis.air import photograph
 from scene.colour.density import sample
+from scene.colour.lattice import Lattice
 from scene.colour.posterior import Scene
-from scene.colour.search import Searcher
+from scene.colour.search import find
 from scene.colour.weighing import FoundScene
 from tests.scene.colour.worlds import coloured_world
 
 WORLD = coloured_world()
-SEARCHER = Searcher.of(WORLD)
+LATTICE = Lattice.of(WORLD)
 RED, BLUE, HALVES = range(3)
 
 
@@ -47,7 +48,7 @@ def test_colours_are_part_of_what_looks_the_same() -> None:
 def test_colour_tells_lookalikes_and_spins(seed: int, gain: tuple[float, float, float]) -> None:
     """Which of three discs stands where, to half a pixel, and how the one of two halves is turned."""
     truth = Scene(np.array([BLUE, HALVES]), np.array([[-0.06, 0.03, 0.0], [0.07, -0.02, 2.1]]))
-    found = SEARCHER.find(picture(np.random.default_rng(seed), truth, np.array(gain)))
+    found = find(LATTICE, picture(np.random.default_rng(seed), truth, np.array(gain)))
 
     assert sorted(found.best.scene.kinds.tolist()) == [BLUE, HALVES]
     poses = paired(found, truth).poses
@@ -59,8 +60,8 @@ def test_another_gain_of_a_channel_changes_little(seed: int) -> None:
     """Kinds stay, and poses within half a pixel: noise keeps its size while the light changes."""
     truth = Scene(np.array([RED, HALVES]), np.array([[-0.05, -0.04, 0.0], [0.06, 0.05, 0.8]]))
     image = picture(np.random.default_rng(seed), truth, np.ones(3))
-    before = paired(SEARCHER.find(image), truth)
-    after = paired(SEARCHER.find(image * [0.85, 1.0, 1.15]), truth)
+    before = paired(find(LATTICE, image), truth)
+    after = paired(find(LATTICE, image * [0.85, 1.0, 1.15]), truth)
 
     assert np.linalg.norm(after.poses[:, :2] - before.poses[:, :2], axis=1).max() < PIXEL_M / 2
     assert turned_by(after.poses[1, 2], before.poses[1, 2]) < PIXEL_RAD

@@ -20,7 +20,7 @@ from scene.colour.posterior import (
     visible_gain,
 )
 from scene.colour.refinement import refine
-from scene.colour.search import Searcher
+from scene.colour.search import find
 from scene.colour.surroundings import Surroundings
 from scene.colour.world import Kind, TableWorld
 from tests.scene.colour.worlds import small_world
@@ -82,7 +82,7 @@ def test_no_scene_of_a_lattice_is_more_probable_than_what_is_found(seed: int, th
     image = picture(rng, truth)
     every = lattice_posterior(image, lattice)
     best = max(every, key=lambda scene: every[scene])
-    found = Searcher.of(WORLD).find(image)
+    found = find(Lattice.of(WORLD), image)
 
     assert len(every) > 1000
     assert every[best] == pytest.approx(
@@ -100,7 +100,7 @@ def test_hidden_and_touching_things_are_counted(seed: int) -> None:
     truth = Scene(np.array([0, 1]), np.array([[0.0, 0.05, 0.2], [0.01, -0.02, 0.0]]))
     clean, _ = photograph(WORLD, truth, np.tile([0.2, 0.3, 0.9], (2, 1)))
     image = np.clip(sample(rng, clean, WORLD.noise), 0, 1)
-    found = Searcher.of(WORLD).find(image)
+    found = find(Lattice.of(WORLD), image)
     true_density = log_posterior(WORLD, colour_image(WORLD, image), truth)
 
     assert found.best.log_density >= true_density - 2
@@ -148,8 +148,8 @@ def test_the_best_of_a_lattice_are_candidates(seed: int) -> None:
 def test_equal_images_give_equal_scenes(seed: int) -> None:
     """Nothing is drawn: the same bytes again."""
     image = picture(np.random.default_rng(seed), Scene(np.array([1]), np.array([[0.0, 0.0, 0.0]])))
-    searcher = Searcher.of(WORLD)
-    first, second = searcher.find(image), searcher.find(image)
+    lattice = Lattice.of(WORLD)
+    first, second = find(lattice, image), find(lattice, image)
 
     assert first.best.scene.poses.tobytes() == second.best.scene.poses.tobytes()
     assert first.count.tobytes() == second.count.tobytes()

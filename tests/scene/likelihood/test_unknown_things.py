@@ -10,7 +10,7 @@ from pipeline.synthesis.world import Part, RayCaster
 from recordings.types import NO_RETURN, CameraIntrinsics, DepthNoise
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
-from scene.model.presence import LOG_SHARE_OF_POSES
+from scene.model.number_prior import LOG_SHARE_OF_POSES
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_data, support_depth
 

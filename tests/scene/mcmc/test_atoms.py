@@ -198,13 +198,13 @@ def test_a_grid_that_holds_the_moved_object_is_seen(
     offer = IndependenceMultipleTry.propose
 
     def own_cells(
-        self: IndependenceMultipleTry, dice: Variates, model: SceneModel, state: ChainState
+        self: IndependenceMultipleTry, model: SceneModel, dice: Variates, state: ChainState
     ) -> CandidateSet:
         log_weights = self.mixture.log_weights
         alone = jnp.where(jnp.arange(log_weights.shape[1]) == 0, 0.0, -jnp.inf)
         is_near = state.scene.poses[0, 4] > 0
         mixture = replace(self.mixture, log_weights=jnp.where(is_near, log_weights, alone[None]))
-        return offer(replace(self, mixture=mixture), dice, model, state)
+        return offer(replace(self, mixture=mixture), model, dice, state)
 
     right_key, wrong_key = jax.random.split(key)
     monkeypatch.setattr(mixture_init, "ATOMS_SHARE", 0.5)

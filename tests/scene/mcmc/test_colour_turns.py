@@ -10,7 +10,7 @@ from pipeline.meshes import vertex_rgb
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paint import painted
 from scene.mcmc.colour_turns import SeenColours, turns_of, with_drawn_turns
-from scene.mcmc.samples import Samples
+from scene.mcmc.sampling import Samples
 from scene.objects.scene_object import SceneObject, scene_object
 from shapes.geometry.poses import matrices_of, poses_of
 

@@ -75,7 +75,7 @@ def test_poses_without_an_edge_are_out_of_use(key: jax.Array) -> None:
 
     def offered(key: jax.Array) -> jax.Array:
         dice = Variates.draw(key, (), move.uniforms, move.normals, state.log_prior.dtype)
-        return move.propose(dice, model, state).log_offered
+        return move.propose(model, dice, state).log_offered
 
     log_offered = np.asarray(jax.jit(jax.vmap(offered))(jax.random.split(dice_key, 256)))
     assert not np.isnan(log_offered).any()

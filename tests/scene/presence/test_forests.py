@@ -169,7 +169,7 @@ class NothingSeen(PresenceFrames):
         return np.zeros(shape, int)
 
     def shown(
-        self, slots: np.ndarray, states: np.ndarray, shapes: np.ndarray
+        self, slots: np.ndarray, states: np.ndarray, shapes: np.ndarray | int = 0
     ) -> tuple[np.ndarray, np.ndarray]:
         """Depth 1, no gain."""
         del states, shapes

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scene.model.presence import log_prior_odds
+from scene.model.number_prior import log_prior_odds
 from scene.search.assignment import PoseLayers, log_density_of_choice
 from scene.search.scene_edits import best_scene, filled, rivals
 from scene.search.support_table import SupportTable
