@@ -1,9 +1,9 @@
 """Several maps of the same keyframes with their probabilities, and what a search may not have found.
 
 Where no start of a search leads to what another one has led to, there are more optima than starts, and the
-true map may be none of those found: of 15 films of five views round an object six starts ended in three or
-more different maps in all eight where the best map was wrong or unsure, and in one map in the others
-(docs/model.md, development films). What the search has not found is told by the maps that it found once.
+true map may be none of those found: of twelve films of five views round an object three or more of six starts
+reached the best map in the five where it was sure and right, and one or two in the seven where it was wrong
+or unsure (docs/model.md, development films). What was not found is told by the maps that were found once.
 """
 
 from __future__ import annotations
