@@ -38,7 +38,8 @@ def smoothed(
 
     The marginal of a frame mixes the maps' Gaussians, that of its keyframe and its own in each, and is a
     Student-t. Where two motions compete it reaches to the other one, and where the true map may not have been
-    found to where the motion prior has cameras. The draws are those of the images as they are. Frames follow
+    found to where a walk of the motion prior's steps leads, one for each keyframe from the first. The draws
+    are those of the images as they are, and of a map that was found. Frames follow
     the sensor's distortion field, which is unknown. A frame whose keyframe nothing ties to the first is lost.
 
     Args:
@@ -56,12 +57,13 @@ def smoothed(
         block = _block(key, frames.start, infos, lineages[frames], maps, placed)
         draws[:, frames], mean, covariance, anchors = block
         displaced = infos.doubt.displacements.astype(np.float64)
+        covariance = covariance / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
+        covariance += displaced @ displaced.transpose(0, 2, 1)
+        elsewhere = anchors[best][:, None, None] * maps.unseen_step
         told.append(
             {
                 "mean": matrices_of(mean),
-                "covariance": covariance / (1.0 - 2.0 / DEGREES_OF_FREEDOM)
-                + displaced @ displaced.transpose(0, 2, 1)
-                + anchors[best][:, None, None] * maps.undiscovered,
+                "covariance": (1.0 - maps.undiscovered) * covariance + maps.undiscovered * elsewhere,
                 "lost": infos.lost | ~placed.held[best, anchors[best]],
                 "hypotheses": infos.hypotheses,
                 **{name: getattr(infos, name) for name in ("log_evidence", "resampled", "explained")},

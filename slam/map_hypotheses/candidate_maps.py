@@ -4,7 +4,7 @@ Views far apart are explained by more than one map: a corner of a bare room by a
 pedestal from the wrong side. Several maps are proposed, brought to the nearest optimum of the overlap graph
 (`slam.pose_graph.gauss_newton`), and weighed by the composite likelihood of all images, calibrated by its
 own variance (`slam.map_hypotheses.map_odds`), times the trajectory prior. Those of non-negligible weight are
-kept; how likely it is that the true one was not found tells the search itself (`slam.map_hypotheses.modes`).
+kept, and the starts of the search tell how much it may have missed (`slam.map_hypotheses.modes`).
 
 The joint optimum is needed since searched poses are centimetres off. Keyframe by keyframe, each against the
 map of the others, a bare wall takes dozens of rounds; the graph takes few.
@@ -64,7 +64,7 @@ def candidate_maps(
     settle = partial(optimise_jointly, images=images, motion=motion)
     maps = [settle(poses) for poses in (*present, *_regular_maps(registrar, motion))]
     blocks = [registrar.log_composite_of_blocks(poses) for poses in maps]
-    searched: list[int] = []
+    searched: range | None = None
 
     def log_weights() -> NDArray[np.float64]:
         return log_odds(np.stack(blocks)) + [motion.log_density(poses) for poses in maps]
@@ -78,7 +78,7 @@ def candidate_maps(
             proposed = [register_inconsistent(registrar, best, core)]
         else:
             proposed = place_by_spanning_trees(registrar, settle, motion.log_density, rng)
-            searched = list(range(len(maps), len(maps) + len(proposed)))
+            searched = range(len(maps), len(maps) + len(proposed))
         settled = [settle(poses) for poses in proposed]
         maps += settled
         blocks += [registrar.log_composite_of_blocks(poses) for poses in settled]

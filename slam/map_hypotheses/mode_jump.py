@@ -89,7 +89,8 @@ def choose_map(
             probabilities=modes.shares,
             hypotheses=heaviest,
             known=(None,) * len(poses),
-            undiscovered=modes.undiscovered * state.unseen_step.astype(np.float64),
+            undiscovered=modes.undiscovered,
+            unseen_step=state.unseen_step.astype(np.float64),
         )
     exponent = state.calibration.exponent
     maps = [

@@ -78,19 +78,21 @@ class MapMixture:
 
     Attributes:
         poses: (G, N, 7) reference_from_keyframe.
-        probabilities: (G,).
+        probabilities: (G,), given that the true one is among them.
         hypotheses: (G,) which of the filter's last ones has the frames between the keyframes.
         known: for each map the pairs (E, 2) of keyframes that are known to see the same; None where they have
             been placed by search.
-        undiscovered: (6, 6) second moment, for each keyframe from the first, by which cameras may stand in a
-            map that a search has not found: that of a step of which nothing is known, times its probability.
+        undiscovered: probability that the true map was not found.
+        unseen_step: (6, 6) second moment of a step from keyframe to keyframe in such a map, of which only the
+            motion prior tells.
     """
 
     poses: NDArray[np.float32]
     probabilities: NDArray[np.float64]
     hypotheses: NDArray[np.int_]
     known: tuple[NDArray[np.int32] | None, ...]
-    undiscovered: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
+    undiscovered: float = 0.0
+    unseen_step: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
 
     @classmethod
     def of(cls, population: smc.Population[Hypothesis]) -> MapMixture:

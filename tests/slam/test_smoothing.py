@@ -177,8 +177,8 @@ def test_what_a_search_may_not_have_found_is_told_more_widely_of_each_further_ke
 
     told, unsure = (
         smoothed(key, history, maps, placed, camera).covariance
-        for maps in (sure, replace(sure, undiscovered=step))
+        for maps in (sure, replace(sure, undiscovered=0.25, unseen_step=step))
     )
 
     np.testing.assert_allclose(told, 0.0, atol=1e-6)
-    np.testing.assert_allclose(unsure, [0.0 * step, step, 2.0 * step], atol=1e-6)
+    np.testing.assert_allclose(unsure, 0.25 * np.stack([0.0 * step, step, 2.0 * step]), atol=1e-6)

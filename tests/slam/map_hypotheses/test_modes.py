@@ -57,23 +57,19 @@ def test_what_six_starts_have_not_found_is_told_by_what_they_found_once(
 
 
 def test_starts_that_all_end_in_one_map_leave_nothing_open() -> None:
-    """As it is where nothing was sought, or by one start, which tells nothing of the next."""
-    alone, all_alike = np.asarray([0, 1]), np.asarray([6, 0])
+    """One start, or none, tells nothing of the next: all is open."""
+    assert undiscovered_share(np.asarray([6, 0])) == 0.0
+    assert undiscovered_share(np.asarray([0, 1])) == undiscovered_share(np.zeros(0, int)) == 1.0
 
-    assert undiscovered_share(all_alike) == undiscovered_share(alone) == 0.0
 
+def test_maps_found_once_tell_what_the_search_has_missed() -> None:
+    """Probabilities of the maps stay; one that has no weight was not found."""
+    maps = [_map(0.5 * number) for number in range(4)] + [_map(0.0), _map(1.51)]
+    log_weights = [0.0, -100.0, -200.0, np.nan, -1.0, -300.0]
 
-def test_maps_that_a_search_found_once_stand_for_what_it_has_not_found() -> None:
-    """Six starts, six maps: however much likelier the best is, and it stays so."""
-    maps = [_map(0.5 * number) for number in range(8)]
-    log_weights = [-1000.0, 0.0, *[-100.0 * number for number in range(1, 7)]]
+    modes = Modes.of(maps, log_weights, range(1, 6))
 
-    sure = Modes.of(maps, log_weights)
-    unsure = Modes.of(maps, log_weights, range(2, 8))
-
-    np.testing.assert_allclose(sure.shares, [1.0])
-    missed = undiscovered_share(np.ones(6, int))
-    assert missed == pytest.approx(25 / 27)
-    best, *others = (np.asarray([1.0 - missed, 0.0, 0.0, 0.0]) + missed / 7) / (1.0 - missed * 3 / 7)
-    np.testing.assert_allclose(unsure.shares, [best, *others])
-    np.testing.assert_array_equal(unsure.maps, [maps[1], *maps[2:5]])
+    np.testing.assert_array_equal(modes.maps, maps[:1])
+    np.testing.assert_array_equal(modes.shares, [1.0])
+    assert modes.undiscovered == undiscovered_share(np.asarray([1, 1, 1, 1])) > 0.5
+    assert Modes.of(maps, log_weights).undiscovered == 0.0
