@@ -78,6 +78,8 @@ class Archived:
     """What messages call the value."""
     OLDER_FORMATS: ClassVar[Mapping[int, Mapping[str, str]]] = MappingProxyType({})
     """Those that are read, and what is called otherwise today."""
+    ADDED: ClassVar[Mapping[str, ArrayLike]] = MappingProxyType({})
+    """Fields that files of older formats may lack, and what they were then."""
 
     def save(self, path: str | Path) -> None:
         """Write an npz file, whole or not at all; equal values give equal bytes.
@@ -102,6 +104,8 @@ class Archived:
         if renamed is None:
             raise ValueError(f"{path} is not a {cls.TITLE} of format {cls.FORMAT_VERSION}")
         arrays = {renamed.get(name, name): array for name, array in arrays.items()}
+        if version != cls.FORMAT_VERSION:
+            arrays = {name: np.asarray(value) for name, value in cls.ADDED.items()} | arrays
         if differing := {field.name for field in fields(cls)} ^ set(arrays):
             raise ValueError(f"{path} is not a {cls.TITLE}: {', '.join(sorted(differing))}")
         return cls(**arrays)

@@ -39,15 +39,17 @@ class SlamResult(Archived):
         lost: (T,) bool, no pose agreed with the map, or nothing ties the keyframe that it agreed with to the
             first.
         explained: (T,) share of the returns that lay on the map's surface.
+        undiscovered: () probability that the true map was not found, where a search for it was made; else 0.
         disparity_per_m: (rows, columns) the sensor's distortion field at the nodes of
             `recordings.distortion_field`, 1/m: mean, where several maps are left in the likeliest.
         disparity_sd_per_m: alike, standard deviations.
         camera: (6,) width, height, fx, fy, cx, cy of the images that the field is of, pixels.
     """
 
-    FORMAT_VERSION: ClassVar[int] = 5
+    FORMAT_VERSION: ClassVar[int] = 6
     TITLE: ClassVar[str] = "SLAM result"
-    OLDER_FORMATS: ClassVar[Mapping[int, Mapping[str, str]]] = {4: {"ess": "hypotheses"}}
+    OLDER_FORMATS: ClassVar[Mapping[int, Mapping[str, str]]] = {4: {"ess": "hypotheses"}, 5: {}}
+    ADDED: ClassVar[Mapping[str, float]] = {"undiscovered": 0.0}
     times_ns: NDArray[np.int64]
     draws: NDArray[np.float32]
     log_weights: NDArray[np.float64]
@@ -59,6 +61,7 @@ class SlamResult(Archived):
     resampled: NDArray[np.bool_]
     lost: NDArray[np.bool_]
     explained: NDArray[np.float64]
+    undiscovered: NDArray[np.float64]
     disparity_per_m: NDArray[np.float64]
     disparity_sd_per_m: NDArray[np.float64]
     camera: NDArray[np.float64]
@@ -72,6 +75,7 @@ class SlamResult(Archived):
             "mean": (frames, 4, 4),
             "covariance": (frames, 6, 6),
             "degrees_of_freedom": (),
+            "undiscovered": (),
             "camera": (6,),
             **dict.fromkeys(("disparity_per_m", "disparity_sd_per_m"), (NODE_ROWS, NODE_COLUMNS)),
             **dict.fromkeys(("hypotheses", "log_evidence", "resampled", "lost", "explained"), (frames,)),

@@ -75,6 +75,7 @@ def smoothed(
         draws=draws,
         log_weights=np.full(count, -np.log(count)),
         degrees_of_freedom=np.asarray(DEGREES_OF_FREEDOM),
+        undiscovered=np.asarray(maps.undiscovered),
         disparity_per_m=placed.disparity_per_m[best].reshape(nodes),
         disparity_sd_per_m=placed.sd_per_m[best].reshape(nodes),
         camera=np.asarray([float(value) for value in vars(intrinsics).values()]),

@@ -65,9 +65,10 @@ def command(
 
 def _doubts(document: dict[str, Any]) -> list[str]:
     """How surely the camera is known, and where it was lost."""
-    from pipeline.publishing.told_spread import camera_text
+    from pipeline.publishing.told_spread import camera_text, undiscovered_text
 
-    lines = [text] if (text := camera_text(document)) else []
+    texts = camera_text(document), undiscovered_text(document["undiscovered_probability"])
+    lines = [text for text in texts if text]
     if document["distortion_per_m"] is not None:
         lines.append(
             f"the sensor's inverse depths err by {document['distortion_per_m']:.1g}/m over the image, "

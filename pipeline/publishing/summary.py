@@ -10,6 +10,7 @@ from scipy.ndimage import label
 
 from pipeline.publishing.finite import are_poses, finite_json, remarks_on
 from pipeline.publishing.hidden_regions import regions_of
+from pipeline.publishing.told_spread import undiscovered_text
 from pipeline.publishing.trajectory_files import seconds_text
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
@@ -86,7 +87,9 @@ def _slam(result: SlamResult) -> dict[str, Any]:
         "distortion_std_per_m": float(result.disparity_sd_per_m.mean()),
         "hypotheses_max": float(result.hypotheses.max()),
         "path_probabilities": np.round(result.path_probabilities, 6).tolist(),
+        "undiscovered_probability": float(result.undiscovered),
         "log_evidence": float(result.log_evidence.sum()),
+        "warnings": [text] if (text := undiscovered_text(float(result.undiscovered))) else [],
     }
 
 

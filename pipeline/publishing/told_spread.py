@@ -43,6 +43,16 @@ def camera_text(slam: Mapping[str, Any]) -> str:
     )
 
 
+def undiscovered_text(probability: float | None) -> str:
+    """What a search for the map of few views may have missed; empty where nothing is known of it."""
+    if probability is None or not 1 - SURE <= probability <= 1:
+        return ""
+    return (
+        f"views are few, and the search may have missed the true map (probability {probability:.0%}): "
+        "give views between them"
+    )
+
+
 def rotation_text(one: Mapping[str, Any]) -> str:
     """+- of the orientation of an object of summary.json, over all samples."""
     degrees = math.degrees(one["rotation_std_rad"])

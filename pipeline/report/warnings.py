@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.publishing.told_spread import verdict_text
+from pipeline.publishing.told_spread import undiscovered_text, verdict_text
 from pipeline.publishing.values import RunValues
 from recordings.types import Damage
 
@@ -52,6 +52,8 @@ def _of_camera(values: RunValues) -> list[str]:
     if len(slam.path_probabilities) > 1:
         shares = ", ".join(f"{share:.0%}" for share in slam.path_probabilities)
         found.append(f"{len(slam.path_probabilities)} paths explain what was seen, with {shares}.")
+    if text := undiscovered_text(float(slam.undiscovered)):
+        found.append(f"{text[0].upper()}{text[1:]}.")
     return found
 
 

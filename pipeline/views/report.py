@@ -15,6 +15,7 @@ from pipeline.publishing.told_spread import (
     presence_text,
     rotation_text,
     shares_text,
+    undiscovered_text,
     verdict_text,
 )
 from pipeline.publishing.values import RunValues
@@ -39,13 +40,13 @@ def report_markdown(values: RunValues, summary: Mapping[str, Any]) -> str:
 
 
 def _camera(slam: SlamResult, told: Mapping[str, Any]) -> list[str]:
-    spread = camera_text(told)
+    doubts = camera_text(told), undiscovered_text(told["undiscovered_probability"])
     return [
         "",
         "**Camera**",
         "",
         f"- {told['frames']} frames over {told['length_m']:.2f} m, {told['lost_frames'] or 'none'} lost",
-        *([f"- {spread}"] if spread else []),
+        *(f"- {doubt}" for doubt in doubts if doubt),
         f"- effective number of hypotheses at most {slam.hypotheses.max():.2g};"
         f" {len(slam.log_weights)} trajectories drawn",
         *_paths(slam.path_probabilities),

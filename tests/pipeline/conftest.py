@@ -54,6 +54,7 @@ def true_trajectory(filmed_mug: SyntheticRecording) -> SlamResult:
         mean=mean,
         covariance=np.tile(1e-6 * np.eye(6), (frames, 1, 1)),
         degrees_of_freedom=np.asarray(8.0),
+        undiscovered=np.asarray(0.0),
         hypotheses=np.linspace(3.0, 2.0, frames),
         log_evidence=np.full(frames, 10.0),
         resampled=np.zeros(frames, bool),

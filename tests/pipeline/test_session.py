@@ -78,7 +78,7 @@ def test_the_run_folder_holds_what_other_programs_rely_on(
 
     summary = json.loads((run / "summary.json").read_text())
     slam = {"frames": 6, "lost_frames": 0, "lost": [], "hypotheses_max": 3.0, "path_probabilities": [1.0]}
-    slam |= {"log_evidence": 60.0, "warnings": []}
+    slam |= {"log_evidence": 60.0, "undiscovered_probability": 0.0, "warnings": []}
     slam |= {"distortion_per_m": 0.0, "distortion_std_per_m": 2e-3}
     spread_m = pytest.approx(np.sqrt(3e-6))
     slam |= {"position_std_m": spread_m, "largest_position_std_m": spread_m, "least_sure_frame": 0}

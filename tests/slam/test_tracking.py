@@ -165,13 +165,19 @@ def test_settings_out_of_range_are_refused(name: str, value: Any):
 
 
 def test_a_file_of_the_format_before_is_read(key, tmp_path):
-    """What is called `hypotheses` was called `ess` there."""
+    """What is called `hypotheses` was called `ess` there; maps that were not found were not told of."""
     result, _ = _track(key, box_room.frames(box_room.walk(2), seed=13))
     arrays = {field.name: getattr(result, field.name) for field in fields(result)}
     arrays["ess"] = arrays.pop("hypotheses")
+    del arrays["undiscovered"]
     np.savez(tmp_path / "before.npz", format_version=4, **arrays)
+    np.savez(tmp_path / "now.npz", format_version=SlamResult.FORMAT_VERSION, **arrays)
 
-    np.testing.assert_array_equal(SlamResult.load(tmp_path / "before.npz").hypotheses, result.hypotheses)
+    before = SlamResult.load(tmp_path / "before.npz")
+    np.testing.assert_array_equal(before.hypotheses, result.hypotheses)
+    assert before.undiscovered == 0.0
+    with pytest.raises(ValueError, match="undiscovered"):
+        SlamResult.load(tmp_path / "now.npz")
 
 
 def test_a_file_that_is_no_result_is_refused(tmp_path):

@@ -21,6 +21,7 @@ def path(seed: int, count: int, lost: tuple[int, ...] = ()) -> SlamResult:
         mean=matrices,
         covariance=np.tile(np.eye(6), (count, 1, 1)),
         degrees_of_freedom=np.asarray(8.0),
+        undiscovered=np.asarray(0.0),
         hypotheses=np.ones(count),
         log_evidence=np.zeros(count),
         resampled=np.zeros(count, bool),

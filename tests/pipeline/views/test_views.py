@@ -152,6 +152,18 @@ def test_paths_that_differ_are_told(true_trajectory: SlamResult) -> None:
     assert lost.path_probabilities == pytest.approx([1.0])
 
 
+def test_a_map_that_may_not_have_been_found_is_told(true_trajectory: SlamResult) -> None:
+    """In the view, and in summary.json for the terminal; of less than half a percent nothing is said."""
+    for probability, share in ((0.514, "51%"), (0.004, None)):
+        slam = replace(true_trajectory, undiscovered=np.asarray(probability))
+        run = RunValues(slam=slam, room=None, shapes={})
+        summary = summary_of(run)
+        assert summary["slam"]["undiscovered_probability"] == probability
+        for told in (report_markdown(run, summary), " ".join(summary["slam"]["warnings"])):
+            assert ("may have missed the true map" in told) == (share is not None)
+            assert share is None or share in told
+
+
 def test_the_graph_stands_as_the_scene_does(parsed_run: RunValues) -> None:
     """The table below the box, which is below the mug; labels of one level do not cover each other."""
     scene = parsed_run.scene
