@@ -61,11 +61,12 @@ class KeyframeMap:
     def with_keyframe(self, surface: SurfelImage) -> KeyframeMap:
         """The map with one keyframe more."""
         samples = (*self.samples, sample_points(surface))
-        return replace(self, surfaces=(*self.surfaces, self.pages.hold(surface)), samples=samples)
+        held = self.pages.hold(surface.committed())
+        return replace(self, surfaces=(*self.surfaces, held), samples=samples)
 
     def with_refined(self, index: int, surface: SurfelImage) -> KeyframeMap:
         """The map with the surface of one keyframe replaced by a better one."""
-        held = self.pages.hold(surface)
+        held = self.pages.hold(surface.committed())
         return replace(self, surfaces=(*self.surfaces[:index], held, *self.surfaces[index + 1 :]))
 
     def only(self, chosen: Sequence[int]) -> KeyframeMap:

@@ -61,8 +61,17 @@ class SurfelImage:
 
     def with_stored(self, arrays: Sequence[Any]) -> SurfelImage:
         """With those arrays, or without any."""
-        depth_m, planes, variance_m2 = (one if one is None else jnp.asarray(one) for one in arrays)
-        return replace(self, depth_m=depth_m, planes=planes, variance_m2=variance_m2)
+        depth_m, planes, variance_m2 = arrays
+        return replace(self, depth_m=depth_m, planes=planes, variance_m2=variance_m2).committed()
+
+    def committed(self) -> SurfelImage:
+        """The same, its arrays bound to the device.
+
+        Kernels from the store give bound arrays, others free ones, and JAX compiles a kernel anew for every
+        mixture of them among its arguments.
+        """
+        arrays = jax.device_put(self.stored(), jax.devices()[0])
+        return replace(self, **dict(zip(("depth_m", "planes", "variance_m2"), arrays, strict=True)))
 
 
 def surfel_image(view: CanvasView, noise: DepthNoise) -> SurfelImage:
