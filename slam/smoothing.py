@@ -39,8 +39,8 @@ def smoothed(
     The marginal of a frame mixes the maps' Gaussians, that of its keyframe and its own in each, and is a
     Student-t. Where two motions compete it reaches to the other one, and where the true map may not have been
     found to where a walk of the motion prior's steps leads, one for each keyframe from the first. The draws
-    are those of the images as they are, and of a map that was found. Frames follow
-    the sensor's distortion field, which is unknown. A frame whose keyframe nothing ties to the first is lost.
+    are those of the images as they are, and of a map that was found. Frames follow the sensor's distortion
+    field, which is unknown. A frame whose keyframe nothing ties to the first is lost.
 
     Args:
         key: consumed.

@@ -97,13 +97,13 @@ def measure_air(
     rows = {row.scene: row for row in read_rows(path)} if path else {}
     started = time.perf_counter()
     world = air_world(*size)
-    searcher = Lattice.of(searched(world))
+    lattice = Lattice.of(searched(world))
     set_up_s = time.perf_counter() - started
     wanted = range(first, first + scenes)
     for number in wanted:
         if number not in rows:
             lit = world if lamp == "known" else replace(world, light=_lamp(number))
-            rows[number] = _row(searcher, air_scene(lit, number), number, lamp == "any")
+            rows[number] = _row(lattice, air_scene(lit, number), number, lamp == "any")
             if path:
                 _append(path, rows[number])
         progress(number - first + 1, scenes)
@@ -131,18 +131,18 @@ def _lamp(number: int) -> Light:
     return Light(direction=(across * np.cos(turn), across * np.sin(turn), up), ambient=ambient)
 
 
-def _row(searcher: Lattice, scene: AirScene, number: int, any_lamp: bool) -> AirRow:
+def _row(lattice: Lattice, scene: AirScene, number: int, any_lamp: bool) -> AirRow:
     image, camera = scene.image, air_world(*scene.image.shape[1::-1]).camera
     if max(camera.width, camera.height) > LONGEST_PX:
         rgb = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
         image = pooled_image(rgb, camera, GAMMA)[0]
     started, core_started = time.perf_counter(), time.process_time()
     if any_lamp:
-        searcher, found, _ = find_under_any_lamp(searcher, image)
+        lattice, found, _ = find_under_any_lamp(lattice, image)
     else:
-        found = find(searcher, image)
+        found = find(lattice, image)
     seconds, core_seconds = time.perf_counter() - started, time.process_time() - core_started
-    world = searcher.world
+    world = lattice.world
     truth = log_posterior(world, colour_image(world, image), scene.truth)
     places, yaws = _errors(world, scene, found)
     return AirRow(
