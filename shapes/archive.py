@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -18,7 +19,18 @@ from numpy.typing import ArrayLike, NDArray
 LARGEST_BYTES = 4 << 30
 """An archive whose arrays claim more than this is refused before memory is taken."""
 
-_DAMAGE = (ValueError, EOFError, OSError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+_DAMAGE = (
+    ValueError,
+    EOFError,
+    OSError,
+    KeyError,
+    RuntimeError,
+    SyntaxError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What zipfile and NumPy raise on a damaged file: a header is parsed before the zip's checksum is due."""
 
 
 def save_arrays(path: str | Path, arrays: Mapping[str, ArrayLike], *, compressed: bool = True) -> None:
@@ -31,18 +43,16 @@ def save_arrays(path: str | Path, arrays: Mapping[str, ArrayLike], *, compressed
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, partial = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
-        with os.fdopen(descriptor, "wb") as file:
+        with partial.open("xb") as file:
             save = np.savez_compressed if compressed else np.savez
             save(file, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()})
             file.flush()
             os.fsync(file.fileno())
-        Path(partial).chmod(0o666 & ~_umask())
-        Path(partial).replace(path)
-    except BaseException:
-        Path(partial).unlink(missing_ok=True)
-        raise
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def load_arrays(path: str | Path, *, largest_bytes: int = LARGEST_BYTES) -> dict[str, NDArray]:
@@ -65,7 +75,8 @@ def load_arrays(path: str | Path, *, largest_bytes: int = LARGEST_BYTES) -> dict
                 raise ValueError(f"its arrays claim {claimed / 2**30:.1f} GiB")
             return {member.filename.removesuffix(".npy"): _read(archive, member) for member in members}
     except _DAMAGE as error:
-        raise ValueError(f"{path} is not a readable npz file: {error}") from error
+        reason = str(error).partition("\n")[0]
+        raise ValueError(f"{path} is not a readable npz file: {reason}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +110,8 @@ class Archived:
             ValueError: the file is damaged, of another format, or lacks a field.
         """
         arrays = load_arrays(path)
-        version = np.asarray(arrays.pop("format_version", 0)).item()
+        stored = np.asarray(arrays.pop("format_version", 0))
+        version = stored.item() if stored.ndim == 0 else None
         renamed = {cls.FORMAT_VERSION: {}, **cls.OLDER_FORMATS}.get(version)
         if renamed is None:
             raise ValueError(f"{path} is not a {cls.TITLE} of format {cls.FORMAT_VERSION}")
@@ -128,9 +140,3 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
             raise ValueError(f"array {member.filename} does not hold what it claims")
     with archive.open(member) as stream:
         return np.lib.format.read_array(stream, allow_pickle=False)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -70,7 +70,8 @@ def _read(path: Path, is_whole: Callable[[Arrays], bool]) -> Arrays | None:
     try:
         arrays = load_arrays(path)
         if is_whole(arrays):
-            path.touch()
+            with suppress(OSError):  # a folder that can only be read
+                path.touch()
             return arrays
         _log.info("%s does not hold what it should: made anew", path)
     except FileNotFoundError:
@@ -81,7 +82,14 @@ def _read(path: Path, is_whole: Callable[[Arrays], bool]) -> Arrays | None:
 
 
 def _drop_oldest(folder: Path) -> None:
-    files = sorted(folder.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+    files = sorted(folder.glob("*.npz"), key=_used_at)
     for file in files[:-MOST_FILES]:
-        with suppress(OSError):  # another process may have dropped it
+        with suppress(OSError):
             file.unlink(missing_ok=True)
+
+
+def _used_at(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except OSError:  # another process has dropped it
+        return 0.0

@@ -32,6 +32,7 @@ from slam.result import SlamResult
 from slam.smoothing import smoothed
 
 OnFrame = Callable[[FrameInfo], None]
+OnPhase = Callable[[str], None]
 OnCheckpoint = Callable[[Checkpoint], None]
 
 
@@ -42,6 +43,7 @@ def track(
     config: SlamConfig,
     on_frame: OnFrame | None = None,
     *,
+    on_phase: OnPhase | None = None,
     sensor: SensorProfile | None = None,
     pages: PageFile | None = None,
     checkpoint: Checkpoint | None = None,
@@ -58,6 +60,7 @@ def track(
         intrinsics: of the recording; frames of another size are taken as resized.
         config: settings.
         on_frame: called after every frame.
+        on_phase: called with what is done next, after the last frame.
         sensor: what is known of it: its noise, and the distortion by which the frames have been corrected, of
             which only what it leaves open is unknown then.
         pages: where keyframes and frames go that are not asked for, so that memory hardly grows; None keeps
@@ -84,7 +87,7 @@ def track(
             _tell(on_frame, info)
         if on_checkpoint is not None and tracker.state is not None:
             on_checkpoint(Checkpoint(state=tracker.state, history=tracker.history, details=tracker.details))
-    return tracker.result(intrinsics, sensor)
+    return tracker.result(intrinsics, sensor, on_phase or (lambda _: None))
 
 
 def _tell(on_frame: OnFrame | None, info: FrameInfo) -> None:
@@ -143,7 +146,9 @@ class _Tracker:
             first_new=state.refined_keyframes,
         )
 
-    def result(self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None) -> SlamResult:
+    def result(
+        self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None, on_phase: OnPhase
+    ) -> SlamResult:
         """After the last frame.
 
         Raises:
@@ -160,12 +165,14 @@ class _Tracker:
         keys = jax.random.split(jax.random.fold_in(self.key, len(history)), 3)
         prior: TrajectoryPrior | None = None
         if are_sparse_views(state, len(history), history.in_doubt):
+            on_phase("searching for maps of few views")
             prior = TrajectoryPrior.of(state, config)
             self.details = [
                 self.pages.hold(detail.value.with_plane_segments(self.noise)) for detail in self.details
             ]
         images = self._images(state)
         maps = choose_map(keys[0], state, config, images, prior)
+        on_phase("refining the map")
         sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
         field = sensor.distortion if sensor else None
         if field is not None:

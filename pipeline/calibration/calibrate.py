@@ -127,14 +127,8 @@ def _track(
     key = jax.random.fold_in(stage_key(common.seed, "slam"), number)
     with common.progress(f"calibrate {path.name}", "frames") as progress:
         progress.phase("tracking the camera for the distortion field")
-
-        def on_frame(done: int, count: int) -> None:
-            progress(done, count)
-            if done == count:
-                progress.phase("refining the map")
-
         try:
-            result, profile = tracked_field(key, recording, known, config, on_frame, total)
+            result, profile = tracked_field(key, recording, known, config, progress, progress.phase, total)
         except ValueError as error:
             raise PipelineError(f"{path}: {error}") from error
     lost = int(result.lost.sum())

@@ -45,6 +45,7 @@ def tracked_field(
     known: SensorProfile,
     config: SlamConfig,
     on_frame: Callable[[int, int], None],
+    on_phase: Callable[[str], None],
     total: int,
 ) -> tuple[SlamResult, SensorProfile]:
     """The camera's way through a recording, and the profile with what that tells of the distortion.
@@ -55,6 +56,7 @@ def tracked_field(
         known: of the sensor so far; its field is the prior, by which frames are corrected.
         config: of tracking.
         on_frame: called with frames done and in all.
+        on_phase: called with what is done after the last frame.
         total: frames that are tracked.
 
     Raises:
@@ -70,6 +72,7 @@ def tracked_field(
         recording.intrinsics,
         config,
         lambda _: on_frame(next(done), total),
+        on_phase=on_phase,
         sensor=None if known.distortion is None else field,
     )
     return result, replace(known, distortion=result.sensor.distortion)

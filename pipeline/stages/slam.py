@@ -110,8 +110,6 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
             progress(done, total)
             if done % FRAMES_UNTIL_TIDY == TIDIED_AT:
                 give_back_free_memory()
-            if done == total:
-                progress.phase("refining the map")
 
         try:
             result = track(
@@ -120,6 +118,7 @@ def _track(session: Session, config: SlamConfig) -> SlamResult:
                 recording.intrinsics,
                 config,
                 on_frame,
+                on_phase=progress.phase,
                 sensor=recording.sensor,
                 pages=pages,
                 checkpoint=keeper.found(partial(Checkpoint.load, pages=pages)),

@@ -24,7 +24,13 @@ BAND = 1.0
 REACH = 5
 """Voxels per axis in which one triangle can be nearest: LONGEST_EDGE + 2 BAND, rounded outwards."""
 
-UNREACHED = 2**32 - 1
+STEPS = 2047
+"""Of distance in a voxel, by which triangles are compared; of equally many the first counts."""
+
+NUMBER_BITS = np.uint64(32)
+"""Of a key: a triangle's number, below the steps of its distance."""
+
+UNREACHED = np.uint64(2**64 - 1)
 
 TOUCHING = 1e-3
 """Voxels from the surface up to which the way to it has no direction."""
@@ -79,8 +85,8 @@ def nearest_sheets(
         size: voxels per axis.
 
     Returns:
-        Leaves (size, ...). Exact within 1.5 voxels of the surface; beyond, the distance to the triangle
-        nearest to the nearest such voxel.
+        Leaves (size, ...). Exact within `BAND` of the surface; beyond, the distance to the triangle nearest to
+        the nearest such voxel.
     """
     triangles = _subdivided(np.asarray(vertices, np.float32)[np.asarray(faces)], LONGEST_EDGE)
     reached = _Reached.of(triangles, size)
@@ -132,12 +138,12 @@ class _Reached:
 
     Attributes:
         voxel: (P,) flat indices.
-        key: (P,) uint32, the distance in the upper bits and the triangle's number in the lower 20.
+        key: (P,) uint64, the distance in the upper bits and the triangle's number in the lower `NUMBER_BITS`.
         size: of the grid.
     """
 
     voxel: NDArray[np.intp]
-    key: NDArray[np.uint32]
+    key: NDArray[np.uint64]
     size: tuple[int, int, int]
 
     @classmethod
@@ -147,24 +153,24 @@ class _Reached:
         padded = np.concatenate([triangles, np.full((padding, 3, 3), -1e3, np.float32)])
         voxels, keys = [], []
         for start in range(0, len(padded), CHUNK):
-            index, key = map(
-                np.asarray, _reached(padded[start : start + CHUNK], start, np.asarray(size, np.int32))
-            )
+            reached = _reached(padded[start : start + CHUNK], np.asarray(size, np.int32))
+            index, steps = map(np.asarray, reached)
             inside = index >= 0
+            number = (start + np.nonzero(inside)[0]).astype(np.uint64)
             voxels.append(index[inside].astype(np.intp))
-            keys.append(key[inside])
+            keys.append(steps[inside].astype(np.uint64) << NUMBER_BITS | number)
         return cls(voxel=np.concatenate(voxels), key=np.concatenate(keys), size=size)
 
     @property
     def triangle(self) -> NDArray[np.intp]:
         """Number (P,) of the triangle."""
-        return (self.key & (2**20 - 1)).astype(np.intp)
+        return _number(self.key).astype(np.intp)
 
     def nearest(self) -> NDArray[np.int32]:
         """Index (size) of the nearest triangle, -1 where none is near."""
-        best = np.full(int(np.prod(self.size)), UNREACHED, np.uint32)
+        best = np.full(int(np.prod(self.size)), UNREACHED)
         np.minimum.at(best, self.voxel, self.key)
-        nearest = (best & (2**20 - 1)).astype(np.int32)
+        nearest = _number(best).astype(np.int32)
         nearest[best == UNREACHED] = -1
         return nearest.reshape(self.size)
 
@@ -175,14 +181,18 @@ class _Reached:
         there = outward[nearest.ravel()[self.voxel]]
         cosine = (there * outward[self.triangle]).sum(axis=1)
         elsewhere = cosine < ELSEWHERE
-        penalty = np.where(cosine > OPPOSITE, np.uint32(SIDEWAYS * 2047) << 20, 0).astype(np.uint32)
-        key = (self.key + penalty)[elsewhere]
+        penalty = np.uint64(SIDEWAYS * STEPS) << NUMBER_BITS
+        key = (self.key + np.where(cosine > OPPOSITE, penalty, np.uint64(0)))[elsewhere]
         return replace(self, voxel=self.voxel[elsewhere], key=key).nearest()
 
 
+def _number(key: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    return key & ((np.uint64(1) << NUMBER_BITS) - np.uint64(1))
+
+
 @jax.jit
-def _reached(triangles, start, size):
-    """Flat indices (T, REACH^3) and keys of the voxels round triangles (T, 3, 3); -1 beyond `BAND`."""
+def _reached(triangles, size):
+    """Flat indices (T, REACH^3) of the voxels round triangles (T, 3, 3), -1 beyond `BAND`, and distances."""
     corner = jnp.floor(triangles.min(axis=1) - BAND).astype(jnp.int32)
     block = np.stack(np.meshgrid(*[np.arange(REACH)] * 3, indexing="ij")).reshape(3, -1)
     i, j, k = (corner[:, axis, None] + block[axis, None] for axis in range(3))
@@ -191,9 +201,8 @@ def _reached(triangles, start, size):
     inside = (
         (square <= BAND**2) & (i >= 0) & (i < size[0]) & (j >= 0) & (j < size[1]) & (k >= 0) & (k < size[2])
     )
-    name = start + jnp.arange(len(triangles), dtype=jnp.uint32)[:, None]
-    key = (jnp.sqrt(square) * 2047).astype(jnp.uint32) << 20 | name
-    return jnp.where(inside, (i * size[1] + j) * size[2] + k, -1), key
+    steps = (jnp.sqrt(square) * STEPS).astype(jnp.uint32)
+    return jnp.where(inside, (i * size[1] + j) * size[2] + k, -1), steps
 
 
 def _offset_of_voxels(triangles: NDArray[np.float32], nearest: NDArray[np.int32]) -> NDArray[np.float32]:

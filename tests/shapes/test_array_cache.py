@@ -80,3 +80,17 @@ def test_the_oldest_are_dropped(folder: Path, monkeypatch: pytest.MonkeyPatch) -
 
     assert made.times == 3
     assert len(list(folder.iterdir())) == 2
+
+
+def test_a_folder_that_can_only_be_read_serves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time of use cannot be kept there; the arrays are read all the same."""
+    made = Made()
+    made(1)
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(path)
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    made(1)
+
+    assert made.times == 1
