@@ -111,7 +111,7 @@ class Archived:
         """
         arrays = load_arrays(path)
         stored = np.asarray(arrays.pop("format_version", 0))
-        version = stored.item() if stored.ndim == 0 else None
+        version = stored.item() if stored.ndim == 0 else -1
         renamed = {cls.FORMAT_VERSION: {}, **cls.OLDER_FORMATS}.get(version)
         if renamed is None:
             raise ValueError(f"{path} is not a {cls.TITLE} of format {cls.FORMAT_VERSION}")

@@ -85,8 +85,8 @@ def nearest_sheets(
         size: voxels per axis.
 
     Returns:
-        Leaves (size, ...). Exact within `BAND` of the surface; beyond, the distance to the triangle nearest to
-        the nearest such voxel.
+        Leaves (size, ...). Exact within `BAND` of the surface; beyond, the distance to the triangle
+        nearest to the nearest such voxel.
     """
     triangles = _subdivided(np.asarray(vertices, np.float32)[np.asarray(faces)], LONGEST_EDGE)
     reached = _Reached.of(triangles, size)
