@@ -31,8 +31,10 @@ def stored_intrinsics(camera: CameraMessage, width: int, height: int, *, rectifi
     resized. Pixel centres are integers, so cx' = (cx + 0.5) s - 0.5.
 
     Raises:
-        UnusableCamera: the image has another shape than the camera's.
+        UnusableCamera: the image is empty, or has another shape than the camera's.
     """
+    if min(width, height) <= 0:
+        raise UnusableCamera(f"its images claim to have {width}x{height} pixels")
     matrix = camera.P[:, :3] if rectified and camera.P[0, 0] > 0 < camera.P[1, 1] else camera.K
     x, y, roi_width, roi_height = camera.roi
     if roi_width <= 0 or roi_height <= 0 or (width, height) == (camera.width, camera.height):

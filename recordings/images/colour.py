@@ -28,6 +28,8 @@ _CHROMA_FIRST = {"yuv422": 1, "UYVY": 1, "uyvy": 1, "yuv422_yuy2": 0, "YUY2": 0,
 """Two bytes a pixel, Y and one of U and V for two pixels: where Y stands (sensor_msgs/image_encodings)."""
 _RGB_FROM_YUV = np.array([[1.164, 0, 1.596], [1.164, -0.392, -0.813], [1.164, 2.017, 0]], np.float32)
 """Of Y - 16, U - 128, V - 128 in the range of television (ITU-R BT.601), as cv_bridge takes it."""
+_GREY_MODES = {"1", "L", "LA", "I", "I;16"}
+"""Pillow's names of one brightness a pixel: infrared and the like, as mono8 is among raw images."""
 
 ColourMessage = ImageMessage | CompressedImageMessage
 
@@ -39,6 +41,18 @@ def is_colour(message: object) -> bool:
     if not isinstance(message, CompressedImageMessage) or holds_depth(message):
         return False
     return _compressed_format(message.data) is not None
+
+
+def is_grey(message: ColourMessage) -> bool:
+    """Whether an image for which `is_colour` holds is grey after all, as a compressed one says in its head.
+
+    Raises:
+        UndecodableMessage: a compressed image is damaged in its first bytes.
+    """
+    if isinstance(message, ImageMessage):
+        return False
+    with _opened(message.data) as image:
+        return image.mode in _GREY_MODES
 
 
 def colour_size(message: ColourMessage) -> tuple[int, int]:

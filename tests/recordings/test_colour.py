@@ -209,6 +209,34 @@ def test_a_first_image_that_is_cut_does_not_decide(size, rgb, recording_path):
     assert recording.damage.lost_messages == 1
 
 
+def test_a_first_raw_image_without_pixels_does_not_decide(rgb, recording_path):
+    """As a driver sends it before the camera runs; it is counted as lost itself."""
+    with Scribe(recording_path) as scribe:
+        for topic in ("/c/camera_info", "/d/camera_info"):
+            scribe.ros2(topic, camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for i, pixels in enumerate([rgb[:0, :0], rgb]):
+            stamp = SECOND_NS + i * STEP_NS
+            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
+            scribe.ros2("/c/image", image(stamp, "rgb8", pixels), stamp)
+    recording = open_recording(recording_path)
+    assert [frame.rgb is not None for frame in recording] == [False, True]
+    assert recording.damage.lost_messages == 1
+
+
+@pytest.mark.parametrize("format_", ["JPEG", "PNG"])
+def test_infrared_images_are_no_colour(format_, rgb, recording_path):
+    """Compressed grey images are passed over as raw ones are, for colour that stands behind them."""
+    grey, coloured = io.BytesIO(), io.BytesIO()
+    Image.fromarray(rgb[..., 0]).save(grey, format_)
+    Image.fromarray(rgb).save(coloured, format_)
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        scribe.ros2("/d/image", image(SECOND_NS, "16UC1", DEPTH), SECOND_NS)
+        for topic, data in {"/a/infrared": grey.getvalue(), "/b/colour": coloured.getvalue()}.items():
+            scribe.ros2(topic, compressed_image(SECOND_NS, format_.lower(), data), SECOND_NS)
+    assert open_recording(recording_path).colour_topic == "/b/colour"
+
+
 def test_our_own_colour_comes_back(rgb, camera, recording_path):
     """What the writer registers, the reader attaches."""
     with RecordingWriter(recording_path, camera) as writer:
