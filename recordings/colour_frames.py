@@ -73,7 +73,12 @@ class ColourFrames:
         """How the images become colours of the camera's pixels; None where the camera is unknown."""
         if self.intrinsics is None:
             return None
-        return ColourTopic(name=self._topic.name, camera=self.intrinsics, undistortion=self._undistortion)
+        return ColourTopic(
+            name=self._topic.name,
+            size=self.size,
+            camera=self.intrinsics,
+            undistortion=self._undistortion,
+        )
 
     def depth(self, message: DecodedMessage, time_ns: int) -> NDArray[np.float32]:
         """Nothing was measured, (H, W)."""

@@ -17,10 +17,16 @@ from recordings.cameras.distortion import (
     is_distorted,
     unfolded_radius,
 )
-from recordings.cameras.matching import is_rectified, matching_camera, namespace, shared_namespace
+from recordings.cameras.matching import (
+    is_frame,
+    is_rectified,
+    matching_camera,
+    namespace,
+    shared_namespace,
+)
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.first_colour import first_colour
-from recordings.images.colour import ColourMessage, colour_size, decode_colour
+from recordings.images.colour import ColourMessage, colour_size, rgb_of_size
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import (
     CameraMessage,
@@ -64,9 +70,7 @@ class ColourCamera:
         Raises:
             UndecodableMessage: the image is damaged, or of another size than the first.
         """
-        image = decode_colour(message)
-        if image.shape[:2] != (self.intrinsics.height, self.intrinsics.width):
-            raise UndecodableMessage("is a colour image of another size than the first")
+        image = rgb_of_size(message, (self.intrinsics.width, self.intrinsics.height))
         v, u = np.nonzero(depth_m != NO_RETURN)
         points = (self.depth_intrinsics.rays(u, v) * depth_m[v, u, None]) @ self.colour_from_depth[:3, :3].T
         points += self.colour_from_depth[:3, 3]
@@ -140,9 +144,8 @@ def projected_colour(
     tree: TransformTree | None = None
     for topic in sorted(decoded.topic_names, key=lambda name: (-shared_namespace(depth_topic, name), name)):
         first = first_colour(decoded, topic)
-        if first is None:
-            continue
-        if first.frame_id == frame_id:  # yet not registered: another camera that carries the wrong name
+        # One in the depth's frame, yet not registered, is another camera that carries the wrong name.
+        if first is None or is_frame(first.frame_id, frame_id):
             continue
         tree = tree or recorded_transforms(decoded, mountings_only=True)
         colour_from_depth = tree.mounting(first.frame_id, frame_id)
@@ -187,7 +190,7 @@ def _lens(
     topic: str, first: ColourMessage, cameras: dict[str, CameraMessage]
 ) -> tuple[CameraIntrinsics, str, tuple[float, ...]] | None:
     """Intrinsics and distortion of a topic's own camera; None where it is not recorded or of no use."""
-    own_frame = {name: camera for name, camera in cameras.items() if camera.frame_id == first.frame_id}
+    own_frame = {name: one for name, one in cameras.items() if is_frame(one.frame_id, first.frame_id)}
     rectified = is_rectified(topic)
     try:
         size = colour_size(first)

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recordings.cameras.distortion import Undistortion, is_distorted
-from recordings.cameras.matching import is_rectified, matching_camera, possible_cameras
+from recordings.cameras.matching import is_frame, is_rectified, matching_camera, possible_cameras
 from recordings.cameras.pinhole import UnusableCamera, stored_intrinsics
 from recordings.depth_images import DepthImages
 from recordings.first_colour import first_colour
-from recordings.images.colour import ColourMessage, colour_size, decode_colour, is_colour, resampled
+from recordings.images.colour import ColourMessage, colour_size, is_colour, resampled, rgb_of_size
 from recordings.images.compressed_depth import holds_depth
 from recordings.images.depth_pixels import DEPTH_DTYPES
 from recordings.messages.decoded_bag import DecodedBag
-from recordings.messages.types import (
-    CameraMessage,
-    CompressedImageMessage,
-    ImageMessage,
-    UndecodableMessage,
-)
+from recordings.messages.types import CameraMessage, CompressedImageMessage, ImageMessage
 from recordings.types import CameraIntrinsics
 
 _FOCAL_TOLERANCE = 0.01
@@ -34,9 +29,17 @@ _IMAGES = ("Image", "Video", "PointCloud")
 
 @dataclass(frozen=True, kw_only=True)
 class ColourTopic:
-    """A topic of colour images that are registered to a depth topic and its camera."""
+    """A topic of colour images that are registered to a depth topic and its camera.
+
+    Attributes:
+        name: of the topic.
+        size: width and height of its images.
+        camera: of the depth images.
+        undistortion: of the depth images, None where they need none.
+    """
 
     name: str
+    size: tuple[int, int]
     camera: CameraIntrinsics
     undistortion: Undistortion | None
 
@@ -44,9 +47,9 @@ class ColourTopic:
         """The colours (H, W, 3) of the depth image's pixels.
 
         Raises:
-            UndecodableMessage: the image is damaged.
+            UndecodableMessage: the image is damaged, or of another size than the first.
         """
-        rgb = resampled(decode_colour(message), self.camera.width, self.camera.height)
+        rgb = resampled(rgb_of_size(message, self.size), self.camera.width, self.camera.height)
         return self.undistortion.colour(rgb) if self.undistortion else rgb
 
 
@@ -56,11 +59,18 @@ def registered_colour(
     """The first topic of colour images in the depth's own frame and with its camera, if there is one."""
     if depth.intrinsics is None or not frame_id:
         return None
-    colour = ColourTopic(name="", camera=depth.intrinsics, undistortion=depth.undistortion)
     for topic in decoded.topic_names:
         first = first_colour(decoded, topic)
-        if first is not None and first.frame_id == frame_id and _sees_the_same(topic, first, colour, cameras):
-            return replace(colour, name=topic)
+        if first is None or not is_frame(first.frame_id, frame_id):
+            continue
+        colour = ColourTopic(
+            name=topic,
+            size=colour_size(first),
+            camera=depth.intrinsics,
+            undistortion=depth.undistortion,
+        )
+        if _sees_the_same(colour, first.frame_id, cameras):
+            return colour
     return None
 
 
@@ -82,23 +92,22 @@ def unread_images(decoded: DecodedBag) -> str | None:
     return None
 
 
-def _sees_the_same(
-    topic: str, first: ColourMessage, depth: ColourTopic, cameras: dict[str, CameraMessage]
-) -> bool:
+def _sees_the_same(colour: ColourTopic, frame_id: str, cameras: dict[str, CameraMessage]) -> bool:
+    """Whether the images of a topic, taken in a frame, are those of the depth's camera."""
+    depth = colour.camera
     try:
-        size = colour_size(first)
-        own = possible_cameras(topic, first.frame_id, cameras)
-        found = matching_camera(topic, first.frame_id, size, own)
+        own = possible_cameras(colour.name, frame_id, cameras)
+        found = matching_camera(colour.name, frame_id, colour.size, own)
         if found is None:
-            return size == (depth.camera.width, depth.camera.height)
+            return colour.size == (depth.width, depth.height)
         camera = found[1]
-        rectified = is_rectified(topic)
+        rectified = is_rectified(colour.name)
         distorted = not rectified and is_distorted(camera.distortion)
-        own = stored_intrinsics(camera, *size, rectified=rectified)
-        own = own.resized(depth.camera.width, depth.camera.height)
-    except (UndecodableMessage, UnusableCamera):
+        own = stored_intrinsics(camera, *colour.size, rectified=rectified)
+        own = own.resized(depth.width, depth.height)
+    except UnusableCamera:
         return False
-    return distorted == (depth.undistortion is not None) and _agree(own, depth.camera)
+    return distorted == (colour.undistortion is not None) and _agree(own, depth)
 
 
 def _agree(a: CameraIntrinsics, b: CameraIntrinsics) -> bool:

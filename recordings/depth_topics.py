@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from recordings.cameras.matching import base_topic, namespace, shared_namespace
+from recordings.cameras.matching import base_topic, is_frame, namespace, shared_namespace
 from recordings.errors import RecordingError
 from recordings.first_colour import first_colour
 from recordings.images.compressed_depth import holds_depth, image_size
@@ -77,7 +77,7 @@ def is_aligned_to_colour(decoded: DecodedBag, topic: str) -> bool:
     first = decoded.first(topic)
     frame_id = getattr(first, "frame_id", "")
     return bool(frame_id) and any(
-        other.frame_id == frame_id
+        is_frame(other.frame_id, frame_id)
         for name in decoded.topic_names
         if name != topic and (other := first_colour(decoded, name)) is not None
     )

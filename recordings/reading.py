@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +40,7 @@ from recordings.messages.types import (
 from recordings.options import ReadOptions
 from recordings.poses.transform_tree import recorded_transforms
 from recordings.sensor_profile import SensorProfile, read_sensor_profile
-from recordings.stamps import in_order_of_stamps, selected
+from recordings.stamps import in_order_of_stamps, is_of_this_age, selected
 from recordings.types import NO_RETURN, CameraIntrinsics, Damage, Frame
 
 _DEFAULT_OPTIONS = ReadOptions()
@@ -50,10 +52,12 @@ _CLOCKS_OF_TODAY_NS = 365 * 24 * 3600 * _SECOND_NS
 """Clocks that show less, a year after 1970, count from the start of a simulation or a machine."""
 _LEAST_SIDE_PX = 4
 """Surfaces are fitted to neighbours on all sides."""
-_END_OF_TIME_NS = 1 << 62
-"""The year 2116: later stamps are damage, and those of all frames fit into 64 bits."""
 _KEPT_FOR_COLOUR = 1 << 26
-"""Colour is read behind the depth, by as many frames as are put in the order of stamps."""
+"""Colour is read beside the depth, by as many images before or behind as are put in the order of stamps."""
+
+Lose = Callable[[str, object], None]
+"""Is told of each message that cannot be used: its topic, and why."""
+StampedMessage = TypeVar("StampedMessage", bound=DepthMessage)
 
 
 def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapRecording:
@@ -80,7 +84,7 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
 
 
 class McapRecording:
-    """A `Recording` of one depth topic.
+    """The frames of one depth topic, or of one of colour alone.
 
     Frames come in the order of their stamps (header.stamp; the log time where the recorder set none). A stamp
     of zero is a time where a simulation's clock begins, else the frame is lost for want of one.
@@ -114,7 +118,7 @@ class McapRecording:
                     decoded.bag.keep_blocks(_KEPT_FOR_COLOUR)
         except UndecodableMessage as error:
             raise RecordingError(f"{decoded.bag.path}, {topic.name}: {error}") from error
-        self._losses: Counter[str] = Counter()
+        self._losses: Counter[tuple[str, str]] = Counter()
         self._length: int | None = None
         self._left_out = None if options.mask is None else read_mask(options.mask, self.size)
         self.sensor: SensorProfile | None = None
@@ -150,8 +154,7 @@ class McapRecording:
     def problems(self) -> list[str]:
         """A sentence for a person on each loss so far."""
         unused = [
-            f"{n} message{'s' * (n != 1)} of {self.depth_topic}: {reason}"
-            for reason, n in self._losses.items()
+            f"{n} message{'s' * (n != 1)} of {topic}: {reason}" for (topic, reason), n in self._losses.items()
         ]
         return self.decoded.bag.problems + unused
 
@@ -199,7 +202,11 @@ class McapRecording:
     @property
     def undecodable(self) -> int:
         """Messages of the depth topic that could not be used so far, for what they hold."""
-        return self._losses.total() - self._losses[_OUT_OF_ORDER]
+        return sum(
+            n
+            for (topic, reason), n in self._losses.items()
+            if topic == self.depth_topic and reason != _OUT_OF_ORDER
+        )
 
     def __len__(self) -> int:
         """Number of depth frames; counted by reading all of them once."""
@@ -222,17 +229,19 @@ class McapRecording:
         return self._frames(numbers)
 
     def _frames(self, wanted: Collection[int] | None) -> Iterator[Frame]:
-        losses: Counter[str] = Counter()
+        losses: Counter[tuple[str, str]] = Counter()
         count = 0
 
-        def lose(reason: object) -> None:
-            losses[str(reason)] += 1
+        def lose(topic: str, reason: object) -> None:
+            losses[topic, str(reason)] += 1
             if losses.total() > self._losses.total():
                 self._losses = losses
 
         colours = NearestInTime(self._colour_messages(lose))
         self._follow_camera()
-        messages = in_order_of_stamps(self._depth_messages(lose), leave_out=lambda _: lose(_OUT_OF_ORDER))
+        messages = in_order_of_stamps(
+            self._depth_messages(lose), leave_out=lambda _: lose(self.depth_topic, _OUT_OF_ORDER)
+        )
         chosen = selected(messages, self.options, lambda one: self._is_taken_here(one, lose))
         for number, (stamp_ns, message) in enumerate(chosen):
             if wanted is not None and number not in wanted:
@@ -240,7 +249,7 @@ class McapRecording:
             try:
                 depth_m = self._corrected(self._depth.depth(message, stamp_ns))
             except UndecodableMessage as error:
-                lose(error)
+                lose(self.depth_topic, error)
                 continue
             count += 1
             rgb, known = self._rgb(colours.at(stamp_ns), depth_m, stamp_ns, lose)
@@ -255,17 +264,14 @@ class McapRecording:
             if self._depth.is_projected and recorded_transforms(self.decoded).is_fixed_frame(self.frame_id):
                 found.fixed_frame = self.frame_id
 
-        def lose(_: object) -> None:
-            found.undecodable += 1
-
         def stamped() -> Iterator[tuple[int, DepthMessage]]:
-            for stamp_ns, message in self._depth_messages(lose):
+            for stamp_ns, message in self._depth_messages(_ignore):
                 found.add_stamp(stamp_ns)
                 yield stamp_ns, message
 
         starts_ns, first_ns = self._follow_camera(), None
         messages = in_order_of_stamps(stamped(), leave_out=_ignore)
-        chosen = selected(messages, self.options, lambda one: self._is_taken_here(one, lose))
+        chosen = selected(messages, self.options, lambda one: self._is_taken_here(one, _ignore))
         for number, (stamp_ns, message) in enumerate(chosen):
             first_ns = stamp_ns if first_ns is None else first_ns
             found.add_message(message.data if isinstance(message, DepthMessage) else b"")
@@ -276,15 +282,13 @@ class McapRecording:
         return found
 
     def _add_frame(self, found: DepthStatistics, message: DecodedMessage, stamp_ns: int) -> None:
-        try:
-            if isinstance(self._depth, ColourFrames):
-                found.add_frame(self._depth.depth(message, stamp_ns), None)
-            else:
-                stored = self._depth.stored(message)
-                depth_m = self._corrected(self._depth.metres(stored, stamp_ns))
-                found.add_frame(depth_m, stored, self.options.depth_scale_m)
-        except UndecodableMessage:
-            found.undecodable += 1
+        if isinstance(self._depth, ColourFrames):
+            found.add_frame(self._depth.depth(message, stamp_ns), None)
+            return
+        with suppress(UndecodableMessage):  # counted when the frames are read
+            stored = self._depth.stored(message)
+            depth_m = self._corrected(self._depth.metres(stored, stamp_ns))
+            found.add_frame(depth_m, stored, self.options.depth_scale_m)
 
     def _follow_camera(self) -> tuple[int, ...]:
         """When the camera's calibration changes; each frame is used by its own from now on."""
@@ -306,7 +310,7 @@ class McapRecording:
         message: ColourMessage | None,
         depth_m: NDArray[np.float32],
         stamp_ns: int,
-        lose: Callable[[object], None],
+        lose: Lose,
     ) -> tuple[NDArray[np.uint8] | None, NDArray[np.bool_] | None]:
         """Colours of a depth image's pixels, and which of them are known where not all are."""
         if self._colour is None or message is None:
@@ -316,40 +320,49 @@ class McapRecording:
                 return self._colour.rgb(message, depth_m)
             return (self._colour.rgb(message) if self._sees_colour(stamp_ns) else None), None
         except UndecodableMessage as error:
-            lose(error)
+            lose(self._colour.name, error)
             return None, None
 
-    def _depth_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, DepthMessage]]:
-        """Stamp and content of the depth messages; of one that is written twice in a row the first."""
+    def _depth_messages(self, lose: Lose) -> Iterator[tuple[int, DepthMessage]]:
+        """Stamp and content of the depth messages, in the order of the file."""
+        return self._stamped(
+            self.depth_topic, (ImageMessage, CompressedImageMessage, PointCloudMessage), lose
+        )
+
+    def _colour_messages(self, lose: Lose) -> Iterator[tuple[int, ColourMessage]]:
+        """Stamp and content of the colour messages, in the order of stamps."""
+        if self._colour is None:
+            return iter(())
+        topic = self._colour.name
+        if topic == self.depth_topic:  # colour alone: what is lost is told with the frames
+            lose = _ignore
+        messages = self._stamped(topic, (ImageMessage, CompressedImageMessage), lose)
+        return in_order_of_stamps(messages, leave_out=lambda _: lose(topic, _OUT_OF_ORDER))
+
+    def _stamped(
+        self, topic: str, kinds: tuple[type[StampedMessage], ...], lose: Lose
+    ) -> Iterator[tuple[int, StampedMessage]]:
+        """Stamp and content of a topic's messages; of one that is written twice in a row the first."""
         before: tuple[int, bytes] | None = None
-        for log_time_ns, message in self.decoded.messages({self.depth_topic}):
-            if not isinstance(message, DepthMessage):
-                lose(message)
+        for log_time_ns, message in self.decoded.messages({topic}):
+            if not isinstance(message, kinds):
+                lose(topic, message)
                 continue
             stamp_ns = log_time_ns if self._uses_log_time else message.stamp_ns
-            if not 0 <= stamp_ns < _END_OF_TIME_NS:
-                lose("its stamp is no time of this age")
+            if not is_of_this_age(stamp_ns):
+                lose(topic, "its stamp is no time of this age")
             elif stamp_ns == 0 and self._first_stamp_ns > _CLOCKS_OF_TODAY_NS:
-                lose("has no stamp, where others have")
+                lose(topic, "has no stamp, where others have")
             elif (stamp_ns, message.data) != before:
                 before = stamp_ns, message.data
                 yield stamp_ns, message
 
-    def _is_taken_here(self, message: DepthMessage, lose: Callable[[object], None]) -> bool:
+    def _is_taken_here(self, message: DepthMessage, lose: Lose) -> bool:
         """Whether a depth message was taken where the first was; else it is lost."""
         if is_frame(message.frame_id, self.frame_id):
             return True
-        lose(f"taken in the frame {message.frame_id!r}, the first in {self.frame_id!r}")
+        lose(self.depth_topic, f"taken in the frame {message.frame_id!r}, the first in {self.frame_id!r}")
         return False
-
-    def _colour_messages(self, lose: Callable[[object], None]) -> Iterator[tuple[int, ColourMessage]]:
-        if self._colour is None:
-            return
-        for log_time_ns, message in self.decoded.messages({self._colour.name}):
-            if isinstance(message, ImageMessage | CompressedImageMessage):
-                yield log_time_ns if self._uses_log_time else message.stamp_ns, message
-            else:
-                lose(message)
 
 
 def _first_stamp_ns(decoded: DecodedBag, topic: str) -> int:
@@ -367,5 +380,5 @@ def _what_else(decoded: DecodedBag) -> str:
     return f"{unread}; {topics}" if unread else topics
 
 
-def _ignore(_: object) -> None:
+def _ignore(*_: object) -> None:
     """What cannot be used is counted when the frames are read."""

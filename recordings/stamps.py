@@ -14,6 +14,13 @@ Item = TypeVar("Item")
 _WINDOW = 8
 """Frames that are held back so that one that comes late still finds its place."""
 _SECOND_NS = 1_000_000_000
+_END_OF_TIME_NS = 1 << 62
+"""The year 2116: later stamps are damage, and those of all frames fit into 64 bits."""
+
+
+def is_of_this_age(time_ns: int) -> bool:
+    """Whether a stamp or a log time can be one: damage makes any number of it."""
+    return 0 <= time_ns < _END_OF_TIME_NS
 
 
 def in_order_of_stamps(

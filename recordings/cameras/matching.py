@@ -95,8 +95,13 @@ def possible_cameras(
 
 
 def is_frame(frame_id: str, other: str) -> bool:
-    """Whether two names are of one frame; ROS 1 puts a slash before them."""
-    return frame_id.lstrip("/") == other.lstrip("/")
+    """Whether two names are of one frame."""
+    return frame_name(frame_id) == frame_name(other)
+
+
+def frame_name(frame_id: str) -> str:
+    """A frame's name without the slash that ROS 1 puts before it."""
+    return frame_id.lstrip("/")
 
 
 def _is_beside(camera_topic: str, image_topic: str) -> bool:

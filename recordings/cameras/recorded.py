@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from recordings.cameras.matching import is_frame
 from recordings.cameras.pinhole import is_calibrated
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import CameraMessage
@@ -54,7 +55,7 @@ def camera_track(
     """
     cameras, starts_ns, last_ns = [first], list[int](), 0
     for log_time_ns, message in decoded.messages({topic}):
-        if not isinstance(message, CameraMessage) or message.frame_id != first.frame_id:
+        if not isinstance(message, CameraMessage) or not is_frame(message.frame_id, first.frame_id):
             continue
         if not is_calibrated(message):
             continue

@@ -82,6 +82,18 @@ def decode_colour(message: ColourMessage) -> NDArray[np.uint8]:
             raise UndecodableMessage(f"is a damaged colour image ({error})") from error
 
 
+def rgb_of_size(message: ColourMessage, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The (H, W, 3) RGB pixels of a colour image of a topic whose first is `size` (width, height) large.
+
+    Raises:
+        UndecodableMessage: the image is damaged, no colour image, or of another size.
+    """
+    rgb = decode_colour(message)
+    if rgb.shape[:2] != size[::-1]:
+        raise UndecodableMessage("is a colour image of another size than the first")
+    return rgb
+
+
 def _raw_rgb(message: ImageMessage) -> NDArray[np.uint8]:
     shape = message.height, message.width
     if message.encoding in _CHANNELS:

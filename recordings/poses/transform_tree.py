@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.cameras.matching import frame_name
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import OdometryMessage, TransformMessage
 from recordings.poses.track import Track
@@ -19,24 +20,24 @@ class TransformTree:
     def add(self, transform: TransformMessage, time_ns: int, *, is_mounting: bool) -> None:
         """Take in a transform, of two frames fixed to each other or not; a frame's first parent counts."""
         parent, track = self._parents.setdefault(
-            _plain(transform.child), (_plain(transform.parent), Track(is_mounting=is_mounting))
+            frame_name(transform.child), (frame_name(transform.parent), Track(is_mounting=is_mounting))
         )
-        if parent == _plain(transform.parent):
+        if parent == frame_name(transform.parent):
             track.add(time_ns, transform.parent_from_child)
 
     def has_parent(self, frame: str) -> bool:
         """Whether a transform from this frame to another is known."""
-        return _plain(frame) in self._parents
+        return frame_name(frame) in self._parents
 
     def is_fixed_frame(self, frame: str) -> bool:
         """Whether a frame is one in which others move and that hangs below none, such as map or odom."""
-        tracks = [track for parent, track in self._parents.values() if parent == _plain(frame)]
+        tracks = [track for parent, track in self._parents.values() if parent == frame_name(frame)]
         return not self.has_parent(frame) and any(track.moves for track in tracks)
 
     def way_up(self, frame: str) -> list[Track]:
         """The tracks from a frame to its root; empty where the frame has no parent."""
         way: list[Track] = []
-        seen = {frame := _plain(frame)}
+        seen = {frame := frame_name(frame)}
         while frame in self._parents:
             parent, track = self._parents[frame]
             if parent in seen:
@@ -56,7 +57,7 @@ class TransformTree:
 
     def _mounted_above(self, frame: str) -> dict[str, NDArray[np.float64]]:
         """Every frame that a frame is mounted below, itself first, with its transform (4, 4) from there."""
-        above, frame_from_start = {(frame := _plain(frame)): np.eye(4)}, np.eye(4)
+        above, frame_from_start = {(frame := frame_name(frame)): np.eye(4)}, np.eye(4)
         while frame in self._parents:
             parent, track = self._parents[frame]
             parent_from_child = track.at(0) if track.is_mounting else None
@@ -94,11 +95,6 @@ def recorded_transforms(decoded: DecodedBag, *, mountings_only: bool = False) ->
         if message.transform.child not in known:
             tree.add(message.transform, message.transform.stamp_ns or log_time_ns, is_mounting=False)
     return tree
-
-
-def _plain(name: str) -> str:
-    """A frame's name without the leading slash of ROS 1."""
-    return name.removeprefix("/")
 
 
 def composed(way: list[Track], time_ns: int) -> NDArray[np.float64] | None:

@@ -51,6 +51,18 @@ def test_frames_of_another_zoom_are_brought_to_the_first_camera(recording_path, 
     assert any("calibration changes 2 times, at 1.500, 2.500 s" in one for one in told)
 
 
+def test_a_calibration_of_the_same_frame_with_the_slash_of_ros_1_is_followed(recording_path):
+    """The slash is no part of the name."""
+    wide = (FIRST[0] / 2, FIRST[1] / 2, *FIRST[2:])
+    with Scribe(recording_path) as scribe:
+        for number, (intrinsics, frame) in enumerate([(FIRST, "camera"), (wide, "/camera")]):
+            stamp = (number + 1) * SECOND_NS
+            info = camera_info(stamp, SIZE, intrinsics, frame)
+            scribe.ros2("/camera/depth/camera_info", info, stamp)
+            scribe.ros2(TOPIC, image(stamp, "16UC1", plane_mm(intrinsics)), stamp)
+    assert list(open_recording(recording_path).statistics().camera_changes) == [0.5]
+
+
 def test_jitter_of_a_calibration_is_no_change(recording_path):
     """Drivers round it anew in each message."""
     recording = written(recording_path, [FIRST, tuple(value + 1e-3 for value in FIRST)])

@@ -140,6 +140,8 @@ def test_only_registered_colour_is_attached(rgb, recording_path):
     message = image(SECOND_NS, "rgb8", rgb)
     assert read(recording_path, [message]).rgb is not None
     assert read(recording_path, [message], colour_camera=None).rgb is not None
+    of_ros1 = image(SECOND_NS, "rgb8", rgb, "/camera")
+    assert read(recording_path, [of_ros1], colour_frame="/camera").rgb is not None
     assert read(recording_path, [message], colour_camera=(40.0, 41.0, 18.5, 15.25)).rgb is None
     elsewhere = image(SECOND_NS, "rgb8", rgb, "elsewhere")
     assert read(recording_path, [elsewhere], colour_frame="elsewhere").rgb is None
@@ -191,6 +193,51 @@ def test_a_damaged_colour_image_costs_the_colour_only(rgb, recording_path):
     recording = open_recording(recording_path)
     assert [frame.rgb is not None for frame in recording] == [True, False]
     assert recording.damage.lost_messages == 1
+    assert recording.problems[0].startswith("1 message of /c/image: is a damaged colour image")
+    assert recording.undecodable == recording.statistics().undecodable == 0
+
+
+@pytest.mark.parametrize(
+    ("order", "damaged_s", "coloured"),
+    [([0, 2, 1, 3], {}, "0123"), ([0, 1, 2, 3], {1: 2e9}, "0.23"), ([0, 1, 2, 3], {1: -5}, "0.23")],
+)
+def test_a_colour_stamp_that_is_wrong_or_late_costs_no_other(order, damaged_s, coloured, recording_path):
+    """Images find their frames though one comes late, or its stamp is of the far future or of no time."""
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for place, i in enumerate(order):
+            log_ns = SECOND_NS + place * STEP_NS
+            stamp = int(damaged_s.get(i, 1) * SECOND_NS) + i * STEP_NS
+            scribe.ros2("/d/image", image(log_ns, "16UC1", DEPTH), log_ns)
+            scribe.ros2("/c/image", image(stamp, "rgb8", np.full((30, 40, 3), i, np.uint8)), log_ns)
+    recording = open_recording(recording_path)
+    assert "".join("." if f.rgb is None else str(f.rgb[0, 0, 0]) for f in recording) == coloured
+    told = ["1 message of /c/image: its stamp is no time of this age"] if -5 in damaged_s.values() else []
+    assert recording.problems == told
+
+
+def test_a_colour_image_of_another_size_is_lost_and_not_stretched(rgb, recording_path):
+    """The camera that the recording tells is that of the first."""
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for i, pixels in enumerate([rgb, rgb[:20, :30], rgb]):
+            stamp = SECOND_NS + i * STEP_NS
+            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
+            scribe.ros2("/c/image", image(stamp, "rgb8", pixels), stamp)
+    recording = open_recording(recording_path)
+    assert [frame.rgb is not None for frame in recording] == [True, False, True]
+    assert recording.problems == ["1 message of /c/image: is a colour image of another size than the first"]
+
+
+def test_what_is_lost_of_colour_alone_is_counted_once(rgb, recording_path):
+    """Its images are frames and colours at once."""
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for stamp in (SECOND_NS, -SECOND_NS):
+            scribe.ros2("/c/image", image(stamp, "rgb8", rgb), SECOND_NS)
+    recording = open_recording(recording_path, ReadOptions(colour_alone=True))
+    assert [frame.rgb is not None for frame in recording] == [True]
+    assert recording.problems == ["1 message of /c/image: its stamp is no time of this age"]
 
 
 @pytest.mark.parametrize("size", [0, 100])

@@ -65,7 +65,12 @@ def truth(depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def write(
-    path: Path, *, mounted: bool = True, aligned: bool = False, extrinsics: np.ndarray | None = None
+    path: Path,
+    *,
+    mounted: bool = True,
+    aligned: bool = False,
+    extrinsics: np.ndarray | None = None,
+    slash: str = "",
 ) -> np.ndarray:
     """A bag with topics as a RealSense driver names them; colours tell their own pixel. Gives the depth."""
     depth_m = depth_image()
@@ -91,7 +96,7 @@ def write(
             scribe.ros2("/camera/aligned_depth_to_color/camera_info", info, SECOND_NS)
             grey = image(SECOND_NS, "16UC1", np.full(v.shape, 900, np.uint16), "color_optical")
             scribe.ros2("/camera/aligned_depth_to_color/image_raw", grey, SECOND_NS)
-        colour = image(SECOND_NS, "rgb8", colours, "color_optical")
+        colour = image(SECOND_NS, "rgb8", colours, slash + "color_optical")
         scribe.ros2("/camera/color/image_raw", colour, SECOND_NS)
     return depth_m
 
@@ -150,6 +155,15 @@ def test_the_sensors_own_depth_is_taken_before_what_was_resampled_to_a_colour_ca
     ]
     chosen = ReadOptions(depth_topic="/camera/aligned_depth_to_color/image_raw")
     assert open_recording(recording_path, chosen).size == COLOUR_SIZE
+
+
+def test_a_slash_before_the_name_of_the_colour_cameras_frame_changes_nothing(recording_path):
+    """ROS 1 puts it there, in some messages."""
+    write(recording_path, aligned=True, slash="/")
+    recording = open_recording(recording_path)
+    (frame,) = recording
+    assert recording.depth_topic == "/camera/depth/image_rect_raw"
+    assert frame.rgb is not None
 
 
 @pytest.mark.parametrize(
