@@ -96,7 +96,7 @@ class Overview:
     """A recording at a glance; `problems` are sentences for a person.
 
     `depth` is of the topic that every command takes: None where there is none, or where the user has to
-    choose among the `candidates`. Those are told where there are several.
+    choose among the `candidates`. Those are told where there are several, without those that cannot be used.
     """
 
     topics: tuple[TopicOverview, ...]
@@ -126,13 +126,14 @@ def survey(path: Path, options: ReadOptions, *, hashes: bool = False) -> Overvie
         lost, unread = decoded.undecodable_topics(), unread_images(decoded)
         depth, problems = None, [*bag.problems, *lost, *([unread] if unread and not names else [])]
         damage = replace(bag.damage, lost_messages=bag.damage.lost_messages + sum(lost.values()))
+    candidates, unusable = _candidates(decoded, names, options)
     return Overview(
         topics=topics,
         attachments=tuple(bag.attachments),
         depth=depth,
-        candidates=tuple(_candidate(decoded, name, options) for name in names) if len(names) > 1 else (),
+        candidates=candidates,
         damage=damage,
-        problems=tuple(problems),
+        problems=(*problems, *unusable),
     )
 
 
@@ -144,6 +145,23 @@ def _taken(decoded: DecodedBag, options: ReadOptions, count: int) -> DepthTopic 
         if options.depth_topic is not None or count < 2:
             raise
         return None
+
+
+def _candidates(
+    decoded: DecodedBag, names: list[str], options: ReadOptions
+) -> tuple[tuple[DepthCandidate, ...], list[str]]:
+    """The depth topics, where there are several; and a sentence on each that cannot be used.
+
+    A mask and a sensor profile are of the topic that is taken: they say nothing of the others.
+    """
+    found: list[DepthCandidate] = []
+    problems: list[str] = []
+    for name in names if len(names) > 1 else ():
+        try:
+            found.append(_candidate(decoded, name, replace(options, mask=None, sensor=None)))
+        except RecordingError as error:
+            problems.append(str(error))
+    return tuple(found), problems
 
 
 def _candidate(decoded: DecodedBag, name: str, options: ReadOptions) -> DepthCandidate:

@@ -137,7 +137,7 @@ def _candidate_lines(overview: Overview) -> list[str]:
     if not overview.candidates:
         return []
     taken = overview.depth.topic if overview.depth else None
-    lines = [f"{len(overview.candidates)} depth topics:"]
+    lines = [f"{len(overview.candidates)} depth topic{'s' * (len(overview.candidates) != 1)}:"]
     lines += [_candidate(one, taken=one.topic == taken) for one in overview.candidates]
     if taken is None:
         return [*lines, "slam, learn and parse take none of them by themselves: choose with --depth-topic"]

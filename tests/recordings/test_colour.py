@@ -142,6 +142,7 @@ def test_only_registered_colour_is_attached(rgb, recording_path):
     assert read(recording_path, [message], colour_camera=None).rgb is not None
     of_ros1 = image(SECOND_NS, "rgb8", rgb, "/camera")
     assert read(recording_path, [of_ros1], colour_frame="/camera").rgb is not None
+    assert not open_recording(recording_path).colour_is_projected
     assert read(recording_path, [message], colour_camera=(40.0, 41.0, 18.5, 15.25)).rgb is None
     elsewhere = image(SECOND_NS, "rgb8", rgb, "elsewhere")
     assert read(recording_path, [elsewhere], colour_frame="elsewhere").rgb is None

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from recordings.errors import RecordingError
 from recordings.options import ReadOptions
@@ -204,3 +205,21 @@ def test_a_copy_in_another_transport_is_no_second_camera(aligned, recording_path
         assert len(overview.candidates) == 3
     else:
         assert open_recording(recording_path).depth_topic == "/d/image_raw"
+
+
+def test_a_depth_topic_that_is_not_wanted_stops_no_survey(recording_path, tmp_path):
+    """A mask of the wanted topic's size says nothing of the other, which is told where it cannot be used."""
+    mask = tmp_path / "mask.png"
+    Image.fromarray(np.full((6, 8), 255, np.uint8)).save(mask)
+    options = ReadOptions(intrinsics=(9.0, 9.0, 3.5, 2.5), depth_topic="/a/depth", mask=mask)
+    for fields in ({}, {"step": 2}):
+        with Scribe(recording_path) as scribe:
+            for topic, shape in {"/a/depth": (6, 8), "/b/depth": (12, 16)}.items():
+                broken = fields if topic == "/b/depth" else {}
+                depth = image(SECOND_NS, "16UC1", np.full(shape, 900, np.uint16), topic, **broken)
+                scribe.ros2(topic, depth, SECOND_NS)
+        overview = survey(recording_path, options)
+        assert overview.depth is not None
+        assert [one.topic for one in overview.candidates] == ["/a/depth", "/b/depth"][: 2 - len(fields)]
+        assert len(overview.problems) == len(fields)
+    assert "/b/depth: no message can be used" in overview.problems[0]
