@@ -18,6 +18,7 @@ from recordings.options import ReadOptions
 from recordings.poses.track import Track
 from recordings.poses.transform_tree import composed, recorded_transforms
 from recordings.reading import McapRecording, open_recording
+from recordings.stamps import is_of_this_age
 from recordings.types import Trajectory
 
 PoseAt = Callable[[int], NDArray[np.float64] | None]
@@ -106,6 +107,6 @@ def _holds_poses(decoded: DecodedBag, topic: str) -> bool:
 def _pose_track(decoded: DecodedBag, topic: str) -> Track:
     track = Track()
     for log_time_ns, message in decoded.messages({topic}):
-        if isinstance(message, PoseMessage):
+        if isinstance(message, PoseMessage) and is_of_this_age(message.stamp_ns or log_time_ns):
             track.add(message.stamp_ns or log_time_ns, message.frame_from_body)
     return track

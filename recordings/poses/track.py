@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,14 @@ class Track:
     def at(self, time_ns: int) -> NDArray[np.float64] | None:
         """The transform (4, 4) at a time: constant, or linear in position and turning at constant speed.
 
-        None where no sample is near enough.
+        None where no sample is near enough. A mounting holds from each sample to the next, as ROS latches
+        /tf_static, and the first holds before it too.
         """
         times, matrices, is_constant = self._samples()
         if is_constant:
             return matrices[0]
+        if self.is_mounting:
+            return matrices[max(0, bisect_right(times, time_ns) - 1)]
         after = bisect_left(times, time_ns)
         if after < len(times) and times[after] == time_ns:
             return matrices[after]

@@ -9,6 +9,7 @@ from recordings.cameras.matching import frame_name
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import OdometryMessage, TransformMessage
 from recordings.poses.track import Track
+from recordings.stamps import is_of_this_age
 
 
 class TransformTree:
@@ -18,7 +19,12 @@ class TransformTree:
         self._parents: dict[str, tuple[str, Track]] = {}
 
     def add(self, transform: TransformMessage, time_ns: int, *, is_mounting: bool) -> None:
-        """Take in a transform, of two frames fixed to each other or not; a frame's first parent counts."""
+        """Take in a transform, of two frames fixed to each other or not; a frame's first parent counts.
+
+        One at a time that damage made is passed over.
+        """
+        if not is_of_this_age(time_ns):
+            return
         parent, track = self._parents.setdefault(
             frame_name(transform.child), (frame_name(transform.parent), Track(is_mounting=is_mounting))
         )

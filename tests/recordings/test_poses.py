@@ -103,6 +103,43 @@ def test_gaps_are_not_bridged():
     assert track.at(-1) is not None
 
 
+def test_a_mounting_that_is_told_anew_holds_until_the_next():
+    """/tf_static is latched: nothing lies between two of its transforms, and nothing ends."""
+    track, moved = Track(is_mounting=True), np.eye(4)
+    moved[0, 3] = 1e-4
+    track.add(SECOND_NS, np.eye(4))
+    track.add(2 * SECOND_NS, moved)
+    found = {time_ns: track.at(time_ns) for time_ns in (0, 2 * SECOND_NS - 1, 2 * SECOND_NS, 90 * SECOND_NS)}
+    for matrix, expected in zip(found.values(), (np.eye(4), np.eye(4), moved, moved), strict=True):
+        np.testing.assert_array_equal(matrix, expected)
+
+
+@pytest.mark.parametrize("is_bare", [False, True])
+def test_poses_at_times_that_are_none_are_passed_over(is_bare, recording_path):
+    """Damage makes any number of a log time, which serves where no stamp is set."""
+    kind = "PoseInFrame" if is_bare else "FrameTransform"
+    with Scribe(recording_path) as scribe:
+        scribe.ros2("/c/camera_info", camera_info(STAMPS[0], (40, 30), K), STAMPS[0])
+        for i, stamp in enumerate(STAMPS):
+            scribe.ros2("/c/depth", image(stamp, "16UC1", DEPTH), stamp)
+            for seconds, log_ns, x in ((stamp // SECOND_NS, stamp, i), (0, (1 << 63) + i, 9), (-5, stamp, 9)):
+                place = {"x": x, "y": 0, "z": 0}
+                turn = {"x": 0, "y": 0, "z": 0, "w": 1}
+                message = {
+                    "timestamp": {"sec": seconds, "nsec": stamp % SECOND_NS if seconds else 0},
+                    "frame_id": "map",
+                    "parent_frame_id": "map",
+                    "child_frame_id": "camera",
+                    "translation": place,
+                    "rotation": turn,
+                    "pose": {"position": place, "orientation": turn},
+                }
+                scribe.json("/p", f"foxglove.{kind}", message, log_ns)
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    np.testing.assert_allclose(trajectory.reference_from_camera[:, 0, 3], range(5), atol=1e-12)
+
+
 @pytest.mark.parametrize("kind", ["odometry", "odometry and mount", "pose stamped", "pose in frame"])
 def test_other_kinds_of_poses_serve(kind, recording_path):
     """Odometry links its frames; a topic of bare poses is taken for the camera's."""
