@@ -69,6 +69,6 @@ def recorded_dataset_numbers(path: Path) -> DatasetNumbers:
                 image_ids={int(time_ns): int(one) for time_ns, one in content["image_ids"].items()},
                 object_ids={str(name): int(one) for name, one in content["object_ids"].items()},
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise RecordingError(f"{path}: {NUMBERS_TOPIC} is malformed ({error!r})") from error
     return DatasetNumbers()

@@ -45,6 +45,9 @@ coarsely one as the other."""
 SAME_VIEW = 0.02
 """Share of the image by which two cameras' focal lengths and centres may differ: a tenth of a node's step."""
 
+_LARGEST_WHOLE = 1 << 63
+"""TOML's integers have 64 bits; Python's reader takes any."""
+
 Part = TypeVar("Part")
 
 
@@ -255,11 +258,14 @@ def _part(kind: type[Part], table: Mapping[str, Any], name: str) -> Part | None:
 def _number(name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} must be a number, got {value!r}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ValueError(f"{name} is larger than any number can be") from error
 
 
 def _whole(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
+    if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= _LARGEST_WHOLE:
         raise ValueError(f"{name} must be a whole number, got {value!r}")
     return value
 
@@ -279,7 +285,7 @@ def _words(name: str, value: Any) -> tuple[str, ...]:
 def _numbers(name: str, value: Any) -> NDArray[np.float64]:
     try:
         return np.asarray(value if isinstance(value, list) else None, np.float64)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"{name} must be rows of as many numbers each") from error
 
 

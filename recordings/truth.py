@@ -121,9 +121,9 @@ class SceneTruth:
         try:
             return cls(
                 objects=tuple(map(_object, content["objects"])),
-                support_plane=_array(content.get("support_plane"), (4,), np.float64),
+                support_plane=_array(content.get("support_plane"), (4,)),
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise RecordingError(f"{TRUTH_TOPIC} holds no scene truth ({error!r})") from error
 
 
@@ -148,27 +148,56 @@ def _plain(value: Any) -> Any:
 
 
 def _object(content: Mapping[str, Any]) -> TrueObject:
-    pose = _array(content["world_from_object"], (4, 4), np.float64)
+    pose = _array(content["world_from_object"], (4, 4))
     if pose is None:
         raise ValueError("an object has no pose")
-    contact_faces = content.get("contact_faces")
+    vertices_m = _array(content.get("vertices_m"), (-1, 3))
+    parent = content.get("parent")
+    if not isinstance(parent, str | None):
+        raise ValueError(f"a parent is named {parent!r}")
     return TrueObject(
         name=str(content["name"]),
         shape=str(content["shape"]),
         world_from_object=pose,
-        vertices_m=_array(content.get("vertices_m"), (-1, 3), np.float64),
-        faces=_array(content.get("faces"), (-1, 3), np.int32),
-        parent=content.get("parent"),
-        contact_faces=None if contact_faces is None else (str(contact_faces[0]), str(contact_faces[1])),
-        visible_fraction=content.get("visible_fraction"),
+        vertices_m=vertices_m,
+        faces=_faces(content.get("faces"), 0 if vertices_m is None else len(vertices_m)),
+        parent=parent,
+        contact_faces=_contact_faces(content.get("contact_faces")),
+        visible_fraction=_share(content.get("visible_fraction")),
     )
 
 
-def _array(rows: Any, shape: tuple[int, ...], dtype: type) -> Any:
+def _faces(rows: Any, corners: int) -> NDArray[np.int32] | None:
+    """Triples (F, 3) of a mesh's corners; None stays None."""
+    faces = _array(rows, (-1, 3))
+    if faces is None:
+        return None
+    if not ((faces == np.floor(faces)) & (faces >= 0) & (faces < corners)).all():
+        raise ValueError(f"a face names a corner that is none of the {corners}")
+    return faces.astype(np.int32)
+
+
+def _contact_faces(names: Any) -> tuple[str, str] | None:
+    if names is None:
+        return None
+    if not (isinstance(names, list) and len(names) == 2 and all(isinstance(one, str) for one in names)):
+        raise ValueError(f"contact faces are two names, not {names!r}")
+    return names[0], names[1]
+
+
+def _share(value: Any) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+        raise ValueError(f"a visible fraction is a number from 0 to 1, not {value!r}")
+    return value
+
+
+def _array(rows: Any, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
     """A finite array of `shape`, in which -1 stands for any length; None stays None."""
     if rows is None:
         return None
-    array = np.array(rows, dtype)
+    array = np.array(rows, np.float64)
     matches = array.ndim == len(shape) and all(a in {-1, b} for a, b in zip(shape, array.shape, strict=True))
     if not (matches and np.isfinite(array).all()):
         raise ValueError(f"{array.shape} numbers where {shape} are due")

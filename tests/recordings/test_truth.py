@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from recordings.dataset_numbers import NUMBERS_TOPIC, recorded_dataset_numbers
 from recordings.errors import RecordingError
 from recordings.json_topics import json_messages
+from recordings.message_schemas import json_schema
 from recordings.truth import (
     TRUTH_TOPIC,
     SceneTruth,
@@ -68,6 +70,42 @@ def test_no_truth_is_none(recording_path, camera):
     with RecordingWriter(recording_path, camera):
         pass
     assert recorded_scene_truth(recording_path) is None
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"world_from_object": [[10**400, 0, 0, 0]] * 4},
+        {"faces": [[0, 1, 3_000_000_000]]},
+        {"faces": [[0, 1, 3]]},
+        {"faces": [[0, 1, -1]]},
+        {"faces": [[0, 0.5, 2]]},
+        {"faces": [[0, 1, 2]], "vertices_m": None},
+        {"contact_faces": []},
+        {"contact_faces": ["+z", "-z", "-x"]},
+        {"contact_faces": ["+z", 1]},
+        {"parent": 3},
+        {"visible_fraction": "much"},
+        {"visible_fraction": float("nan")},
+        {"visible_fraction": True},
+    ],
+)
+def test_values_that_no_object_has_are_our_error(fields):
+    """Numbers beyond all bounds, faces of corners that are not there, words for numbers: one line each."""
+    sound = {"name": "a", "shape": "a", "world_from_object": np.eye(4).tolist()}
+    sound |= {"vertices_m": np.eye(3).tolist(), "faces": [[0, 1, 2.0]]}
+    assert SceneTruth.from_json({"objects": [sound]}).objects[0].faces is not None
+    with pytest.raises(RecordingError, match="no scene truth"):
+        SceneTruth.from_json({"objects": [sound | fields]})
+
+
+def test_numbers_of_a_data_set_that_are_infinite_are_our_error(recording_path):
+    """JSON of Python may hold them."""
+    with RecordingWriter(recording_path) as writer:
+        content = b'{"scene_id": Infinity, "image_ids": {}, "object_ids": {}}'
+        writer.write(NUMBERS_TOPIC, json_schema("numbers", {}), content, 7)
+    with pytest.raises(RecordingError, match=f"{NUMBERS_TOPIC} is malformed"):
+        recorded_dataset_numbers(recording_path)
 
 
 @pytest.mark.parametrize("message", [{}, {"objects": 3}, {"objects": [{"name": "a"}]}])
