@@ -85,7 +85,8 @@ def write_dataset(dataset: Dataset, out: Path, progress: Callable[[int, int], No
     height, width = _depth(dataset.frames[0].depth).shape
     camera = _camera(dataset.intrinsics, width, height)
     _check_times(dataset.frames)
-    begin, end = dataset.frames[0].time_ns - _MARGIN_NS, dataset.frames[-1].time_ns + _MARGIN_NS
+    # ROS has no stamps before zero, where data sets that number their frames begin.
+    begin, end = max(0, dataset.frames[0].time_ns - _MARGIN_NS), dataset.frames[-1].time_ns + _MARGIN_NS
     poses = sorted((p for p in dataset.poses if begin <= p[0] <= end), key=lambda stamped: stamped[0])
     written = 0
     profile = "ros2" if dataset.truth is None else ""

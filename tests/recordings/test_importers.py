@@ -151,6 +151,17 @@ def test_redwood(tmp_path, recording_path):
     np.testing.assert_allclose(trajectory.reference_from_camera, [moved(i / 5) for i in range(3)], atol=1e-12)
 
 
+def test_redwood_poses_before_the_first_frame_are_left_out(tmp_path, recording_path):
+    """Stamps of ROS begin at zero, which is the first frame's."""
+    png(tmp_path / "depth/0.png", depths(1)[0])
+    pose = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    (tmp_path / "trajectory.log").write_text("".join(f"{i} {i} 0\n{pose}" for i in (-1, 0)))
+    run("redwood", tmp_path, recording_path)
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    assert trajectory.times_ns.tolist() == [0]
+
+
 def write_bop(folder: Path, *, with_world: bool, still: bool = True) -> tuple[list, np.ndarray]:
     """A BOP scene of two objects and three frames; world_from_camera and world_from_object."""
     cameras, objects, infos = {}, {}, {}
