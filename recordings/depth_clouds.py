@@ -47,7 +47,7 @@ class DepthClouds:
     def __init__(self, topic: DepthTopic, cameras: dict[str, CameraMessage], options: ReadOptions) -> None:
         assert isinstance(topic.first, PointCloudMessage)
         first = topic.first
-        self._metric = MetricDepth(options.depth_scale_m, options.min_depth_m, options.max_depth_m)
+        self._metric = MetricDepth(options.depth_scale_m)
         self.camera_topic: str | None = None
         self.camera_problem = None
         points = points_of(first)

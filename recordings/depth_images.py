@@ -47,7 +47,7 @@ class DepthImages:
         options: ReadOptions,
         unit_m: float = MILLIMETRE_M,
     ) -> None:
-        self._metric = MetricDepth(options.depth_scale_m, options.min_depth_m, options.max_depth_m, unit_m)
+        self._metric = MetricDepth(options.depth_scale_m, unit_m)
         self.size = _size(topic.first)
         self.intrinsics: CameraIntrinsics | None = None
         self.camera_topic: str | None = None

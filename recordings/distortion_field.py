@@ -24,6 +24,10 @@ PRIOR_SD_PER_M = 2e-3
 LARGEST_PER_M = 0.1
 """At 2 m that is an error of 40 cm: no depth sensor is as bad."""
 
+_LEAST_SHRINK = 0.5
+"""Of the measured depth over the corrected one; a field of four times `PRIOR_SD_PER_M` gives 0.92 at 10 m.
+What would more than double is beyond what any field was learnt on, and a little farther at infinity."""
+
 
 def node_weights(fractions: ArrayLike, nodes: int) -> NDArray[np.float64]:
     """Weights (..., nodes) of the natural cubic spline through even nodes at places (...) within 0..1."""
@@ -70,8 +74,11 @@ class DistortionField:
             raise ValueError(f"sd_per_m must be positive, got {self.sd_per_m.min():g}")
 
     def corrected(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A depth image (H, W) as a sensor without the distortion would have measured it."""
+        """A depth image (H, W) as a sensor without the distortion would have measured it.
+
+        `NO_RETURN` where depths are so far beyond what the field corrects that they would more than double.
+        """
         rows, columns = pixel_weights(depth_m.shape[1], depth_m.shape[0])
         shrink = 1.0 - (rows @ self.disparity_per_m @ columns.T) * depth_m
-        known = (depth_m != NO_RETURN) & (shrink > 0)
+        known = (depth_m != NO_RETURN) & (shrink >= _LEAST_SHRINK)
         return np.where(known, depth_m / np.where(known, shrink, 1.0), NO_RETURN).astype(np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
@@ -301,9 +302,14 @@ class McapRecording:
         return not isinstance(self._depth, DepthImages) or self._depth.is_first_camera(stamp_ns)
 
     def _corrected(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The same without what the user's mask leaves out, and without the sensor's known distortion."""
+        """The same without what the user's mask and limits leave out, and without the sensor's distortion."""
         kept = depth_m if self._left_out is None else np.where(self._left_out, NO_RETURN, depth_m)
-        return kept if self.sensor is None else self.sensor.corrected(kept)
+        if self.sensor is not None:
+            kept = self.sensor.corrected(kept)
+        near, far = self.options.min_depth_m, self.options.max_depth_m
+        if near <= 0 and far == math.inf:
+            return kept
+        return np.where((kept < near) | (kept > far), NO_RETURN, kept)
 
     def _rgb(
         self,

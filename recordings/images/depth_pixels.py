@@ -6,8 +6,6 @@ return and infinities for out of range.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,27 +60,16 @@ def pixel_rows(message: ImageMessage, pixel_size: int) -> NDArray[np.uint8]:
 class MetricDepth:
     """Turns stored depths into float32 metres, with `NO_RETURN` for everything that measured nothing.
 
-    Zero, negative, NaN, infinite and saturated values (65535, a kilometre) measured nothing, nor did
-    depths outside the limits.
+    Zero, negative, NaN, infinite and saturated values (65535, a kilometre) measured nothing.
 
     Args:
         scale_m: metres for a stored 1; by default `unit_m` for integers and 1 for floats.
-        min_depth_m: nearer depths count as no return.
-        max_depth_m: farther depths count as no return.
         unit_m: of integers.
     """
 
-    def __init__(
-        self,
-        scale_m: float | None = None,
-        min_depth_m: float = 0.0,
-        max_depth_m: float = math.inf,
-        unit_m: float = MILLIMETRE_M,
-    ) -> None:
+    def __init__(self, scale_m: float | None = None, unit_m: float = MILLIMETRE_M) -> None:
         # Dividing by 1000 rounds correctly where multiplying by 0.001 does not.
         self._units_per_m = {"u": np.float32(1 / (scale_m or unit_m)), "f": np.float32(1 / (scale_m or 1.0))}
-        self._min_depth_m, self._max_depth_m = min_depth_m, max_depth_m
-        self._is_limited = min_depth_m > 0 or max_depth_m < math.inf
 
     def __call__(self, stored: NDArray[np.uint16] | NDArray[np.float32]) -> NDArray[np.float32]:
         """Depths (H, W) in metres."""
@@ -93,6 +80,4 @@ class MetricDepth:
             depth_m[~((depth_m > 0) & (depth_m < _FARTHEST_M))] = NO_RETURN
         elif stored.max() == _SATURATED:
             depth_m[stored == _SATURATED] = NO_RETURN
-        if self._is_limited:
-            depth_m[(depth_m < self._min_depth_m) | (depth_m > self._max_depth_m)] = NO_RETURN
         return depth_m

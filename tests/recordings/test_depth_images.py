@@ -172,11 +172,13 @@ def test_what_measured_nothing_is_no_return():
     np.testing.assert_array_equal(metric(integers), np.array([[0, 0, 0.001, 65.534]], np.float32))
 
 
-def test_limits_and_scale_are_the_users():
+def test_limits_and_scale_are_the_users(recording_path):
     """Depths outside the limits are no return; the scale is metres for a stored 1."""
-    metric = MetricDepth(0.0001, min_depth_m=0.5, max_depth_m=2.0)
-    stored = np.array([[4999, 5000, 20000, 20001]], np.uint16)
-    np.testing.assert_array_equal(metric(stored), np.array([[0, 0.5, 2.0, 0]], np.float32))
+    stored = np.tile(np.array([4999, 5000, 20000, 20001], np.uint16), (30, 10))
+    options = ReadOptions(depth_scale_m=0.0001, min_depth_m=0.5, max_depth_m=2.0)
+    frame = read_one(recording_path, image(STAMP, "16UC1", stored), options)
+    assert frame.depth_m.dtype == np.float32
+    np.testing.assert_array_equal(frame.depth_m[7, :4], np.array([0, 0.5, 2.0, 0], np.float32))
 
 
 @pytest.mark.parametrize("depth_m", [np.zeros((30, 40)), np.full((30, 40), np.nan)])

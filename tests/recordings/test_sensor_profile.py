@@ -99,6 +99,27 @@ def test_a_recording_is_read_with_the_profile_of_its_camera(seed, tmp_path):
     np.testing.assert_array_equal(corrected.depth_m, profile.corrected(depth))
 
 
+def test_limits_are_of_corrected_depths(seed, tmp_path):
+    """What the field moves out of them is left out, what it moves in stays; nothing is moved far off."""
+    bent = np.full((NODE_ROWS, NODE_COLUMNS), 0.05)
+    field = DistortionField(disparity_per_m=bent, sd_per_m=np.full(bent.shape, 1e-3))
+    depth = np.random.default_rng(seed).uniform(0.5, 19.9999, (48, 64)).astype(np.float32)
+    depth[0, 0] = 19.9999
+    with RecordingWriter(tmp_path / "a.mcap", CAMERA, depth_unit_m=None) as writer:
+        writer.write_depth(Frame(time_ns=0, depth_m=depth))
+    sensor = _written(replace(_profile(np.random.default_rng(seed)), distortion=field), tmp_path / "s.toml")
+
+    (free,) = open_recording(tmp_path / "a.mcap", ReadOptions(sensor=sensor))
+    options = ReadOptions(sensor=sensor, min_depth_m=1.0, max_depth_m=5.0)
+    (limited,) = open_recording(tmp_path / "a.mcap", options)
+
+    true = 1 / (1 / depth - 0.05)
+    clear = np.minimum(np.abs(true - 1.0), np.abs(true - 5.0)) > 1e-4
+    expected = np.where((true >= 1.0) & (true <= 5.0), true, 0.0)
+    np.testing.assert_allclose(limited.depth_m[clear], expected[clear], rtol=1e-5)
+    assert free.depth_m.max() <= 2 * depth.max()
+
+
 def test_a_file_gives_back_the_profile(seed, tmp_path):
     """Every table to the last bit, and each may be missing."""
     profile = _profile(np.random.default_rng(seed))
