@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 
 from recordings.errors import RecordingError
-from recordings.mcap_files.attachments import attachment_data
+from recordings.mcap_files.attachments import Attachment, attachment_data
 from recordings.mcap_files.framing import MalformedRecord
 from recordings.mcap_files.mcap_file import McapFile
 from recordings.mcap_files.sources import open_source
@@ -18,20 +18,36 @@ def save_attachments(path: Path, folder: Path) -> list[Path]:
         The files.
 
     Raises:
-        RecordingError: the file or an attachment cannot be read, or a name leads out of the folder.
+        RecordingError: the file or an attachment cannot be read, a file cannot be written, or a name is
+            another's or leads out of the folder.
     """
-    saved = []
+    saved: list[Path] = []
     attachments = McapFile(path).index.attachments
     with open_source(path) as source:
         for attachment in attachments:
-            name = PurePosixPath(attachment.name)
-            if name.is_absolute() or ".." in name.parts or not name.parts:
-                raise RecordingError(f"{path} holds an attachment named {attachment.name!r}: no file's name")
-            target = folder / name
-            target.parent.mkdir(parents=True, exist_ok=True)
+            target = folder / _file_name(path, attachment)
+            if target in saved:
+                raise RecordingError(f"{path} holds two attachments named {attachment.name!r}")
             try:
-                target.write_bytes(attachment_data(source, attachment))
+                content = attachment_data(source, attachment)
             except MalformedRecord as error:
                 raise RecordingError(f"{path}: {error}") from error
+            _write(target, content)
             saved.append(target)
     return saved
+
+
+def _file_name(path: Path, attachment: Attachment) -> PurePosixPath:
+    """The attachment's name, which an MCAP file may give as any text."""
+    name = PurePosixPath(attachment.name)
+    if name.is_absolute() or ".." in name.parts or not name.parts or "\0" in attachment.name:
+        raise RecordingError(f"{path} holds an attachment named {attachment.name!r}: no file's name")
+    return name
+
+
+def _write(target: Path, content: bytes) -> None:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+    except OSError as error:
+        raise RecordingError(f"cannot write {target}: {error.strerror}") from error
