@@ -10,8 +10,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, MessageIndex, Schema
 
 from recordings.mcap_files.attachments import Attachment
-from recordings.mcap_files.chunks import crc_field, unpack
-from recordings.mcap_files.framing import NO_CRC, MalformedRecord, parse, spans
+from recordings.mcap_files.chunks import DamagedBlock, crc_field, unpack
+from recordings.mcap_files.framing import MAX_BLOCK_SIZE, NO_CRC, MalformedRecord, parse, spans
 from recordings.mcap_files.sources import Source
 
 
@@ -85,8 +85,11 @@ def read_block(source: Source, block: Block) -> tuple[bytes, int]:
     """The unpacked records of a block and the checksum that they passed, `NO_CRC` where there is none.
 
     Raises:
-        DamagedBlock: the block is cut off, cannot be unpacked or fails its checksum.
+        DamagedBlock: the block is cut off, larger than memory is taken for, cannot be unpacked or fails its
+            checksum.
     """
+    if block.stored_size > MAX_BLOCK_SIZE:
+        raise DamagedBlock(f"claims {block.stored_size} bytes, more than {MAX_BLOCK_SIZE}")
     head_size = block.payload_offset - block.offset
     record = source.read(block.offset, head_size + block.stored_size)
     crc = crc_field(record) if block.is_chunk and len(record) >= head_size else NO_CRC

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from recordings.mcap_files.framing import (
     parse_message_head,
     spans,
 )
-from recordings.mcap_files.index import FileIndex, Loss, indexed_message_counts
+from recordings.mcap_files.index import Block, FileIndex, Loss, indexed_message_counts
 from recordings.mcap_files.recovery import rebuild_index
 from recordings.mcap_files.sources import Source, open_source
 from recordings.mcap_files.summary import index_of_summary, read_summary
@@ -119,6 +119,7 @@ class McapFile:
             or not self._topics.keys() >= block.channel_ids
         ]
         counts: Counter[int] = Counter()
+        broken: list[tuple[Block, Counter[int]]] = []
         with open_source(self.path) as source:
             for block, records in read_blocks(source, blocks, self.cache):
                 if isinstance(records, Loss):
@@ -127,16 +128,21 @@ class McapFile:
                 data, crc = records
                 if crc == NO_CRC and (block.is_chunk or not self.index.loose_records_verified):
                     self._unverified = True
+                found: Counter[int] = Counter()
                 try:
                     for channel_id, log_time_ns, start, end in _message_spans(data):
-                        counts[channel_id] += 1
+                        found[channel_id] += 1
                         if channel_id in wanted:
                             yield Message(self._topics[channel_id], log_time_ns, data[start:end])
                 except MalformedRecord as error:
-                    counted = indexed_message_counts(source, block)
-                    self._losses[block.offset] = Loss(
-                        offset=block.offset, reason=str(error), messages=counted
-                    )
+                    loss = Loss(offset=block.offset, reason=str(error), messages={})
+                    self._losses.setdefault(block.offset, loss)
+                    broken.append((block, found))
+                counts += found
+            # Counted now that no block is read ahead from the same file.
+            for block, found in broken:
+                lost = indexed_message_counts(source, block) - found
+                self._losses[block.offset] = replace(self._losses[block.offset], messages=lost)
         self._compare_counts(wanted, counts)
 
     def log_steps_back_s(self, topic: str) -> list[float]:

@@ -6,6 +6,7 @@ every byte that is not a chunk's payload is too slow for each run, so those plac
 
 import hashlib
 import struct
+import time
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,11 @@ import pytest
 import zstandard
 
 from recordings.errors import RecordingError
+from recordings.mcap_files.chunks import DamagedBlock
+from recordings.mcap_files.framing import MAX_BLOCK_SIZE
+from recordings.mcap_files.index import Block, read_block
 from recordings.mcap_files.mcap_file import McapFile
+from recordings.mcap_files.sources import FileSource
 from recordings.reading import McapRecording, open_recording
 from recordings.types import Damage
 from tests.recordings.samples import CONTAINERS, SECOND_NS, Scribe, camera_info, image, transform
@@ -49,7 +54,7 @@ def read(path: Path) -> tuple[list[tuple[int, str]], Damage, McapRecording]:
     return frames, recording.damage, recording
 
 
-def records(data: bytes) -> Iterator[tuple[int, int, int]]:
+def records(data: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
     """Opcode, start and end of every record of a sound file."""
     position = 8
     while position < len(data) - 8:
@@ -138,6 +143,39 @@ def test_one_flipped_bit_costs_one_chunk_and_its_messages_are_counted(recording_
         frames, damage, _ = read(recording_path)
         assert damage.lost_chunks == 1
         assert len(intact) > len(frames) >= len(intact) - damage.lost_messages
+
+
+def test_a_block_that_breaks_off_loses_only_what_stands_behind_the_break(recording_path, monkeypatch):
+    """What a chunk gave before is not lost, nor what is read ahead meanwhile, be the disk slow."""
+    data = bytearray(write(recording_path, "no compression"))
+    start = [start for opcode, start, _ in records(data) if opcode == CHUNK][2]
+    data[start + 33 : start + 37] = bytes(4)  # the checksum
+    second = start + 49
+    for _ in range(2):
+        second += 9 + struct.unpack_from("<BQ", data, second)[1]
+    struct.pack_into("<Q", data, second + 1, 10**6)
+    recording_path.write_bytes(data)
+
+    def slow_read(self: FileSource, offset: int, length: int) -> bytes:
+        self._file.seek(offset)
+        time.sleep(0.002)
+        return self._file.read(max(0, min(length, self.size - offset)))
+
+    for read_at in (FileSource.read, slow_read):
+        monkeypatch.setattr(FileSource, "read", read_at)
+        file = McapFile(recording_path)
+        found = sum(1 for _ in file.messages())
+        assert len(file.losses) == 1
+        assert file.lost_messages > 0
+        assert found + file.lost_messages == 3 * FRAMES
+
+
+def test_a_block_larger_than_memory_is_taken_for_is_not_read():
+    """Whatever a file's size allows; a source that is read fails the test."""
+    sizes = {"stored_size": MAX_BLOCK_SIZE + 1, "unpacked_size": 1000}
+    block = Block(offset=8, payload_offset=61, compression="zstd", start_time_ns=0, channel_ids=None, **sizes)
+    with pytest.raises(DamagedBlock, match=f"claims {MAX_BLOCK_SIZE + 1} bytes"):
+        read_block(None, block)  # pyright: ignore[reportArgumentType]
 
 
 def test_damage_outside_of_any_payload_costs_nothing(recording_path):
