@@ -10,7 +10,7 @@ from zlib_ng.zlib_ng import crc32
 from recordings.mcap_files.framing import MAX_BLOCK_SIZE, NO_CRC, MalformedRecord
 from recordings.mcap_files.sources import Source
 
-_TIMES = struct.Struct("<QQ")
+_TIMES = struct.Struct("<QQ")  # of logging and of creation
 _LENGTH = struct.Struct("<I")
 _SIZE = struct.Struct("<Q")
 _CRC = struct.Struct("<I")
@@ -30,7 +30,6 @@ class Attachment:
     name: str
     media_type: str
     log_time_ns: int
-    create_time_ns: int
     offset: int
     data_offset: int
     data_size: int
@@ -44,7 +43,7 @@ def attachment_at(source: Source, offset: int, size: int) -> Attachment:
     """
     head = source.read(offset, min(size, _LONGEST_HEAD))
     try:
-        log_time_ns, create_time_ns = _TIMES.unpack_from(head)
+        log_time_ns, _ = _TIMES.unpack_from(head)
         name, position = _text(head, _TIMES.size)
         media_type, position = _text(head, position)
         (data_size,) = _SIZE.unpack_from(head, position)
@@ -57,7 +56,6 @@ def attachment_at(source: Source, offset: int, size: int) -> Attachment:
         name=name,
         media_type=media_type,
         log_time_ns=log_time_ns,
-        create_time_ns=create_time_ns,
         offset=offset,
         data_offset=offset + position,
         data_size=data_size,

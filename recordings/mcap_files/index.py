@@ -66,7 +66,6 @@ class FileIndex:
         losses: damage met while indexing.
         definitions_verified: whether all schemas and channels stood under a checksum that held.
         loose_records_verified: the same for messages outside chunks.
-        metadata: the metadata records, by name.
         attachments: the files that the recording carries beside its messages.
     """
 
@@ -77,7 +76,6 @@ class FileIndex:
     losses: tuple[Loss, ...] = ()
     definitions_verified: bool = True
     loose_records_verified: bool = False
-    metadata: tuple[tuple[str, Mapping[str, str]], ...] = ()
     attachments: tuple[Attachment, ...] = ()
 
 

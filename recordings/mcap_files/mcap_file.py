@@ -62,19 +62,15 @@ class McapFile:
     Chunks that fail their checksum are left out and counted. Where the file's summary cannot be
     trusted, the whole file is read once to find out what is in it.
 
-    Args:
-        path: the file.
-        index: what it holds, where that is known.
-
     Raises:
         RecordingError: the file cannot be read or is no MCAP file.
     """
 
-    def __init__(self, path: Path, index: FileIndex | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         with open_source(path) as source:
             _check_magic(path, source)
-            self.index = index or _index(source)
+            self.index = _index(source)
         self._blocks = sorted(self.index.blocks, key=lambda block: (block.start_time_ns, block.offset))
         self._topics = {
             channel.id: _topic(self.index, channel.id) for channel in self.index.channels.values()

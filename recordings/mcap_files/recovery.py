@@ -7,8 +7,6 @@ next chunk whose checksum holds; in a file without chunks, at the next run of pl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, MessageIndex, Metadata, Schema
 from mcap.summary import Summary
@@ -71,7 +69,6 @@ class _Recovery:
         self._proven_schemas, self._proven_channels = set(self._schemas), set(self._channels)
         self._blocks: list[Block] = []
         self._losses: list[Loss] = []
-        self._metadata: list[tuple[str, Mapping[str, str]]] = []
         self._attachments: list[Attachment] = []
         self._run = _Run()
         self._lost_chunk_end: int | None = None
@@ -93,7 +90,6 @@ class _Recovery:
             definitions_verified=self._data_proven
             or (set(self._schemas) == self._proven_schemas and set(self._channels) == self._proven_channels),
             loose_records_verified=self._data_proven,
-            metadata=tuple(self._metadata),
             attachments=tuple(self._attachments),
         )
 
@@ -136,8 +132,7 @@ class _Recovery:
             elif step.opcode == Opcode.MESSAGE_INDEX:
                 self._take_message_index(step, parse(MessageIndex, body))
             elif step.opcode == Opcode.METADATA:
-                metadata = parse(Metadata, body)
-                self._metadata.append((metadata.name, metadata.metadata))
+                parse(Metadata, body)  # says nothing of the messages, but shows that this is no damaged chunk
             elif step.opcode == Opcode.DATA_END:
                 self._take_data_end(step, parse(DataEnd, body))
             elif step.opcode == Opcode.FOOTER:

@@ -12,8 +12,6 @@ from mcap.records import (
     Channel,
     ChunkIndex,
     Footer,
-    Metadata,
-    MetadataIndex,
     Schema,
     Statistics,
 )
@@ -77,7 +75,6 @@ def index_of_summary(source: Source, summary: Summary) -> FileIndex | None:
         schemas=summary.schemas,
         channels=summary.channels,
         expected_messages=statistics.channel_message_counts,
-        metadata=tuple(_metadata(source, index) for index in summary.metadata_indexes),
         attachments=tuple(_attachments(source, summary.attachment_indexes)),
     )
 
@@ -96,8 +93,6 @@ def _parse_summary(section: bytes) -> Summary:
             summary.statistics = parse(Statistics, body)
         elif opcode == Opcode.CHUNK_INDEX:
             summary.chunk_indexes.append(parse(ChunkIndex, body))
-        elif opcode == Opcode.METADATA_INDEX:
-            summary.metadata_indexes.append(parse(MetadataIndex, body))
         elif opcode == Opcode.ATTACHMENT_INDEX:
             summary.attachment_indexes.append(parse(AttachmentIndex, body))
     return summary
@@ -116,15 +111,6 @@ def _block(index: ChunkIndex) -> Block:
         message_index_offset=index.chunk_start_offset + index.chunk_length,
         message_index_size=index.message_index_length,
     )
-
-
-def _metadata(source: Source, index: MetadataIndex) -> tuple[str, dict[str, str]]:
-    record = source.read(index.offset, min(index.length, MAX_BLOCK_SIZE))
-    try:
-        metadata = parse(Metadata, record[HEAD_SIZE:])
-    except MalformedRecord:
-        return index.name, {}
-    return metadata.name, metadata.metadata
 
 
 def _attachments(source: Source, indexes: Iterable[AttachmentIndex]) -> Iterator[Attachment]:
