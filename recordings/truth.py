@@ -186,10 +186,11 @@ def _contact_faces(names: Any) -> tuple[str, str] | None:
 
 
 def _share(value: Any) -> float | None:
+    """A finite number; None stays None. Counted in two pictures, it may be a pixel above 1."""
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
-        raise ValueError(f"a visible fraction is a number from 0 to 1, not {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(float(value)):
+        raise ValueError(f"a visible fraction is a number, not {value!r}")
     return value
 
 
