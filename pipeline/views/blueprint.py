@@ -108,10 +108,8 @@ def _switched_off(values: RunValues) -> list[str]:
 def room_eye(values: RunValues) -> Eye | None:
     """On the objects that were found, on what was learned, else on the room; the path in sight.
 
-    None without room, path and scene.
+    None where there is nothing to look at.
     """
-    if values.room is None and values.slam is None and values.scene is None:
-        return None
     cloud = np.zeros((0, 3)) if values.room is None else values.room.points_m
     path = np.zeros((0, 3)) if values.slam is None else values.slam.mean[:, :3, 3]
     first_camera, wanted, focus = np.eye(4), path, None
@@ -124,6 +122,8 @@ def room_eye(values: RunValues) -> Eye | None:
     elif values.shapes:
         focus = np.concatenate([_posed_box(values, name) for name in values.shapes])
         wanted = np.concatenate([focus, path])
+    if not len(cloud) and not len(wanted):
+        return None
     return chosen_eye(cloud, wanted, first_camera, values.up, focus)
 
 

@@ -90,7 +90,7 @@ def sampled(
     spins = world.spins[found.best.scene.kinds]
     every[..., spins, 2] = rng.uniform(0, 2 * np.pi, (*every.shape[:2], sum(spins)))
     share = moved / max(chains * (sweeps - dropped - 1), 1)
-    return SceneSamples(every.reshape(-1, *every.shape[2:]), np.stack(values, axis=1).ravel(), share, kinds)
+    return SceneSamples(np.concatenate(every), np.stack(values, axis=1).ravel(), share, kinds)
 
 
 def _target(world: TableWorld, image: ColourImage, lamps: LampShares) -> Target:

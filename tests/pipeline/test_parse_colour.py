@@ -114,6 +114,23 @@ def test_known_colours_name_what_is_there(tmp_path: Path) -> None:
     assert found["presence"] > 0.99
 
 
+def test_an_empty_table_is_an_answer(meshes: Path, tmp_path: Path) -> None:
+    """Nothing stands there, and everything that was asked for is told as missing."""
+    world, none = air_world(48, 48), np.zeros((0, 3))
+    clean, visible = photograph_of(world, Scene.empty(), none)
+    image = sample(np.random.default_rng(SEED), clean, world.noise)
+    write_air_scene(
+        world,
+        AirScene(truth=Scene.empty(), albedo=none, visible=visible, image=image),
+        tmp_path / "air.mcap",
+    )
+    result = parse(tmp_path / "air.mcap", meshes, tmp_path / "run", "--light", "-0.4,-0.5,0.77,0.4")
+    assert result.exit_code == 0, result.output
+    parsed = json.loads((tmp_path / "run" / "summary.json").read_text())["parse"]
+    assert parsed["objects"] == []
+    assert parsed["not_found"]
+
+
 @pytest.mark.slow
 def test_a_recording_without_any_depth_will_do(photograph: Path, meshes: Path, tmp_path: Path) -> None:
     """The user says how the camera stands, and the lamp is found."""
