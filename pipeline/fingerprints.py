@@ -13,6 +13,8 @@ ROOT = Path(__file__).parents[1]
 """The folder that holds the program's packages."""
 METHOD = ("recordings", "shapes", "slam", "scene")
 """The packages that compute; what `pipeline` computes itself is named by those who use it."""
+PROGRAM = (*METHOD, "pipeline")
+"""All packages, for what must follow every import: it is cheap, or what `pipeline` computes itself."""
 
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 

@@ -22,7 +22,8 @@ _OWN_FOLDERS = frozenset({"shapes", "recordings"})
 _OWN_FILES = frozenset(
     {
         *("slam.npz", "room.npz", "objects.npz", "parse.npz", "config.toml", "summary.json", "timing.json"),
-        *("trajectory.tum", "trajectory.kitti", "lost.txt", "poses.csv", "run.mcap", "run.rrd"),
+        *("trajectory.tum", "trajectory.kitti", "lost.txt", "poses.csv", "sensor.toml"),
+        *("run.mcap", "run.rrd", "run.truth.rrd"),
     }
 )
 
@@ -80,6 +81,7 @@ def _clear(path: Path) -> None:
     for record in (path / "stages").rglob("*.json"):
         if record.name != INPUTS.name:
             record.unlink()
+    RunFolder(path).value_path("sensor").unlink(missing_ok=True)
     for member in path.iterdir():
         if member.name in _OWN_FOLDERS:
             shutil.rmtree(member)

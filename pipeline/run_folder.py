@@ -1,13 +1,14 @@
 """The run folder: values of finished stages, each committed whole, and what is derived from them.
 
 A stage is committed in two steps: its value is written under its final name, then a record of what it was
-made from. Only a value with a record counts, and a value that was just made is read back before anything
-is derived from it; so a run that was killed at any moment and started again ends with the same files as
-one that was not. A record holds a hash of the program's sources too: another program computes again.
+made from; one that fails leaves what was committed before. Only a value with a record counts, and a value
+that was just made is read back before anything is derived from it; so a run that was killed at any moment and
+started again ends with the same files as one that was not. A record holds a hash of the program's sources
+too: another program computes again.
 
     RUN/stages/inputs.json      what the folder was made from
     RUN/stages/STAGE.json       fingerprint, hash of the value, seconds, machine
-    RUN/slam.npz, shapes/NAME.npz, parse.npz        the values
+    RUN/slam.npz, room.npz, objects.npz, parse.npz, shapes/NAME.npz, stages/sensor.toml      the values
 """
 
 from __future__ import annotations
@@ -130,7 +131,7 @@ class RunFolder:
         """A stage, computed only where no committed value was made from the same things.
 
         Args:
-            name: `slam`, `learn/NAME` or `parse`.
+            name: `sensor`, `slam`, `room`, `learn/NAME`, `objects` or `parse`.
             load: reads a value back.
             compute: makes the value.
             settings: configuration dataclasses and plain values, by section of the settings file.
@@ -234,11 +235,11 @@ class RunFolder:
         from pipeline.timing import timed
 
         path = self.value_path(name)
-        self._record_path(name).unlink(missing_ok=True)
         log.info("%s: computing", name)
         with timed() as timing, stdout_to_stderr():
             value = compute()
         path.parent.mkdir(parents=True, exist_ok=True)
+        self._record_path(name).unlink(missing_ok=True)
         try:
             value.save(path)
         except OSError as error:

@@ -72,7 +72,7 @@ class Session:
         """A stage, computed only where the recording, the seed, settings, inputs or sources changed.
 
         Args:
-            name: `slam`, `learn/NAME` or `parse`.
+            name: `sensor`, `slam`, `room`, `learn/NAME`, `objects` or `parse`.
             load: reads a value back.
             compute: makes the value.
             settings: the stage's configuration, by section of the settings file.

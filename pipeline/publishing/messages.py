@@ -30,6 +30,8 @@ from recordings.message_schemas import json_schema, protobuf_schema
 from recordings.writer import MessageSchema, RecordingWriter
 from slam.result import SlamResult
 
+MEDIA_TYPES = {".npz": "application/zip", ".toml": "application/toml"}
+"""Of attached values, by suffix (IANA)."""
 _NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
 _FRAME_SCHEMA = json_schema(
     "voxscene.FramePosterior",
@@ -89,7 +91,7 @@ def write_messages(
         if values.slam is not None:
             _write_filter(writer, values.slam)
         for name, file in (files or {}).items():
-            writer.write_attachment(name, "application/zip", file.read_bytes(), first_ns)
+            writer.write_attachment(name, MEDIA_TYPES[file.suffix], file.read_bytes(), first_ns)
         writer.write_metadata("voxscene", {"settings": json.dumps(settings, sort_keys=True)})
 
 

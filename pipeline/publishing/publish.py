@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.atomic import write_json
-from pipeline.fingerprints import METHOD, file_hash, source_hash
+from pipeline.fingerprints import PROGRAM, canonical_hash, file_hash, source_hash
 from pipeline.run_folder import RunFolder
 
 _RECORD = "stages/published.json"
 
 
 def publish(run: RunFolder) -> None:
-    """Write config.toml, summary.json, timing.json, trajectory files, run.mcap and run.rrd, each atomically.
+    """Write the files of `write_derived_files` (settings, summaries, paths, views), each atomically.
 
     All but timing.json are functions of the committed values alone, so that a resumed run ends with the
     same content as an undisturbed one; and the same bytes, but for Rerun's own. Hashes of what was written
@@ -25,10 +25,10 @@ def publish(run: RunFolder) -> None:
     Raises:
         PipelineError: a file cannot be written; those before it are whole.
     """
-    made_from = {name: record.fingerprint for name, record in run.records().items()}
-    made_from["sources"] = source_hash(
-        "pipeline.publishing.derived_files", within=(*METHOD, "pipeline.publishing", "pipeline.views")
-    )
+    made_from = {
+        "records": _records_hash(run),
+        "sources": source_hash("pipeline.publishing.derived_files", within=PROGRAM),
+    }
     if _is_published(run.path, made_from):
         return
     from pipeline.publishing.derived_files import write_derived_files
@@ -45,6 +45,22 @@ def stage_document(run: RunFolder, name: str) -> dict[str, Any]:
     for part in name.split("/"):
         summary, timing = summary[part], timing[part]
     return {**summary, **timing}
+
+
+def tells_committed_values(run: RunFolder) -> bool:
+    """Whether derived files were made, by any program, from the values that are committed now.
+
+    They were not where a command was cut off between the two.
+    """
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        published = json.loads((run.path / _RECORD).read_text())
+        return published["made_from"]["records"] == _records_hash(run)
+    return False
+
+
+def _records_hash(run: RunFolder) -> str:
+    """Of all that is known of the committed stages: their values, warnings and seconds are told."""
+    return canonical_hash({name: vars(record) for name, record in run.records().items()})
 
 
 def _is_published(folder: Path, made_from: Mapping[str, str]) -> bool:

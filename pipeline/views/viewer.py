@@ -14,6 +14,7 @@ from pipeline.errors import PipelineError
 from pipeline.evaluation.same_recording import check_truth
 from pipeline.fingerprints import file_hash
 from pipeline.logs import log
+from pipeline.publishing.publish import tells_committed_values
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
 from pipeline.views.rrd import write_rrd
@@ -22,7 +23,7 @@ from recordings.attached import save_attachments
 
 
 def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
-    """The run.rrd of a run folder, and of every recording in it; made where it is missing."""
+    """The run.rrd of a run folder, and of every recording in it; made where it is missing or stale."""
     found = []
     for folder in [path, *sorted(path.glob("recordings/*"))]:
         run = RunFolder(folder, force=False)
@@ -31,7 +32,7 @@ def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
         if not run.records():
             continue
         rrd = folder / "run.rrd"
-        if rebuild or not rrd.exists():
+        if rebuild or not rrd.exists() or not tells_committed_values(run):
             write_rrd(rrd, folder.resolve().name, RunValues.load(run).drawable, run.identity)
         found.append(rrd)
     return found

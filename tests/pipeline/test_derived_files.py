@@ -3,15 +3,20 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipeline.config import Settings
 from pipeline.errors import PipelineError
+from pipeline.fingerprints import file_hash
 from pipeline.options import Common, RecordingSource
+from pipeline.run_access import open_run_folder
 from pipeline.run_folder import RunFolder
 from pipeline.session import open_session
+from pipeline.views.viewer import rrds_of
 from recordings.errors import RecordingError
 from slam.result import SlamResult
 
@@ -22,12 +27,12 @@ OF_RERUN = {"run.rrd"}
 OF_CLOCKS = {"timing.json", "slam.json", "room.json", "published.json"}
 
 
-def run_again(recording: Path, run: Path, trajectory: SlamResult) -> None:
+def run_again(recording: Path, run: Path, trajectory: SlamResult, *, force: bool = False) -> None:
     """The command `slam`, whose tracker is perfect."""
     from pipeline.stages.room import room_stage
 
     common = Common(as_json=False, quiet=True, settings=Settings.read(None, ()))
-    with open_session(common, RecordingSource(path=recording, said={}), run) as session:
+    with open_session(common, RecordingSource(path=recording, said={}), run, force=force) as session:
         room_stage(session, session.stage("slam", SlamResult.load, lambda: trajectory, {}))
 
 
@@ -51,6 +56,42 @@ def test_half_of_any_file_is_mended(mug_file: Path, true_trajectory: SlamResult,
         run_again(mug_file, run, true_trajectory)
         assert contents(run) == expected, path
         assert path.name not in OF_RERUN or verified(path)
+
+
+def test_a_value_that_is_made_again_is_told_again(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Another value, warning or time of the same inputs; without any of them files stay as they are."""
+    run_again(mug_file, tmp_path, true_trajectory)
+    written_ns = (tmp_path / "run.mcap").stat().st_mtime_ns
+    run_again(mug_file, tmp_path, true_trajectory)
+    assert (tmp_path / "run.mcap").stat().st_mtime_ns == written_ns
+    lost = np.arange(len(true_trajectory)) == 2
+    run_again(mug_file, tmp_path, replace(true_trajectory, lost=lost), force=True)
+
+    told = {name: json.loads((tmp_path / f"{name}.json").read_text()) for name in ("summary", "timing")}
+    assert told["summary"]["slam"]["lost_frames"] == 1
+    seconds = json.loads((tmp_path / "stages" / "slam.json").read_text())["seconds"]
+    assert told["timing"]["slam"]["seconds"] == seconds
+
+
+def test_views_of_a_run_that_was_cut_off_before_they_were_written_are_made_anew(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Between the commit and them, and among them; others are shown as they are."""
+    run_again(mug_file, tmp_path, true_trajectory)
+    rrd, published = tmp_path / "run.rrd", tmp_path / "stages" / "published.json"
+    rrd.write_bytes(b"of before")
+    rrds_of(tmp_path)
+    assert rrd.read_bytes() == b"of before"
+    with open_run_folder(tmp_path, {mug_file.name: file_hash(mug_file)}, force=True) as run:
+        run.stage("slam", SlamResult.load, lambda: true_trajectory, settings={}, inputs={})
+    assert rrds_of(tmp_path) == [rrd]
+    assert rrd.read_bytes() != b"of before"
+    rrd.write_bytes(b"of before")
+    published.unlink()
+    rrds_of(tmp_path)
+    assert rrd.read_bytes() != b"of before"
 
 
 def verified(rrd: Path) -> bool:

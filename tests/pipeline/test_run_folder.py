@@ -92,6 +92,23 @@ def test_a_damaged_value_is_computed_again(tmp_path: Path) -> None:
         assert slam(run, Work()) == Text("value")
 
 
+def test_a_stage_that_fails_leaves_what_was_committed(tmp_path: Path) -> None:
+    """With other settings, or the same with force."""
+
+    def fail() -> Text:
+        raise PipelineError("no object there")
+
+    settings = {"slam": {"particles": 9}}
+    with open_run_folder(tmp_path, INPUTS) as run:
+        slam(run, Work())
+    for force in (False, True):
+        with open_run_folder(tmp_path, INPUTS, force=force) as run:
+            with pytest.raises(PipelineError, match="no object"):
+                run.stage("slam", Text.load, fail, settings=settings, inputs={})
+            assert list(run.records()) == ["slam"]
+            assert run.changed == []
+
+
 def test_force_computes_again(tmp_path: Path) -> None:
     """Without any change."""
     work = Work()
@@ -107,6 +124,9 @@ def test_other_inputs_are_refused_without_force(tmp_path: Path) -> None:
     with open_run_folder(tmp_path, INPUTS) as run:
         slam(run, Work())
         run.stage("learn/mug", Text.load, Work("mug"), settings={}, inputs={})
+        run.stage("sensor", Text.load, Work("noise"), settings={}, inputs={})
+        for name in ("sensor.toml", "run.truth.rrd"):
+            (run.path / name).touch()
     others = {"kitchen.mcap": "b" * 64}
     with (
         pytest.raises(PipelineError, match=r"made from room\.mcap.*--force"),
@@ -116,7 +136,8 @@ def test_other_inputs_are_refused_without_force(tmp_path: Path) -> None:
 
     with open_run_folder(tmp_path, others, force=True) as run:
         assert run.records() == {}
-        assert not run.value_path("learn/mug").exists()
+        left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+        assert left == {"log.txt", "stages/inputs.json"}
 
 
 def test_the_same_recording_under_another_name_is_accepted(tmp_path: Path) -> None:

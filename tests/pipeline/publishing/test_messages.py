@@ -213,12 +213,17 @@ def test_a_frame_that_looks_along_x_keeps_its_axes(
 
 def test_values_are_attached_whole(values: RunValues, tmp_path: Path) -> None:
     """So that the file is a record from which a run can be made again."""
-    (tmp_path / "slam.npz").write_bytes(b"of slam")
-    write_messages(tmp_path / "run.mcap", values, {}, {"slam.npz": tmp_path / "slam.npz"})
+    files = {name: tmp_path / Path(name).name for name in ("slam.npz", "stages/sensor.toml")}
+    for name, path in files.items():
+        path.write_text(f"of {name}")
+    write_messages(tmp_path / "run.mcap", values, {}, files)
     with (tmp_path / "run.mcap").open("rb") as file:
-        attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
+        attached = {one.name: (one.media_type, one.data) for one in make_reader(file).iter_attachments()}
 
-    assert attached == {"slam.npz": b"of slam"}
+    assert attached == {
+        "slam.npz": ("application/zip", b"of slam.npz"),
+        "stages/sensor.toml": ("application/toml", b"of stages/sensor.toml"),
+    }
 
 
 def test_the_layout_for_foxglove_shows_what_is_there(
