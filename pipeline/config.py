@@ -114,18 +114,26 @@ def build(kind: type[T], values: Mapping[str, Any], where: str) -> T:
         raise ConfigError(f"{place}: {message[0].lower()}{message[1:]}{given}") from error
 
 
-def plain_values(config: Any) -> Any:
+def plain_values(config: Any, *, paths: bool = True) -> Any:
     """A configuration as tables, lists and scalars, as TOML and JSON hold them; None is left out.
 
     Numbers that are not finite, which JSON does not hold, become words.
+
+    Args:
+        config: dataclasses, mappings, sequences and scalars.
+        paths: whether paths are among them, or left out as None is.
     """
     if is_dataclass(config):
-        values = {field.name: getattr(config, field.name) for field in fields(config)}
-        return {name: plain_values(value) for name, value in values.items() if value is not None}
+        config = {field.name: getattr(config, field.name) for field in fields(config)}
     if isinstance(config, Mapping):
-        return {str(name): plain_values(value) for name, value in config.items() if value is not None}
+        left_out = type(None) if paths else (type(None), Path)
+        return {
+            str(name): plain_values(value, paths=paths)
+            for name, value in config.items()
+            if not isinstance(value, left_out)
+        }
     if isinstance(config, tuple | list):
-        return [plain_values(value) for value in config]
+        return [plain_values(value, paths=paths) for value in config]
     if isinstance(config, Path) or (isinstance(config, float) and not math.isfinite(config)):
         return str(config)
     return config

@@ -14,7 +14,7 @@ too: another program computes again.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -107,6 +107,7 @@ class RunFolder:
 
     Attributes:
         path: the folder.
+        force: compute stages again.
         checkpoint_path: where the stage that is computed now may keep how far it came; it is found there
             again by the same stage made from the same things, and removed when that is committed.
     """
@@ -114,7 +115,7 @@ class RunFolder:
     def __init__(self, path: Path, *, force: bool = False) -> None:
         """Use `path`; `force` computes stages again."""
         self.path = path
-        self._force = force
+        self.force = force
         self.checkpoint_path: Path | None = None
 
     def stage(
@@ -134,7 +135,8 @@ class RunFolder:
             name: `sensor`, `slam`, `room`, `learn/NAME`, `objects` or `parse`.
             load: reads a value back.
             compute: makes the value.
-            settings: configuration dataclasses and plain values, by section of the settings file.
+            settings: configuration dataclasses and plain values, by section of the settings file; of files
+                that they name the hashes count, among the inputs, and not the paths.
             inputs: hashes of what it is made from, by name: files, and the sources that compute it.
             uses: the stages that it is made from.
             notes: what else the record is to say, asked for when the value has been computed.
@@ -142,17 +144,17 @@ class RunFolder:
         Raises:
             PipelineError: the value cannot be written.
         """
-        plain, used = plain_values(settings), {one.name: one.fingerprint for one in uses}
-        made_from = {"stage": name, "format": FORMAT, "settings": plain, "inputs": inputs, "uses": used}
-        fingerprint = canonical_hash(made_from)
+        used = {one.name: one.fingerprint for one in uses}
+        made_from = {"stage": name, "format": FORMAT, "inputs": inputs, "uses": used}
+        fingerprint = canonical_hash({**made_from, "settings": plain_values(settings, paths=False)})
         record = self.record(name)
-        if self._force or record is None or record.fingerprint != fingerprint:
+        if self.force or record is None or record.fingerprint != fingerprint:
             self._expect_checkpoint(name, fingerprint)
             seconds, compile_s = self._compute(name, compute)
             record = StageRecord(
                 fingerprint=fingerprint,
                 value_hash=file_hash(self.value_path(name)),
-                settings=plain,
+                settings=plain_values(settings),
                 uses=used,
                 notes=dict(notes()),
                 machine=machine(),
@@ -183,6 +185,19 @@ class RunFolder:
             for name, record in found.items()
             if all(used in found and found[used].fingerprint == made for used, made in record.uses.items())
         }
+
+    def others(self, names: Collection[str]) -> dict[str, StageRecord]:
+        """Records of the stages that stay when those of these names are made anew: none is made from them."""
+        anew, found = set(names), self.records()
+        for name, record in found.items():
+            if anew & set(record.uses):
+                anew.add(name)
+        return {name: record for name, record in found.items() if name not in anew}
+
+    def forget(self, name: str) -> None:
+        """Remove a stage, its record first."""
+        self._record_path(name).unlink(missing_ok=True)
+        self.value_path(name).unlink(missing_ok=True)
 
     @property
     def made_from(self) -> dict[str, str]:
@@ -223,7 +238,7 @@ class RunFolder:
         self.checkpoint_path = folder / f"{stem}.{fingerprint}.checkpoint" if fingerprint else None
         for other in folder.glob(f"{stem}.*.checkpoint*"):
             if (
-                self._force
+                self.force
                 or self.checkpoint_path is None
                 or not other.name.startswith(self.checkpoint_path.name)
             ):

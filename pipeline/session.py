@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.config import plain_values
 from pipeline.errors import PipelineError
 from pipeline.fingerprints import file_hash, source_hash
 from pipeline.logs import log
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
     import jax
 
 READING_MODULE = "recordings.reading"
+NUMBERED_BY = ("depth_topic", "intrinsics", "depth_scale_m", "start_s", "end_s", "every")
+"""Settings of reading that decide which frame has which number, and where its points lie."""
+NUMBERED = ("slam", "learn", "parse")
+"""Stages that tell of frames by their numbers, or of places in the first frame's camera."""
 
 
 class Session:
@@ -53,10 +59,34 @@ class Session:
         self._recording_hash = recording_hash
         self.warnings: list[str] = []
         self._statistics: DepthStatistics | None = None
+        self._begun: set[str] = set()
 
     def key(self, stage: Stage) -> jax.Array:
         """The key of a stage."""
         return stage_key(self.common.seed, stage)
+
+    def begin(self, *names: str) -> None:
+        """Say which stages are about to be made: none may stand beside one that read other frames.
+
+        Raises:
+            PipelineError: the run holds one that did; with `force` that is removed instead.
+        """
+        self._begun |= set(names)
+        here = plain_values(self.recording.options)
+        for name, record in self.run.others(self._begun).items():
+            there = record.settings.get("recording", here)
+            differ = [key for key in NUMBERED_BY if there.get(key) != here.get(key)]
+            if name.partition("/")[0] not in NUMBERED or not differ:
+                continue
+            if self.run.force:
+                log.info("%s: removed, it read other frames", name)
+                self.run.forget(name)
+                continue
+            told = ", ".join(f"{key} {there.get(key)} there, {here.get(key)} here" for key in differ)
+            raise PipelineError(
+                f"{self.run.path} holds {name} of other frames of the recording ({told}); read the same "
+                "ones, name another folder with -o, or begin this one anew with --force"
+            )
 
     def stage(
         self,
@@ -80,11 +110,12 @@ class Session:
             uses: the stages that it is made from.
             sources: modules that compute it.
         """
-        general = {"recording": self.recording.options, "run": {"seed": self.common.seed}}
-        made_from = {"recording": self._recording_hash, "sources": source_hash(READING_MODULE, *sources)}
         options = self.recording.options
-        beside = {"mask": options.mask, "sensor": options.sensor}
-        made_from |= {name: file_hash(path) for name, path in beside.items() if path is not None}
+        files = {"mask": options.mask, "sensor": options.sensor}
+        files = {file: path.resolve() for file, path in files.items() if path is not None}
+        general = {"recording": replace(options, **files), "run": {"seed": self.common.seed}}
+        made_from = {"recording": self._recording_hash, "sources": source_hash(READING_MODULE, *sources)}
+        made_from |= {file: file_hash(path) for file, path in files.items()}
         committed = self.run.stage(
             name,
             load,

@@ -55,11 +55,13 @@ def learn_stage(
         recorded_poses: take the recording's own poses instead of running slam.
 
     Raises:
-        PipelineError: there is no object to learn, or there are no recorded poses.
+        PipelineError: there is no object to learn, there are no recorded poses, or the run holds a stage of
+            other frames.
     """
     config = session.common.settings.section("learn", LearnConfig, options)
     config = config.with_noise(session.recording.sensor and session.recording.sensor.noise)
     if recorded_poses:
+        session.begin(f"learn/{name}")
         poses = _recorded(session)
         return session.stage(
             f"learn/{name}",
@@ -69,6 +71,7 @@ def learn_stage(
             {"poses": _hash(poses)},
             sources=SOURCES,
         )
+    session.begin(f"learn/{name}", "slam", "sensor")
     trajectory = slam_stage(session)
     used = config.for_tracked_poses
     return session.stage(

@@ -36,6 +36,7 @@ SOURCES = (
     "pipeline.stages.parse",
     "pipeline.stages.parse_colour",
     "pipeline.stages.colour_input",
+    "pipeline.simplification",
     "scene.parsing",
     "scene.colour_parsing",
 )
@@ -64,17 +65,20 @@ def parse_stage(
         ids: of objects in poses.csv, by name; over those of the models and of the recording.
 
     Raises:
-        PipelineError: a shape or frame is missing, or the first frame shows nothing.
+        PipelineError: a shape or frame is missing, the first frame shows nothing, or the run holds a stage of
+            other frames.
     """
     config = session.common.settings.section("parse", ParseConfig, options)
     alone = config.colour == "only"
     _check_frames(session.recording, config)
+    needs_path = len(config.frames) > 1 and not alone
+    session.begin("parse", *(() if alone else ("sensor",)), *(("slam",) if needs_path else ()))
     surfaces = _surfaces(session, shapes, units, config.objects, ids or {}, config.most if alone else 1)
     if missing := sorted(set(config.exact) - set(surfaces.value.by_name)):
         raise PipelineError(
             f"--exact {missing[0]}: no such shape; there are {', '.join(surfaces.value.by_name)}"
         )
-    trajectory = slam_stage(session) if len(config.frames) > 1 and not alone else None
+    trajectory = slam_stage(session) if needs_path else None
     sensor = None if alone else sensor_stage(session)
 
     def compute() -> SceneResult:

@@ -46,8 +46,10 @@ def slam_stage(session: Session, options: Mapping[str, Any] | None = None) -> Co
         options: what the command's own options say, by key of `SlamConfig`.
 
     Raises:
-        PipelineError: the recording has no depth frame with a return, or none but the first was found.
+        PipelineError: the recording has no depth frame with a return, or none but the first was found; or
+            the run holds a stage of other frames.
     """
+    session.begin("slam", "sensor")
     config = session.common.settings.section("slam", SlamConfig, options)
 
     def tracked() -> SlamResult:

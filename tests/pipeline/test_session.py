@@ -9,9 +9,11 @@ import jax
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 
-from pipeline.cli import Failure
+from pipeline.cli import Failure, voxscene
 from pipeline.config import Settings
+from pipeline.errors import PipelineError
 from pipeline.options import Common, RecordingSource, common_options, recording_options
 from pipeline.publishing.publish import stage_document
 from pipeline.seeds import STAGES
@@ -67,6 +69,49 @@ def test_a_stage_runs_again_for_another_seed_or_reading(
         for _ in range(2):
             track(tracker, mug_file, tmp_path / "run", seed, every)
         assert tracker.times == count
+
+
+def test_stages_of_one_run_are_of_the_same_frames(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Frames are known by number: others are refused in one line, made anew, or removed with force."""
+    run = tmp_path / "run"
+    track(Tracker(true_trajectory), mug_file, run, every=3)
+
+    def begin(*names: str, force: bool = False, **reading: object) -> list[str]:
+        source = RecordingSource(path=mug_file, said=reading)
+        with open_session(common(), source, run, force=force) as session:
+            session.begin(*names)
+            return list(session.run.records())
+
+    with pytest.raises(PipelineError, match=r"slam of other frames .*every 3 there, 1 here.*--force") as told:
+        begin("parse")
+    assert "\n" not in str(told.value)
+    for command in (["parse", "--shapes", str(tmp_path)], ["learn", "--name", "mug", "--poses", "recorded"]):
+        result = CliRunner().invoke(voxscene, [*command, str(mug_file), "-o", str(run), "-q"])
+        assert (result.exit_code, "slam of other frames" in result.stderr) == (1, True), result.output
+    assert begin("slam") == begin("parse", "slam") == begin("parse", every=3, max_depth_m=4.0) == ["slam"]
+    assert begin("parse", force=True) == []
+    assert not (run / "slam.npz").exists()
+
+
+def test_files_of_reading_count_by_what_they_hold(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under another path nothing is computed again, with another content it is; any folder finds them."""
+    monkeypatch.chdir(tmp_path)
+    mask, tracker = np.full((72, 96), 255, np.uint8), Tracker(true_trajectory)
+    for name, left in (("a.png", 0), ("b.png", 0), ("c.png", 9)):
+        mask[:, :left] = 0
+        Image.fromarray(mask).save(name)
+        source = RecordingSource(path=mug_file, said={"mask": name})
+        with open_session(common(), source, tmp_path / "run") as session:
+            tracker.stage(session, SlamConfig())
+
+    assert tracker.times == 2
+    record = session.run.record("slam")
+    assert record is not None
+    assert record.settings["recording"]["mask"] == str(tmp_path.resolve() / "c.png")
 
 
 def test_the_run_folder_holds_what_other_programs_rely_on(
