@@ -27,7 +27,7 @@ from pipeline.evaluation.scenes import ObjectError, object_errors
 from pipeline.evaluation.shapes import shape_agreement
 from pipeline.evaluation.trajectories import slam_errors
 from pipeline.evaluation.truth import RecordedTruth, true_mesh
-from pipeline.fingerprints import METHOD, canonical_hash, file_hash, source_hash
+from pipeline.fingerprints import PROGRAM, canonical_hash, file_hash, source_hash
 from pipeline.logs import log
 from pipeline.options import Common
 from pipeline.project import Project, ProjectRecording, read_project
@@ -195,7 +195,7 @@ def _write(
     """Film a scene, unless the recording is there that the same program made of it with the same seed."""
     path = folder / "recordings" / f"{name}.mcap"
     record = path.with_suffix(".json")
-    sources = source_hash(*FILMED_BY, within=(*METHOD, "pipeline.synthesis"))
+    sources = source_hash(*FILMED_BY, within=PROGRAM)
     made_from = canonical_hash([sources, name, OBJECTS, plain_values({"scene": scene}), seed])
     with suppress(OSError, ValueError):
         if json.loads(record.read_text()) == {"made_from": made_from, "hash": file_hash(path)}:

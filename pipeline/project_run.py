@@ -82,7 +82,7 @@ def run_project(
         PipelineError: the run folder cannot be used.
     """
     rows: dict[str, Row] = {}
-    with open_run_folder(run, {"a project": "project"}):
+    with open_run_folder(run, {"a project": "project"}, force=force):
         _forget_shapes(run, {one.shape for one in project.recordings if one.stage == "learn"})
         for stages in (("slam", "learn"), ("parse",)):
             chosen = [one for one in project.recordings if one.stage in stages]

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from pipeline.damage import report_damage
+from pipeline.errors import ConfigError
 from pipeline.options import AnyPath, Common, RecordingSource, common_options, several_recordings_options
 from pipeline.progress import tell
 
@@ -61,7 +62,10 @@ def command(
     from recordings.reading import open_recording
 
     check_output(sensor_path)
-    opened = [(one.path, open_recording(one.path, one.read_options(common.settings))) for one in sources]
+    options = [one.read_options(common.settings) for one in sources]
+    if any(one.sensor is not None for one in options):
+        raise ConfigError("calibrate learns a sensor from depths as they were recorded; leave out --sensor")
+    opened = [(one.path, open_recording(one.path, how)) for one, how in zip(sources, options, strict=True)]
     with stdout_to_stderr():
         found = calibrate(opened, common, frames, field=field)
     StoredProfile(found.profile).save(sensor_path)

@@ -39,7 +39,7 @@ class ReportedRun:
     """A run with what the report says of it.
 
     Attributes:
-        name: of its folder; of several with one name, with the folder above.
+        name: of its folder; of several with one name, with as many folders above as tell them apart.
         path: of the folder.
         values: the committed values.
         summary: as in summary.json.
@@ -65,9 +65,9 @@ def report(paths: Sequence[Path], progress: Callable[[int, int], None] | None = 
     Raises:
         PipelineError: a path is no run, or holds nothing that is finished.
     """
-    runs = [reported(path, name) for name, path in _named(_runs(paths)).items()]
+    runs = [reported(path, name) for name, path in _named(_runs(paths))]
     title = runs[0].name if len(runs) == 1 else f"{len(runs)} runs"
-    page = Page(f"voxscene: {title}", "Positions in the camera of each run's first depth frame.")
+    page = Page(f"voxscene: {title}", "Centres of objects in the camera of each run's first parsed frame.")
     page.chapter("Summary")
     _summary_table(page, runs)
     _all_warnings(page, runs)
@@ -108,7 +108,7 @@ def reported(path: Path, name: str) -> ReportedRun:
 
 
 def _runs(paths: Sequence[Path]) -> list[Path]:
-    """The run folders that paths stand for, those of projects included."""
+    """The run folders that paths stand for, those of projects included, each once."""
     found: list[Path] = []
     for path in paths:
         if is_project(path):
@@ -117,15 +117,17 @@ def _runs(paths: Sequence[Path]) -> list[Path]:
             found.append(path)
         else:
             raise PipelineError(f"{path} is no run; make one with voxscene slam, learn, parse or run")
-    return found
+    return list({run.resolve(): run for run in found}.values())
 
 
-def _named(runs: Sequence[Path]) -> dict[str, Path]:
-    names = [run.resolve().name for run in runs]
-    return {
-        name if names.count(name) == 1 else f"{run.resolve().parent.name}/{name}": run
-        for name, run in zip(names, runs, strict=True)
-    }
+def _named(runs: Sequence[Path]) -> list[tuple[str, Path]]:
+    """The runs with the shortest ends of their paths that tell them apart."""
+    whole = [run.resolve().parts for run in runs]
+    ends = [
+        next(own[-n:] for n in range(1, len(own) + 1) if [one[-n:] for one in whole].count(own[-n:]) == 1)
+        for own in whole
+    ]
+    return [("/".join(end), run) for end, run in zip(ends, runs, strict=True)]
 
 
 def _summary_table(page: Page, runs: Sequence[ReportedRun]) -> None:

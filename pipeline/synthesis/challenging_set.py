@@ -21,7 +21,7 @@ from pipeline.errors import PipelineError
 from pipeline.export.bop import model_info
 from pipeline.export.bop_images import PosedObject, camera_document, targets, write_image, write_scene
 from pipeline.export.meshes import mesh_bytes, moved
-from pipeline.fingerprints import canonical_hash, source_hash
+from pipeline.fingerprints import PROGRAM, canonical_hash, source_hash
 from pipeline.jax_setup import set_up_jax
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.challenging import ChallengingImage, challenging_image, unplaceable
@@ -60,7 +60,7 @@ class ChallengingSet:
     @property
     def fingerprint(self) -> str:
         """Of everything that decides an image besides its kind and number."""
-        version = source_hash(challenging_image.__module__, within=("pipeline.synthesis",))
+        version = source_hash(challenging_image.__module__, within=PROGRAM)
         return canonical_hash([version, plain_values(self.scene), self.shapes.hashes, self.seed])
 
     def image(self, kind: str, number: int) -> ChallengingImage:

@@ -137,6 +137,16 @@ def test_mistakes_are_told_in_one_line(profile: Path, tmp_path: Path) -> None:
         assert not (tmp_path / "sensor.toml").exists()
 
 
+def test_what_is_calibrated_is_read_as_it_was_recorded(profile: Path, tmp_path: Path) -> None:
+    """Not corrected by an older profile, whose distortion the new one would lack."""
+    for said in (["--sensor", profile], ["-s", f"recording.sensor={profile}"]):
+        result = run("calibrate", profile.parent / "a.mcap", *said, "-o", tmp_path / "sensor.toml")
+        assert result.exit_code == 2
+        assert result.stderr.count("\n") == 1
+        assert "leave out --sensor" in result.stderr
+        assert not (tmp_path / "sensor.toml").exists()
+
+
 def test_frames_are_spread_evenly() -> None:
     """From the first to the last, each once."""
     assert spread_evenly(0, 5) == []

@@ -1,12 +1,22 @@
 """A hash of the sources that a stage can reach changes with each of them, and with no other."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from pipeline import fingerprints
+from pipeline import demo, fingerprints
+from pipeline.config import Settings
 from pipeline.fingerprints import source_hash
+from pipeline.mesh_source import MeshSource
+from pipeline.options import Common
+from pipeline.publishing.publish import publish
+from pipeline.run_folder import RunFolder
+from pipeline.stages import parse
+from pipeline.synthesis.challenging_scene import ChallengingScene
+from pipeline.synthesis.challenging_set import ChallengingSet
+from pipeline.synthesis.scenarios import ObjectScene
 
 
 @pytest.fixture
@@ -58,3 +68,53 @@ def test_every_stage_reaches_its_sources() -> None:
         for module in (*stage.SOURCES, READING_MODULE):
             path = fingerprints.ROOT.joinpath(*module.split("."))
             assert path.with_suffix(".py").is_file(), module
+
+
+class Enough(Exception):  # noqa: N818  (nothing is wrong)
+    """The hash was asked for; nothing needs to be made."""
+
+
+def film(folder: Path) -> None:
+    """A recording of the demo, up to its filming."""
+
+    def film_of(*_: object) -> None:
+        raise Enough
+
+    common = Common(as_json=False, quiet=True, settings=Settings({}))
+    demo._write(folder, "box", film_of, ObjectScene(), 0, common)  # type: ignore[arg-type]
+
+
+def tell(folder: Path) -> None:
+    """The derived files of a run, up to their writing."""
+    publish(RunFolder(folder))
+
+
+def number(_: Path) -> None:
+    """A set of challenging images."""
+    shapes = MeshSource(names=("box",))
+    _ = ChallengingSet(kinds=(), images=1, scene=ChallengingScene(), shapes=shapes, seed=0).fingerprint
+
+
+@pytest.mark.parametrize(
+    ("ask", "modules"),
+    [
+        (film, {"pipeline.meshes", "shapes.depth_noise", "recordings.writer"}),
+        (number, {"pipeline.meshes", "shapes.depth_noise", "recordings.truth"}),
+        (tell, {"pipeline.room", "pipeline.surfaces", "pipeline.colours", "pipeline.report.charts"}),
+        (lambda _: source_hash(*parse.SOURCES), {"pipeline.simplification", "scene.parsing"}),
+    ],
+)
+def test_what_is_kept_hangs_on_all_that_makes_it(
+    ask: Callable[[Path], object], modules: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modules of other packages too: a change of them makes it anew."""
+    reached: list[str] = []
+    source = fingerprints._source
+    monkeypatch.setattr(fingerprints, "_source", lambda module: reached.append(module) or source(module))
+    (tmp_path / "stages").mkdir()
+    source_hash.cache_clear()
+    monkeypatch.setattr("pipeline.publishing.derived_files.write_derived_files", lambda _: [])
+    with suppress(Enough):
+        ask(tmp_path)
+
+    assert modules <= set(reached)

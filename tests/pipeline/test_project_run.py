@@ -12,6 +12,7 @@ from pipeline.config import Settings
 from pipeline.options import Common
 from pipeline.project import ProjectRecording, read_project
 from pipeline.project_run import Row, run_project
+from pipeline.run_access import open_run_folder
 from pipeline.stages.room import room_stage
 from slam.result import SlamResult
 
@@ -133,6 +134,20 @@ def test_a_changed_recording_begins_anew_alone(
 
     assert rows(found) == {"first": True, "last": True}
     assert perfect_tracker == ["first", "last", "last"]
+
+
+def test_force_begins_anew_in_the_folder_of_something_else(
+    folder: Path, perfect_tracker: list[str], mug_file: Path
+) -> None:
+    """As the refusal without it advises."""
+    with open_run_folder(folder / "project.run", {mug_file.name: "hash"}):
+        pass
+    project = write_project(folder, ("first",))
+    refused = run("run", project)
+    assert (refused.exit_code, "begin this one anew with --force" in refused.stderr) == (1, True)
+
+    assert run("run", project, "--force").exit_code == 0
+    assert perfect_tracker == ["first"]
 
 
 def test_a_recording_that_looks_for_a_shape_that_failed_is_not_begun(folder: Path) -> None:

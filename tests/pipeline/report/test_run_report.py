@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,6 +17,7 @@ from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.report import charts
 from pipeline.report.page import Page
+from pipeline.report.run_report import report
 from pipeline.report.warnings import warnings_of
 from pipeline.room import view_room
 from pipeline.run_access import open_run_folder
@@ -84,8 +86,9 @@ def test_a_page_escapes_what_it_is_told_and_loads_nothing() -> None:
 
 def test_the_report_stands_side_by_side_and_alone(run: Path, tmp_path: Path) -> None:
     """Two runs give two columns; every address is inside the page; the file opens without a network."""
-    out = tmp_path / "r.html"
-    result = CliRunner().invoke(voxscene, ["report", str(run), str(run), "-o", str(out), "--json"])
+    out, other = tmp_path / "r.html", tmp_path / "later"
+    shutil.copytree(run, other)
+    result = CliRunner().invoke(voxscene, ["report", str(run), str(other), "-o", str(out), "--json"])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["report"] == str(out)
     reader = read(out.read_text())
@@ -93,6 +96,19 @@ def test_the_report_stands_side_by_side_and_alone(run: Path, tmp_path: Path) -> 
     assert "http" not in out.read_text().replace("http-equiv", "")
     for text in ("frames", "path length", "objects found", "2 of 3", "mug", "Objects", "Camera"):
         assert any(text in found for found in reader.texts), text
+
+
+def test_runs_of_one_name_are_told_apart_and_none_is_lost(run: Path, tmp_path: Path) -> None:
+    """By as many folders above as it takes; one that is named twice is told once."""
+    for folder in ("p1.run/recordings", "p2.run/recordings", "p2.run/other"):
+        shutil.copytree(run, tmp_path / folder / "kitchen")
+        (tmp_path / folder).parent.joinpath("stages").mkdir(exist_ok=True)
+    paths = ["p1.run", "p2.run", "p2.run/other/kitchen", "p2.run/recordings/kitchen", "kitchen"]
+    reader = read(report([tmp_path / path for path in paths]).html())
+
+    names = [f"{folder}/kitchen" for folder in ("p1.run/recordings", "p2.run/recordings", "other")]
+    for name in (*names, f"{tmp_path.name}/kitchen"):
+        assert reader.texts.count(name) == 3, name  # in the contents, the summary, and above its chapter
 
 
 def test_what_is_no_run_is_told(tmp_path: Path) -> None:
