@@ -6,7 +6,7 @@ import functools
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -161,6 +161,11 @@ class RecordingSource:
 
     path: Path
     said: Mapping[str, Any]
+
+    @property
+    def of_colour_alone(self) -> RecordingSource:
+        """The same where no depth is compared: frames of colour will do."""
+        return replace(self, said={**self.said, "colour_alone": True})
 
     def read_options(self, settings: Settings) -> ReadOptions:
         """How it is read: the settings' section `recording`, and over it the command's options.

@@ -31,9 +31,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.config import build, check_names, checked_sections, read_toml
+from pipeline.config import Settings, build, check_names, checked_sections, read_toml
 from pipeline.errors import ConfigError, ProjectError
-from pipeline.options import READING
+from pipeline.options import READING, RecordingSource
+from scene.config import ParseConfig
 
 FILE_NAME = r"\w[\w.-]{0,99}"
 """Names that are files' names too."""
@@ -112,6 +113,25 @@ class UnreadableEntries(ProjectError):  # noqa: N818  (an error by its base)
         super().__init__(lines)
         self.lines = tuple(lines)
         self.rest = rest
+
+
+def is_photograph(recording: ProjectRecording, settings: Settings) -> bool:
+    """Whether objects are looked for in colour alone: neither depth nor the camera's path is needed.
+
+    Raises:
+        ConfigError: a setting of the stage cannot be used.
+    """
+    return recording.stage == "parse" and settings.section("parse", ParseConfig).colour == "only"
+
+
+def source_of(recording: ProjectRecording, settings: Settings) -> RecordingSource:
+    """What is read.
+
+    Raises:
+        ConfigError: a setting of the stage cannot be used.
+    """
+    source = RecordingSource(path=recording.path, said=recording.reading)
+    return source.of_colour_alone if is_photograph(recording, settings) else source
 
 
 def read_project(path: Path) -> Project:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from pipeline.errors import PipelineError
-from pipeline.options import Common, RecordingSource
-from pipeline.project import Project, ProjectRecording
+from pipeline.options import Common
+from pipeline.project import Project, ProjectRecording, source_of
 from pipeline.shape_folder import shape_names
 from recordings.errors import RecordingError
 from recordings.reading import open_recording
@@ -23,7 +23,8 @@ ROOM_FOR_A_RECORDING = 32 << 20
 
 def project_mistakes(project: Project, run: Path, common: Common) -> list[str]:
     """A sentence on each thing that will not work: files, settings, names of shapes, room on the disk."""
-    mistakes = [line for one in project.recordings for line in _mistakes_of(project, one, common)]
+    found = [line for one in project.recordings for line in _mistakes_of(project, one, common)]
+    mistakes = list(dict.fromkeys(found))
     folder = next(one for one in (run, *run.absolute().parents) if one.exists())
     new = sum(not (run / "recordings" / one.stem).is_dir() for one in project.recordings)
     free, needed = shutil.disk_usage(folder).free, new * ROOM_FOR_A_RECORDING
@@ -34,14 +35,15 @@ def project_mistakes(project: Project, run: Path, common: Common) -> list[str]:
 
 def _mistakes_of(project: Project, recording: ProjectRecording, common: Common) -> Iterator[str]:
     settings = common.settings.over(recording.settings).over(project.settings)
-    source = RecordingSource(path=recording.path, said=recording.reading)
     sections: dict[str, Callable[[], object]] = {
         "slam": lambda: settings.section("slam", SlamConfig),
         "learn": lambda: settings.section("learn", LearnConfig),
         "parse": lambda: settings.section("parse", ParseConfig, {"objects": recording.objects}),
     }
     checks = [sections[name] for name in dict.fromkeys(("slam", recording.stage))]
-    checks.append(lambda: open_recording(recording.path, source.read_options(settings)))
+    checks.append(
+        lambda: open_recording(recording.path, source_of(recording, settings).read_options(settings))
+    )
     if recording.stage == "parse":
         checks.append(lambda: _check_shapes(project, recording))
     for check in checks:

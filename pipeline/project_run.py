@@ -18,9 +18,9 @@ from pipeline.errors import PipelineError
 from pipeline.executors import executors_for
 from pipeline.fingerprints import file_hash
 from pipeline.logs import log, unforeseen
-from pipeline.options import Common, RecordingSource
+from pipeline.options import Common
 from pipeline.progress import tell
-from pipeline.project import Project, ProjectRecording
+from pipeline.project import Project, ProjectRecording, is_photograph, source_of
 from pipeline.run_access import open_run_folder
 from pipeline.session import open_session
 from pipeline.stages.learn import learn_stage
@@ -197,10 +197,11 @@ def _run_stages(
     project: Project, recording: ProjectRecording, run: Path, common: Common, *, force: bool
 ) -> tuple[Damage, list[str]]:
     settings = common.settings.over(recording.settings).over(project.settings)
-    source = RecordingSource(path=recording.path, said=recording.reading)
+    source = source_of(recording, settings)
     folder, own = recording_folder(run, recording), replace(common, settings=settings)
     with open_session(own, source, folder, force=force, replace=True) as session:
-        slam_stage(session)
+        if not is_photograph(recording, settings):
+            slam_stage(session)
         if recording.stage == "learn":
             learn_stage(session, recording.shape)
         elif recording.stage == "parse":

@@ -175,8 +175,7 @@ class _Cloud:
             return points, np.zeros((0, 3), np.int8), None
         values = np.concatenate([points, np.concatenate(self._sights), np.concatenate(self._colours)], axis=1)
         cell = np.floor((points - points.min(axis=0)) / self._voxel_m).astype(np.int64)
-        number = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
-        _, voxel, counts = np.unique(number, return_inverse=True, return_counts=True)
+        voxel, counts = _numbered(cell)
         sums = np.stack([np.bincount(voxel, column) for column in values.T.astype(np.float64)], axis=-1)
         enough = counts >= self._least
         thinned = slice(None, None, -(-int(enough.sum()) // MOST_POINTS) or 1)
@@ -188,6 +187,18 @@ class _Cloud:
             return means, normals, None
         rgb = np.where(seen[:, None] > 0, sums[:, 6:9] / np.maximum(seen, 1)[:, None], UNSEEN_GREY)
         return means, normals, rgb.round().astype(np.uint8)
+
+
+def _numbered(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Numbers (N,) of the cells of a grid, (N, 3) and not negative, among those in use; points in each.
+
+    One axis after the other: of points kilometres apart, 64 bits do not number all cells between them.
+    """
+    number = counts = np.zeros(len(cell), np.int64)
+    for column in cell.T:
+        along = number * (int(column.max()) + 1) + column
+        _, number, counts = np.unique(along, return_inverse=True, return_counts=True)
+    return number, counts
 
 
 def _normals(points_m: NDArray[np.float32], sights: NDArray[np.float64]) -> NDArray[np.int8]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -193,8 +192,8 @@ def command(
     is_photograph = common.settings.section("parse", ParseConfig, {"colour": colour}).colour == "only"
     if (table or light) and not is_photograph:
         raise ConfigError("--table and --light are for --colour only")
-    if colour == "only":
-        source = replace(source, said={**source.said, "colour_alone": True})
+    if is_photograph:
+        source = source.of_colour_alone
     known_ids = read_ids(ids)
     with open_session(common, source, run_path, force=force) as session:
         parse_stage(session, shapes, units, options, known_ids)

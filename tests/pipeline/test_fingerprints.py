@@ -92,7 +92,8 @@ def tell(folder: Path) -> None:
 def number(_: Path) -> None:
     """A set of challenging images."""
     shapes = MeshSource(names=("box",))
-    _ = ChallengingSet(kinds=(), images=1, scene=ChallengingScene(), shapes=shapes, seed=0).fingerprint
+    wanted = ChallengingSet(kinds=(), images=1, scene=ChallengingScene(), shapes=shapes, seed=0)
+    assert wanted.fingerprint
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,12 @@ def test_what_is_kept_hangs_on_all_that_makes_it(
     """Modules of other packages too: a change of them makes it anew."""
     reached: list[str] = []
     source = fingerprints._source
-    monkeypatch.setattr(fingerprints, "_source", lambda module: reached.append(module) or source(module))
+
+    def look_up(module: str) -> Path | None:
+        reached.append(module)
+        return source(module)
+
+    monkeypatch.setattr(fingerprints, "_source", look_up)
     (tmp_path / "stages").mkdir()
     source_hash.cache_clear()
     monkeypatch.setattr("pipeline.publishing.derived_files.write_derived_files", lambda _: [])

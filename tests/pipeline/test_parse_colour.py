@@ -160,6 +160,24 @@ def test_mistakes_are_told_in_one_line(photograph: Path, meshes: Path, tmp_path:
         assert "Traceback" not in result.output
 
 
+def test_the_setting_is_the_option(photograph: Path, meshes: Path, tmp_path: Path) -> None:
+    """Of the command and of a project: frames of colour alone are read, and no path is looked for."""
+    bare = without_depth(photograph, tmp_path / "bare.mcap")
+    command = ["parse", str(bare), "--shapes", str(meshes), "-o", str(tmp_path / "run"), "-q"]
+    asked = CliRunner().invoke(voxscene, [*command, "-s", "parse.colour=only"])
+    project = tmp_path / "project.toml"
+    entry = f"[[recording]]\npath = '{bare.name}'\nstage = 'parse'\nshapes = '{meshes}'\n"
+    project.write_text(f"{entry}parse.colour = 'only'\n")
+    ran = CliRunner().invoke(voxscene, ["run", str(project)])
+
+    for result, told in ((asked, asked.stderr), (ran, ran.stdout)):
+        assert result.exit_code == 1
+        assert "shows no table and records no pose" in told, result.output
+    project.write_text(f"{entry}parse.colour = 'none'\n")
+    mistakes = CliRunner().invoke(voxscene, ["run", str(project), "-q"]).stderr.splitlines()
+    assert sum("parse.colour" in line for line in mistakes) == 1
+
+
 def test_grey_clipped_and_unstable_things_are_told(photograph: Path, meshes: Path, tmp_path: Path) -> None:
     """One channel of three, half the image overexposed, a cylinder that would lie: a line each."""
     world = air_world(48, 48)

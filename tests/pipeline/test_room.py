@@ -1,12 +1,13 @@
 """The fused room lies where the room is."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 
-from pipeline.room import RoomView, view_room
+from pipeline.room import RoomView, _numbered, view_room
 from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.room import view_stage
@@ -25,6 +26,21 @@ def test_points_lie_on_the_surfaces_seen(filmed_mug: SyntheticRecording, true_tr
     distance = filmed_mug.clearance_m(world)
     assert len(room.points_m) > 1000
     assert np.quantile(distance, 0.9) < 0.03
+
+
+def test_points_kilometres_apart_are_fused_like_others(filmed_mug: SyntheticRecording) -> None:
+    """As of a wrong unit: the grid of a centimetre has more cells than 64 bits number."""
+    rng = np.random.default_rng(3)
+    depth_m = rng.uniform(500, 60_000, (72, 96)).astype(np.float32)
+    frames = [replace(filmed_mug.frame(0), depth_m=depth_m)] * 2
+    room = view_room(frames, filmed_mug.intrinsics, np.tile(np.eye(4), (2, 1, 1)))
+
+    assert len(room.points_m) == depth_m.size
+    cell = rng.integers(0, 4, (200, 3))
+    number, counts = _numbered(cell)
+    _, expected, expected_counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    np.testing.assert_array_equal(number, expected.ravel())
+    np.testing.assert_array_equal(counts, expected_counts)
 
 
 def test_views_are_thinned_frames(filmed_mug: SyntheticRecording, true_trajectory: SlamResult) -> None:
