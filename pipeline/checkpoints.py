@@ -11,9 +11,9 @@ from pipeline.logs import log
 from pipeline.timing import wall_clock
 
 INTERVAL_S = 20.0
-"""Work of this time may be lost; with the time to write it, less than 30 s."""
+"""Work of this time may be lost, and of more where writing takes long."""
 LONGEST_SHARE = 0.05
-"""Of the time may go into writing: a large map is written less often."""
+"""Of the time may go into writing: what takes more than a second to write is written less often."""
 
 PAGES = ".pages"
 """Ending of the file for what has no room in memory."""

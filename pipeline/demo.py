@@ -2,7 +2,7 @@
 
 OUT/recordings/*.mcap      one for each object to learn, and a table with all of them
 OUT/recordings/*.json      what each was filmed from, and its hash: it is kept as long as both are the same
-OUT/project.toml           what `voxscene run` does with them
+OUT/project.toml           the same for `voxscene run`, to begin one's own from; kept where it was changed
 OUT/run                    its run folder
 """
 
@@ -30,7 +30,7 @@ from pipeline.evaluation.truth import RecordedTruth, true_mesh
 from pipeline.fingerprints import PROGRAM, canonical_hash, file_hash, source_hash
 from pipeline.logs import log
 from pipeline.options import Common
-from pipeline.project import Project, ProjectRecording, read_project
+from pipeline.project import Project, ProjectRecording
 from pipeline.project_run import recording_folder, run_project
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
@@ -115,16 +115,27 @@ def demonstrate(folder: Path, common: Common) -> DemoResult:
     Raises:
         PipelineError: the folder cannot be used.
     """
-    project_file = folder / "project.toml"
     film(folder, common)
-    write_text(project_file, tomli_w.dumps({"recording": _entries()}))
-    project = read_project(project_file)
+    project = write_project(folder)
     run = folder / "run"
     rows = run_project(project, run, common)
     failed = [row for row in rows if row.failure]
     if failed:
         raise PipelineError(f"{failed[0].path}: {failed[0].failure}")
     return evaluate(project, run)
+
+
+def write_project(folder: Path) -> Project:
+    """The demonstration's project, and its file where there is none: another is the user's own.
+
+    Raises:
+        PipelineError: the file cannot be written.
+    """
+    path, entries = folder / "project.toml", _entries()
+    if not path.exists():
+        write_text(path, tomli_w.dumps({"recording": entries}))
+    recordings = [ProjectRecording(**{**entry, "path": folder / entry["path"]}) for entry in entries]
+    return Project(recordings=tuple(recordings), settings={})
 
 
 def film(folder: Path, common: Common) -> None:

@@ -93,8 +93,9 @@ def command(
     if preview is not None:
         with open_session(common, source, run_path, force=force) as session:
             region = preview_region(session, options, preview, recorded_poses=poses == "recorded")
+            damage = session.recording.damage
         common.report(*_region_told(region, preview))
-        return
+        ctx.exit(report_damage(source.path, damage))
     with open_session(common, source, run_path, force=force) as session:
         learn_stage(session, name, options, recorded_poses=poses == "recorded")
         damage = session.damage

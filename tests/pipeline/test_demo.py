@@ -17,6 +17,7 @@ from pipeline.config import Settings
 from pipeline.demo import DemoResult, LearnedObject
 from pipeline.evaluation.scenes import ObjectError
 from pipeline.options import Common
+from pipeline.project import read_project
 from pipeline.synthesis.recording import SyntheticRecording
 
 ROOT = Path(__file__).parents[2]
@@ -101,6 +102,16 @@ def test_films_that_are_there_are_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert again() == ["can", "table"]
     assert again() == []
     assert again(seed=1) == everything
+
+
+def test_a_project_that_was_changed_is_kept(tmp_path: Path) -> None:
+    """It is what the demo tells the user to change; the demo runs its own, which `voxscene run` reads too."""
+    path = tmp_path / "project.toml"
+    own = demo.write_project(tmp_path)
+    assert read_project(path) == own
+    path.write_text(path.read_text().replace("can.mcap", "mine.mcap"))
+    assert demo.write_project(tmp_path) == own
+    assert "mine.mcap" in path.read_text()
 
 
 @pytest.mark.slow

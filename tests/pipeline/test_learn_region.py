@@ -10,7 +10,7 @@ from PIL import Image
 
 from pipeline.cli import voxscene
 from pipeline.stages.region import LINE_COLOUR
-from recordings.types import CameraIntrinsics
+from recordings.types import CameraIntrinsics, Damage
 from shapes.learning.region import point_at_pixel
 
 CAMERA = CameraIntrinsics(width=40, height=30, fx=35.0, fy=36.0, cx=18.5, cy=15.25)
@@ -44,6 +44,19 @@ def test_the_region_is_drawn_round_the_object_and_nothing_is_learned(mug_file, f
     assert drawn[:, 0].min() < row < drawn[:, 0].max()
     assert drawn[:, 1].min() < column < drawn[:, 1].max()
     assert not (tmp_path / "run" / "shapes").exists()
+
+
+def test_a_preview_of_a_damaged_recording_ends_with_its_code(
+    mug_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As learning does: 3, with what was lost on stderr and the document on stdout."""
+    lost = property(lambda _: Damage(lost_messages=2))
+    monkeypatch.setattr("recordings.reading.McapRecording.damage", lost)
+    result = learn(mug_file, tmp_path)
+
+    assert result.exit_code == 3, result.output
+    assert "at least 2 messages lost" in result.stderr
+    assert json.loads(result.stdout)["preview"] == str(tmp_path / "box.png")
 
 
 def test_a_pixel_on_the_object_means_the_object(mug_file, filmed_mug, tmp_path) -> None:

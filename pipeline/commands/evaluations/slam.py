@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pipeline.evaluation.trajectories import ComparedTrajectory
     from recordings.options import ReadOptions
 
+OURS = "voxscene"
+"""Name of the run's own trajectory."""
 ESTIMATES = (".tum", ".txt")
 """Suffixes of files that hold a trajectory."""
 
@@ -107,7 +109,7 @@ def _others(against: str | None) -> tuple[list[str], list[Path]]:
     """Peers to run, and files of other estimates, from what stands between the commas.
 
     Raises:
-        PipelineError: a word is neither.
+        PipelineError: a word is neither, or two trajectories have one name.
     """
     peers: list[str] = []
     files: list[Path] = []
@@ -120,6 +122,9 @@ def _others(against: str | None) -> tuple[list[str], list[Path]]:
             raise PipelineError(
                 f"--against: no {word!r}; there are {', '.join(PEERS)}, or files {' and '.join(ESTIMATES)}"
             )
+    names = [OURS, *(path.stem for path in files)]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise PipelineError(f"--against: two trajectories are named {twice}; give one file another name")
     return peers, files
 
 
@@ -156,7 +161,7 @@ def _peer_document(one: ComparedTrajectory | str) -> dict[str, Any]:
 
 def _lines(document: dict[str, Any]) -> list[str]:
     rows: list[tuple[str, ...]] = [("", "ATE cm", "first-pose cm", "RPE mm", "RPE deg")]
-    rows.append(("voxscene", *_figures(document)))
+    rows.append((OURS, *_figures(document)))
     if "found" in document:
         rows.append(("  without lost frames", *_figures(document["found"])))
     for name, errors in document.get("peers", {}).items():

@@ -5,12 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from PIL import Image
 
+from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
 from pipeline.evaluation.error_files import write_comparison
 from pipeline.evaluation.trajectories import compared_file, compared_run
 from pipeline.publishing.trajectory_files import tum_lines
+from pipeline.run_access import open_run_folder
 from recordings.types import Trajectory
 from slam.result import SlamResult
 
@@ -81,3 +84,17 @@ def test_a_file_that_is_no_trajectory_is_told(reference: Trajectory, tmp_path: P
         (tmp_path / "their.tum").write_text(text)
         with pytest.raises(PipelineError, match=rf"their\.tum is not a TUM trajectory.*{why}"):
             compared_file(tmp_path / "their.tum", reference)
+
+
+@pytest.mark.parametrize("against", ["a/orb.tum,b/orb.txt", "voxscene.tum"])
+def test_two_trajectories_of_one_name_are_refused(
+    against: str, mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """In one line: one's file and line would stand for the other's."""
+    with open_run_folder(tmp_path, {mug_file.name: "hash"}) as run:
+        run.stage("slam", SlamResult.load, lambda: true_trajectory, settings={}, inputs={})
+    command = ["eval", "slam", str(tmp_path), "--reference", str(mug_file), "--against", against]
+    result = CliRunner().invoke(voxscene, command)
+
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
+    assert "two trajectories are named" in result.stderr
