@@ -140,8 +140,8 @@ def test_force_begins_anew_in_the_folder_of_something_else(
     folder: Path, perfect_tracker: list[str], mug_file: Path
 ) -> None:
     """As the refusal without it advises."""
-    with open_run_folder(folder / "project.run", {mug_file.name: "hash"}):
-        pass
+    with open_run_folder(folder / "project.run", {mug_file.name: "hash"}) as one:
+        (one.path / "slam.npz").touch()
     project = write_project(folder, ("first",))
     refused = run("run", project)
     assert (refused.exit_code, "begin this one anew with --force" in refused.stderr) == (1, True)
