@@ -149,6 +149,8 @@ class RunFolder:
         fingerprint = canonical_hash({**made_from, "settings": plain_values(settings, paths=False)})
         record = self.record(name)
         if self.force or record is None or record.fingerprint != fingerprint:
+            if record is not None and not self.force:
+                _tell_difference(name, record.settings, plain_values(settings))
             self._expect_checkpoint(name, fingerprint)
             seconds, compile_s = self._compute(name, compute)
             record = StageRecord(
@@ -274,3 +276,21 @@ class RunFolder:
 
     def _record_path(self, name: str) -> Path:
         return self.path / "stages" / f"{name}.json"
+
+
+def _tell_difference(stage: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Say which settings are others than those that a stage was made with, if any are."""
+    one, other = _by_name(before), _by_name(now)
+    differ = [name for name in sorted({*one, *other}) if one.get(name) != other.get(name)]
+    if differ:
+        told = ", ".join(f"{name} was {one.get(name, 'not set')}" for name in differ)
+        log.warning("%s is made again: %s", stage, told)
+
+
+def _by_name(settings: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Settings of nested tables as SECTION.KEY."""
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        name = f"{above}{key}"
+        found |= _by_name(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return found

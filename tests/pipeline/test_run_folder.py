@@ -1,5 +1,6 @@
 """Stages are computed once, committed whole, and survive a kill at any moment."""
 
+import logging
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 
 from pipeline.errors import PipelineError
 from pipeline.fingerprints import file_hash
+from pipeline.logs import log
 from pipeline.run_access import open_run_folder
 from pipeline.run_folder import RunFolder
 
@@ -54,6 +56,21 @@ def slam(
     """A stage of that work."""
     settings = settings or {"slam": {"particles": 8}}
     return run.stage("slam", Text.load, work, settings=settings, inputs={"recording": recording}).value
+
+
+def test_settings_that_make_a_stage_again_are_told(tmp_path: Path) -> None:
+    """By name, with what they were; not of a stage that is unchanged, or made for the first time."""
+    said = list[str]()
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    log.addHandler(handler)
+    try:
+        for particles in (8, 8, 16):
+            slam(RunFolder(tmp_path), Work(), {"slam": {"particles": particles, "proposal": "enumerate"}})
+    finally:
+        log.removeHandler(handler)
+
+    assert said == ["slam is made again: slam.particles was 8"]
 
 
 def test_an_unchanged_stage_is_not_run_again(tmp_path: Path) -> None:
