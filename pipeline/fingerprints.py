@@ -15,6 +15,8 @@ METHOD = ("recordings", "shapes", "slam", "scene")
 """The packages that compute; what `pipeline` computes itself is named by those who use it."""
 PROGRAM = (*METHOD, "pipeline")
 """All packages, for what must follow every import: it is cheap, or what `pipeline` computes itself."""
+COMPUTES = (*METHOD, *(f"pipeline.{part}" for part in ("benchmarks", "evaluation", "peers", "synthesis")))
+"""Where the sources are that decide a row of a benchmark."""
 
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 

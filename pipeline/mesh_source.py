@@ -68,7 +68,7 @@ class MeshSource:
     @property
     def hashes(self) -> dict[str, str]:
         """SHA-256 of each surface."""
-        return {name: _surface_hash(mesh) for name, mesh in self.meshes.items()}
+        return {name: surface_hash(mesh) for name, mesh in self.meshes.items()}
 
 
 @lru_cache(maxsize=4)
@@ -80,7 +80,8 @@ def _loaded(folder: Path | None, units: Units | None) -> Mapping[str, trimesh.Tr
     return load_meshes(folder, units)
 
 
-def _surface_hash(mesh: trimesh.Trimesh) -> str:
+def surface_hash(mesh: trimesh.Trimesh) -> str:
+    """SHA-256 of its vertices and faces."""
     digest = hashlib.sha256(np.ascontiguousarray(mesh.vertices, np.float64).tobytes())
     digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
     return digest.hexdigest()

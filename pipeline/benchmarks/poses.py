@@ -21,7 +21,7 @@ from pipeline.benchmarks.pose_sources import PoseSource, Tables
 from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import MISSING_M
 from pipeline.evaluation.scenes import ObjectError, object_errors
-from pipeline.fingerprints import METHOD, source_hash
+from pipeline.fingerprints import COMPUTES, source_hash
 from pipeline.jax_setup import set_up_jax
 from pipeline.mesh_source import MeshSource
 from pipeline.quiet_stdout import stdout_to_stderr
@@ -31,8 +31,6 @@ from recordings.truth import TABLE
 TUNING_SEED, TUNING_TABLES = 900_000, 1
 TUNING_OBJECTS = 3
 """On each tuning table, on which the settings of peers are tried."""
-COMPUTES = (*METHOD, *(f"pipeline.{part}" for part in ("benchmarks", "evaluation", "peers", "synthesis")))
-"""Where the sources are that decide a row."""
 MOST_ERROR_M = 0.1
 """Larger errors count as this when settings are compared."""
 

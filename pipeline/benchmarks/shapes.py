@@ -28,6 +28,8 @@ from pipeline.benchmarks.shape_walls import WALL_FIGURES, wall_figures
 from pipeline.errors import PipelineError
 from pipeline.evaluation.calibration import calibration
 from pipeline.evaluation.shapes import intersection_over_union, shape_agreement, true_voxels
+from pipeline.fingerprints import COMPUTES, source_hash
+from pipeline.mesh_source import surface_hash
 from pipeline.peers.voxel_maps import PosedViews, VoxelMap, octomap, open3d_tsdf, space_carving
 from pipeline.synthesis.world import Part, RayCaster
 from shapes.learning.config import LearnConfig
@@ -116,11 +118,12 @@ def shape_rows(
         noise_free: they measure exactly.
     """
     films = {"conditions": conditions, "noise_free": noise_free}
-    kept = KeptRows(folder, {"config": asdict(config), "seed": seed, "peers": sorted(peers), **films})
+    alike = {"config": asdict(config), "seed": seed, "peers": sorted(peers), **films, "source": _source()}
     for count in views:
         for number, (name, mesh) in enumerate(sorted(meshes.items())):
             if name not in only:
                 continue
+            kept = KeptRows(folder, alike | {"mesh": surface_hash(mesh), "film": number})
             film = None
             for kind in kinds:
                 row = kept.find(f"{name} {count} {kind}")
@@ -132,6 +135,11 @@ def shape_rows(
                     row = _filmed_row(film, about, peers, config, seed)
                     kept.keep(f"{name} {count} {kind}", row)
                 yield row
+
+
+def _source() -> str:
+    """Of all that decides a row."""
+    return source_hash(__name__, within=(*COMPUTES, "pipeline.stages"))
 
 
 def growth(mesh: trimesh.Trimesh, config: LearnConfig, seed: int) -> list[dict[str, float]]:

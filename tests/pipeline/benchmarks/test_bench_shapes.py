@@ -1,7 +1,9 @@
 """`bench shapes` on a box: what it measures, with what, and its peers on the same views."""
 
-from dataclasses import asdict, replace
+import shutil
+from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -9,7 +11,6 @@ import trimesh
 
 from pipeline.benchmarks import shape_films
 from pipeline.benchmarks import shapes as bench
-from pipeline.benchmarks.shape_row import KeptRows
 from pipeline.benchmarks.shape_summary import exponent, falls, summary
 from pipeline.benchmarks.shapes import shape_rows
 from pipeline.synthesis.rooms import RoomConfig
@@ -93,15 +94,26 @@ def test_a_slice_takes_rows_that_were_kept(document: dict, films: dict, folder: 
 
 
 @pytest.mark.usefixtures("document")
-def test_rows_of_other_settings_are_not_taken(folder: Path) -> None:
-    """Nor is a file that is no row."""
-    (folder / "torn 4 true.npz").write_bytes(b"PK")
-    films = {"conditions": "rings", "noise_free": False}
-    same = {"config": asdict(CONFIG), "seed": 0, "peers": ["carving", "tsdf"], **films}
-    assert KeptRows(folder, same | {"conditions": "paper"}).find("thin 4 true") is None
-    assert KeptRows(folder, same).find("thin 4 true") is not None
-    assert KeptRows(folder, same | {"seed": 1}).find("thin 4 true") is None
-    assert KeptRows(folder, same).find("torn 4 true") is None
+@pytest.mark.parametrize("other", ["seed", "conditions", "mesh", "film", "source", "torn"])
+def test_rows_of_other_settings_are_not_taken(
+    other: str, films: dict, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor those of another mesh of that name, another film, another program, or a file that is no row."""
+    kept = shutil.copytree(folder, tmp_path / "kept")
+    if other == "torn":
+        (kept / "thin 4 true.npz").write_bytes(b"PK")
+    if other == "mesh":
+        films = films | {"thin": trimesh.creation.box((0.1, 0.09, 0.004))}
+    if other == "film":
+        films = films | {"before": films["solid"]}
+    if other == "source":
+        monkeypatch.setattr(bench, "source_hash", lambda *_, **__: "another")
+    filmed = Mock(side_effect=InterruptedError)
+    monkeypatch.setattr(bench, "film_of", filmed)
+    seed, conditions = int(other == "seed"), "paper" if other == "conditions" else "rings"
+    peers = ["carving", "tsdf"]
+    with pytest.raises(InterruptedError):
+        list(shape_rows(films, ["thin"], [4], ["true"], peers, CONFIG, seed, kept, conditions))
 
 
 def test_every_slice_films_a_mesh_alike(films: dict) -> None:
