@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from pipeline.atomic import check_output, write_table
 from pipeline.errors import PipelineError
 from pipeline.evaluation.calibration import expected_calibration_error
 from pipeline.evaluation.intervals import wilson_interval
+from pipeline.fingerprints import COMPUTES, source_hash
 from pipeline.simplification import few_triangles
 from pipeline.synthesis.air import AirScene, air_scene, air_world
 from scene.colour.camera_view import LONGEST_PX, pooled_image
@@ -30,6 +32,8 @@ SEEN_PX = 12
 GAMMA = 1.0
 """The images' values are light."""
 ECE_BINS = 10
+SOURCES_SHOWN = 16
+"""Digits of the hash: no two programs share them."""
 TOLERANCE_NATS = 2.0
 """By which the truth may score higher than what was found before the search is said to have failed."""
 
@@ -40,6 +44,9 @@ class AirRow:
 
     Attributes:
         scene: its number, which seeds it.
+        size: of the image, WIDTHxHEIGHT.
+        lamp: as the bench was asked.
+        sources: hash of the program's that decide a row.
         true_kinds: names, in order, with + between.
         found_kinds: likewise.
         least_visible: pixels of the thing that is seen least; -1 on an empty table.
@@ -54,6 +61,9 @@ class AirRow:
     """
 
     scene: int
+    size: str
+    lamp: str
+    sources: str
     true_kinds: str
     found_kinds: str
     least_visible: int
@@ -80,7 +90,7 @@ def measure_air(
     path: Path | None,
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
-    """Search the scenes one by one; rows are added to a CSV file as they are done.
+    """Search the scenes one by one; the CSV file is whole after each.
 
     Args:
         first: number of the first scene.
@@ -92,9 +102,13 @@ def measure_air(
         progress: told scenes done and in all.
 
     Raises:
-        PipelineError: the file holds something else.
+        PipelineError: the file holds something else, or cannot be written.
     """
+    about = {"size": f"{size[0]}x{size[1]}", "lamp": lamp, "sources": _sources()}
     rows = {row.scene: row for row in read_rows(path)} if path else {}
+    if path:
+        check_output(path)
+        _refuse_others(path, rows.values(), about)
     started = time.perf_counter()
     world = air_world(*size)
     lattice = Lattice.of(searched(world))
@@ -103,9 +117,9 @@ def measure_air(
     for number in wanted:
         if number not in rows:
             lit = world if lamp == "known" else replace(world, light=_lamp(number))
-            rows[number] = _row(lattice, air_scene(lit, number), number, lamp == "any")
+            rows[number] = _row(lattice, air_scene(lit, number), number, about)
             if path:
-                _append(path, rows[number])
+                write_table(path, [field.name for field in fields(AirRow)], map(asdict, rows.values()))
         progress(number - first + 1, scenes)
     return {"set_up_s": set_up_s, **figures([rows[number] for number in wanted])}
 
@@ -131,13 +145,13 @@ def _lamp(number: int) -> Light:
     return Light(direction=(across * np.cos(turn), across * np.sin(turn), up), ambient=ambient)
 
 
-def _row(lattice: Lattice, scene: AirScene, number: int, any_lamp: bool) -> AirRow:
+def _row(lattice: Lattice, scene: AirScene, number: int, about: Mapping[str, str]) -> AirRow:
     image, camera = scene.image, air_world(*scene.image.shape[1::-1]).camera
     if max(camera.width, camera.height) > LONGEST_PX:
         rgb = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
         image = pooled_image(rgb, camera, GAMMA)[0]
     started, core_started = time.perf_counter(), time.process_time()
-    if any_lamp:
+    if about["lamp"] == "any":
         lattice, found, _ = find_under_any_lamp(lattice, image)
     else:
         found = find(lattice, image)
@@ -147,6 +161,7 @@ def _row(lattice: Lattice, scene: AirScene, number: int, any_lamp: bool) -> AirR
     places, yaws = _errors(world, scene, found)
     return AirRow(
         scene=number,
+        **about,
         true_kinds=_names(world, scene.truth.kinds),
         found_kinds=_names(world, found.best.scene.kinds),
         least_visible=int(scene.visible.min(initial=10**6)) if len(scene.truth) else -1,
@@ -235,13 +250,23 @@ def read_rows(path: Path) -> list[AirRow]:
             raise PipelineError(f"{path} was not written by bench air: {error}") from error
 
 
-def _append(path: Path, row: AirRow) -> None:
-    begun = path.exists() and path.stat().st_size > 0
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(AirRow)])
-        if not begun:
-            writer.writeheader()
-        writer.writerow(asdict(row))
+def _sources() -> str:
+    """Hash of the program's sources that decide a row."""
+    return source_hash(__name__, "pipeline.simplification", within=COMPUTES)[:SOURCES_SHOWN]
+
+
+def _refuse_others(path: Path, rows: Iterable[AirRow], about: Mapping[str, str]) -> None:
+    """Refuse a file with rows that were made otherwise.
+
+    Raises:
+        PipelineError: it says what differs.
+    """
+    for row in rows:
+        for name, wanted in about.items():
+            if (found := getattr(row, name)) != wanted:
+                raise PipelineError(
+                    f"{path} holds scene {row.scene} of {name} {found}, not {wanted}: name another file"
+                )
 
 
 def _names(world: TableWorld, kinds: NDArray[np.int64]) -> str:

@@ -24,7 +24,8 @@ from pipeline.options import AnyPath, Common, common_options, image_size
     "--csv",
     "csv_path",
     type=AnyPath(dir_okay=False),
-    help="Add a row for each scene as it is done; scenes that the file holds already are not run again.",
+    help="A row for each scene as it is done; scenes that the file holds already are not run again, and rows"
+    " of another --size, --lamp or program are refused.",
 )
 @click.option(
     "--lattice",

@@ -61,16 +61,34 @@ def test_the_bench_resumes_from_its_rows(tmp_path: Path) -> None:
         assert [row["scene"] for row in csv.DictReader(file)] == ["3", "4"]
     assert json.loads(result.stdout)["scenes"] == 2
 
+    whole = path.read_bytes()
+    for other in (["--size", "32x24"], ["--lamp", "other"]):
+        result = CliRunner().invoke(voxscene, [*arguments, *other, "--scenes", "1"])
+        assert result.exit_code == 1
+        assert "holds scene 3 of" in result.stderr
+        assert result.stderr.count("\n") == 1
+    assert path.read_bytes() == whole
+
     path.write_text("nothing\n1\n")
     result = CliRunner().invoke(voxscene, [*arguments, "--scenes", "1"])
     assert result.exit_code == 1
     assert "was not written by bench air" in result.stderr
 
 
+def test_a_table_that_cannot_be_written_is_refused_before_any_search(tmp_path: Path) -> None:
+    """No scene is searched for a path in a folder that is not there."""
+    result = CliRunner().invoke(voxscene, ["bench", "air", "--csv", str(tmp_path / "no" / "air.csv")])
+    assert result.exit_code == 1
+    assert "there is no folder" in result.stderr
+
+
 def row(true: str, found: str, gap: float = 0.0, visible: int = 50) -> AirRow:
     """Of a scene with these kinds."""
     return AirRow(
         scene=7,
+        size="64x64",
+        lamp="known",
+        sources="",
         true_kinds=true,
         found_kinds=found,
         least_visible=visible,
