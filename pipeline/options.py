@@ -69,6 +69,34 @@ class AnyPath(click.Path):
         super().__init__(file_okay=file_okay, dir_okay=dir_okay, readable=False, path_type=Path)
 
 
+class OutputFile(AnyPath):
+    """A file that a command writes at its end: what would stand in its way then is told before any work.
+
+    Args:
+        suffixes: one of which the name ends in; any where there are none.
+    """
+
+    def __init__(self, *suffixes: str) -> None:
+        super().__init__(dir_okay=False)
+        self._suffixes = suffixes
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path.
+
+        Raises:
+            ConfigError: it has another suffix.
+            PipelineError: it cannot be written.
+        """
+        from pipeline.atomic import check_output
+
+        path = Path(str(super().convert(value, param, ctx)))
+        if self._suffixes and path.suffix.lower() not in self._suffixes:
+            option = param.opts[0] if param else "file"
+            raise ConfigError(f"{option} {path}: name a file that ends in {' or '.join(self._suffixes)}")
+        check_output(path)
+        return path
+
+
 def common_options(*sections: str, computes: bool = False) -> Callable[[Command], Command]:
     """Give a command --json, --seed, --quiet, --config and -s as one argument `common`.
 
@@ -294,6 +322,21 @@ def numbers(option: str, text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
         raise ConfigError(f"{option} {text}: write numbers separated by commas") from error
+
+
+def counts(option: str, text: str) -> list[int]:
+    """Numbers of things, separated by commas.
+
+    Raises:
+        ConfigError: something else was written.
+    """
+    try:
+        found = [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"{option} {text}: write whole numbers separated by commas") from error
+    if min(found) < 1:
+        raise ConfigError(f"{option} {text}: every number must be at least 1")
+    return found
 
 
 def words(option: str, text: str, known: Sequence[str]) -> list[str]:

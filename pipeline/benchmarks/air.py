@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.atomic import check_output, write_table
+from pipeline.atomic import write_table
 from pipeline.errors import PipelineError
 from pipeline.evaluation.calibration import expected_calibration_error
 from pipeline.evaluation.intervals import wilson_interval
@@ -107,7 +107,6 @@ def measure_air(
     about = {"size": f"{size[0]}x{size[1]}", "lamp": lamp, "sources": _sources()}
     rows = {row.scene: row for row in read_rows(path)} if path else {}
     if path:
-        check_output(path)
         _refuse_others(path, rows.values(), about)
     started = time.perf_counter()
     world = air_world(*size)
@@ -119,7 +118,9 @@ def measure_air(
             lit = world if lamp == "known" else replace(world, light=_lamp(number))
             rows[number] = _row(lattice, air_scene(lit, number), number, about)
             if path:
-                write_table(path, [field.name for field in fields(AirRow)], map(asdict, rows.values()))
+                write_table(
+                    path, [field.name for field in fields(AirRow)], [asdict(row) for row in rows.values()]
+                )
         progress(number - first + 1, scenes)
     return {"set_up_s": set_up_s, **figures([rows[number] for number in wanted])}
 

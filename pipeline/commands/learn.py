@@ -12,8 +12,8 @@ import click
 from pipeline.damage import report_damage
 from pipeline.errors import ConfigError
 from pipeline.options import (
-    AnyPath,
     Common,
+    OutputFile,
     RecordingSource,
     common_options,
     numbers,
@@ -43,7 +43,7 @@ LARGE_M = 0.4
 )
 @click.option(
     "--preview",
-    type=AnyPath(dir_okay=False),
+    type=OutputFile(".png"),
     metavar="OUT.png",
     help="Only draw the region that would be learned, on the first depth frame.",
 )
@@ -83,8 +83,6 @@ def command(
 
     if not re.fullmatch(FILE_NAME, name):
         raise ConfigError(f"--name {name}: use letters, digits, dots, dashes and underscores")
-    if preview is not None and preview.suffix.lower() != ".png":
-        raise ConfigError(f"--preview {preview}: name a file that ends in .png")
     options = {
         "box": _numbers("--box", box, 6, "six numbers, xmin,ymin,zmin,xmax,ymax,zmax in metres"),
         "pixel": _numbers("--pixel", pixel, 2, "column,row of the object in the first depth frame"),

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import click
 
-from pipeline.errors import ConfigError, PipelineError
-from pipeline.options import AnyPath, Common, common_options, image_size
+from pipeline.errors import PipelineError
+from pipeline.options import AnyPath, Common, OutputFile, common_options, image_size
 from pipeline.progress import Progress
 
 
 @click.command(name="review")
 @click.argument("run", type=AnyPath())
-@click.option("--screenshot", type=AnyPath(), metavar="OUT.png", help="Write a picture and end.")
+@click.option("--screenshot", type=OutputFile(".png"), metavar="OUT.png", help="Write a picture and end.")
 @click.option(
     "--size", default="1600x1000", show_default=True, metavar="WIDTHxHEIGHT", help="Of the picture."
 )
@@ -62,8 +62,6 @@ def command(
     from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrd_with_truth, rrds_of, serve_viewer
 
     width, height = image_size(size)
-    if screenshot is not None and screenshot.suffix.lower() != ".png":
-        raise ConfigError(f"--screenshot {screenshot}: name a file that ends in .png")
     if from_mcap:
         rrds = [rrd_of_mcap(run)]
     else:

@@ -27,13 +27,9 @@ def panels(rows: int, columns: int, width: float, height: float) -> tuple[Any, l
     Returns:
         The figure, and its axes by row and column.
     """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise PipelineError(
-            "figures need matplotlib; install it with: pip install 'voxscene[bench]'"
-        ) from error
+    import matplotlib
+    from matplotlib.figure import Figure
+
     matplotlib.rcParams["svg.hashsalt"] = "voxscene"
     figure = Figure(figsize=(columns * width, rows * height), layout="constrained", dpi=DOTS_PER_INCH)
     return figure, figure.subplots(rows, columns, squeeze=False).tolist()
@@ -46,8 +42,9 @@ def write_figure(figure: Any, paths: Sequence[Path]) -> None:
         PipelineError: a format is unknown, or a file cannot be written.
     """
     for path in paths:
-        if path.suffix not in FORMATS:
+        suffix = path.suffix.lower()
+        if suffix not in FORMATS:
             raise PipelineError(f"{path}: figures are written as {', '.join(FORMATS)}")
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as partial:
-            figure.savefig(partial, metadata=METADATA[path.suffix])
+            figure.savefig(partial, metadata=METADATA[suffix])

@@ -10,6 +10,7 @@ from pipeline.synthesis.placement import Table
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, SyntheticScene
 from pipeline.synthesis.sensor import DepthSensor
+from recordings.settings import check_finite, check_within
 from recordings.types import DepthNoise
 
 KINDS: Mapping[str, tuple[float, float]] = {
@@ -57,6 +58,8 @@ class ChallengingScene(SyntheticScene):
     table_height_m: float = 0.75
 
     def __post_init__(self) -> None:
+        check_finite(self)
+        check_within(self, 0.0, 90.0, ("aim_error_deg",))
         if not 0 < self.distance_m[0] <= self.distance_m[1]:
             raise ValueError(
                 f"distance_m must be two positive distances, nearest first, got {self.distance_m}"

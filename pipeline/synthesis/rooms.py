@@ -17,6 +17,7 @@ from pipeline.synthesis.colours import muted_colour
 from pipeline.synthesis.furniture import clutter_piece, free_piece, wall_piece
 from pipeline.synthesis.solids import block, surface_of
 from pipeline.synthesis.world import Part
+from recordings.settings import check_finite
 
 WALL_MARGIN_M = 0.3
 """Nothing stands nearer than this to the cameras."""
@@ -47,6 +48,7 @@ class RoomConfig:
     open_sides: int = 0
 
     def __post_init__(self) -> None:
+        check_finite(self)
         if min(self.width_m, self.depth_m, self.height_m) <= 0:
             raise ValueError("width_m, depth_m and height_m must be positive")
         if not 0 <= self.size_spread < 1 or self.off_centre_m < 0:

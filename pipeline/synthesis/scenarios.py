@@ -96,6 +96,7 @@ class ObjectScene(FilmedScene):
     height_m: float = 0.9
 
     def __post_init__(self) -> None:
+        check_finite(self)
         if self.height_m <= 0.05:
             raise ValueError(f"height_m must be above 0.05, got {self.height_m}")
 
@@ -127,6 +128,7 @@ class TableScene(FilmedScene):
     table_height_m: float = 0.75
 
     def __post_init__(self) -> None:
+        check_finite(self)
         if self.objects < 1 or self.clutter < 0:
             raise ValueError("objects must be at least 1 and clutter not negative")
         if not 0 <= self.stacked_share < 1:

@@ -13,6 +13,7 @@ from scipy.ndimage import minimum_filter
 from pipeline.synthesis.sensor_errors import clustered, correlated_normals
 from pipeline.synthesis.world import View
 from recordings.distortion_field import LARGEST_PER_M, NODE_COLUMNS, NODE_ROWS, pixel_weights
+from recordings.settings import check_finite
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.depth_noise import sample
 
@@ -61,6 +62,7 @@ class DepthSensor:
     shine_none_probability: float = 0.0
 
     def __post_init__(self) -> None:
+        check_finite(self)
         if self.quantisation_m < 0 or self.min_range_m < 0 or self.edge_jump_m <= 0:
             raise ValueError("quantisation_m and min_range_m must not be negative, edge_jump_m positive")
         if not 0 <= self.edge_none_probability <= 1:

@@ -26,6 +26,7 @@ from pipeline.synthesis.scenarios import CameraConfig, SyntheticScene
 from pipeline.synthesis.sensor import DepthSensor
 from pipeline.synthesis.solids import surface_of
 from pipeline.synthesis.world import Part
+from recordings.settings import check_finite, check_within
 from recordings.truth import TABLE
 from recordings.types import Trajectory
 
@@ -82,12 +83,16 @@ class WorldScene(SyntheticScene):
     aim_error_deg: float = 6.0
 
     def __post_init__(self) -> None:
+        check_finite(self)
+        check_within(self, 0.0, 90.0, ("aim_error_deg",))
         if self.objects < 1 or min(self.unasked, self.clutter, self.absent) < 0:
             raise ValueError("objects must be at least 1, unasked, clutter and absent not negative")
         for name in ("table_radius_m", "table_height_m", "distance_m"):
             low, high = getattr(self, name)
             if not 0 < low <= high:
                 raise ValueError(f"{name} must be two positive lengths, least first, got {(low, high)}")
+        if not -90 < self.elevation_deg[0] <= self.elevation_deg[1] < 90:
+            raise ValueError(f"elevation_deg must be two angles in (-90, 90), got {self.elevation_deg}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

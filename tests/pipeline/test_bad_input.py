@@ -198,6 +198,30 @@ def test_a_picture_is_a_png(tmp_path: Path) -> None:
     assert (told.exit_code, "ends in .png" in told.stderr) == (2, True)
 
 
+@pytest.mark.parametrize(
+    ("bench", "option"),
+    [
+        ("air", "--csv"),
+        ("occlusion", "--csv"),
+        ("poses", "--bop"),
+        ("poses", "--csv"),
+        ("poses", "--curves"),
+        ("shapes --meshes .", "--csv"),
+        ("slam", "--csv"),
+    ],
+)
+def test_a_bench_looks_at_its_outputs_before_any_work(bench: str, option: str, tmp_path: Path) -> None:
+    """Hours of measurement are not lost to a folder that is not there."""
+    told = run("bench", *bench.split(), option, tmp_path / "no" / "table.png")
+    assert_one_line(told, f"there is no folder {tmp_path / 'no'}")
+
+
+def test_curves_are_pictures(tmp_path: Path) -> None:
+    """Another ending is told before any image is judged."""
+    told = run("bench", "poses", "--curves", tmp_path / "curves.pdf")
+    assert (told.exit_code, "ends in .png or .svg" in told.stderr) == (2, True)
+
+
 def test_output_that_cannot_be_written(tmp_path: Path) -> None:
     """A file where a folder should be, a folder that is not there, something that is no file."""
     recording = write(tmp_path / "r.mcap", depth())
@@ -357,3 +381,35 @@ def test_options_that_would_say_nothing(options: list[str], line: str) -> None:
     told = run("bench", "poses", *options)
     assert told.exit_code == 2
     assert line in told.output.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("command", "setting", "line"),
+    [
+        ("objects", "height_m=inf", "height_m must be a finite number"),
+        ("objects", "room.width_m=inf", "width_m must be a finite number"),
+        ("objects", "sensor.scale_error=nan", "scale_error must be a finite number"),
+        ("scenes", "spread_m=inf", "spread_m must be a finite number"),
+        ("challenging", "table_radius_m=inf", "table_radius_m must be a finite number"),
+        ("challenging", "aim_error_deg=-5", "aim_error_deg must lie within"),
+        ("worlds", "distance_m=[0.7, inf]", "distance_m must be a finite number"),
+        ("worlds", "aim_error_deg=-5", "aim_error_deg must lie within"),
+        ("worlds", "elevation_deg=[100, 120]", "elevation_deg must be two angles"),
+    ],
+)
+def test_scenes_are_described_by_usable_numbers(
+    command: str, setting: str, line: str, tmp_path: Path
+) -> None:
+    """Settings that describe no scene are told as such, and nothing is written."""
+    told = run("synth", command, tmp_path / "out.mcap", "-s", f"synth.{setting}")
+    assert told.exit_code == 2
+    assert line in told.stderr
+    assert told.stderr.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("views", ["nan", "5.9", "0", "5,"])
+def test_numbers_of_views_are_whole(views: str) -> None:
+    """A number that is none is not rounded."""
+    told = run("bench", "shapes", "--meshes", ".", "--views", views)
+    assert (told.exit_code, f"--views {views}: " in told.stderr) == (2, True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import AnyPath, Common, common_options, image_size
+from pipeline.options import Common, OutputFile, common_options, image_size
 
 
 @click.command(name="air")
@@ -23,7 +23,7 @@ from pipeline.options import AnyPath, Common, common_options, image_size
 @click.option(
     "--csv",
     "csv_path",
-    type=AnyPath(dir_okay=False),
+    type=OutputFile(),
     help="A row for each scene as it is done; scenes that the file holds already are not run again, and rows"
     " of another --size, --lamp or program are refused.",
 )

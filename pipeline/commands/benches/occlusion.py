@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pipeline.options import AnyPath, Common, common_options
+from pipeline.options import Common, OutputFile, common_options
+
+if TYPE_CHECKING:
+    from pipeline.benchmarks.occlusion import OcclusionRow
 
 
 @click.command(name="occlusion")
@@ -29,7 +32,7 @@ from pipeline.options import AnyPath, Common, common_options
 @click.option(
     "--width", type=click.IntRange(32, 1024), default=64, show_default=True, help="Of images, pixels."
 )
-@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write a row for each scene.")
+@click.option("--csv", "csv_path", type=OutputFile(), help="Write a row for each scene.")
 @common_options(computes=True)
 def command(
     common: Common, scenes: int, drawn: int | None, draws: int, width: int, csv_path: Path | None
@@ -53,21 +56,20 @@ def command(
             rows = measure_drawn_scenes(common.seed, drawn, width, draws, progress)
         else:
             rows = measure_occlusion(common.seed, scenes, width, draws, progress)
+    document = drawn_figures(rows) if drawn else figures(rows)
+    common.report(document, [_drawn_line(document, drawn)] if drawn else _lines(document, rows))
     if csv_path:
         write_rows(csv_path, rows)
-    if drawn:
-        document = drawn_figures(rows)
-        common.report(document, [_drawn_line(document, drawn)])
-        return
-    document = figures(rows)
+
+
+def _lines(document: dict[str, Any], rows: list[OcclusionRow]) -> list[str]:
     lines = ["scene    hidden   P(mug)           m        draws  P(box)  seconds"]
     lines += [
         f"{row.scene:8s} {row.hidden_fraction:6.1%}  {row.mug:.4f} ± {row.mug_error:.4f}"
         f"  {row.mean_ratio:.4f}  {row.effective_draws:7.0f}  {row.box:.4f}  {row.seconds:.1f}"
         for row in rows
     ]
-    lines.append(f"turned < wide < closer: {'yes' if document['in_order'] else 'no'}")
-    common.report(document, lines)
+    return [*lines, f"turned < wide < closer: {'yes' if document['in_order'] else 'no'}"]
 
 
 def _drawn_line(document: dict[str, Any], scenes: int) -> str:

@@ -10,7 +10,7 @@ import click
 from pipeline.commands.benches import pose_runs
 from pipeline.commands.benches.pose_runs import KINDS, PoseFiles
 from pipeline.executors import Workers
-from pipeline.options import AnyPath, Common, common_options, image_size, words
+from pipeline.options import AnyPath, Common, OutputFile, common_options, image_size, words
 
 PEERS = ("fpfh", "icp24", "ppf")
 SOURCES = ("points", "masks", "both")
@@ -147,20 +147,22 @@ class NamedFile(click.ParamType):
     metavar="DIR",
     help="Keep rows; what is there is not run again.",
 )
-@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write all rows as one table.")
+@click.option("--csv", "csv_path", type=OutputFile(), help="Write all rows as one table.")
 @click.option(
     "--bop",
-    type=AnyPath(dir_okay=False),
+    type=OutputFile(),
     metavar="FILE.csv",
     help="Write what our column found as a BOP results file.",
 )
 @click.option(
     "--curves",
-    type=AnyPath(dir_okay=False),
+    type=OutputFile(".png", ".svg"),
     metavar="FILE.png|svg",
     help="Draw accuracy curves.",
 )
-@click.option("--sheets", type=AnyPath(), metavar="DIR", help="Draw the images of largest difference.")
+@click.option(
+    "--sheets", type=AnyPath(file_okay=False), metavar="DIR", help="Draw the images of largest difference."
+)
 @click.option("--watch", is_flag=True, help="Print the tables so far of --keep, and judge nothing.")
 @click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
 @common_options(computes=True)

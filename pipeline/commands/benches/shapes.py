@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from pipeline.options import AnyPath, Common, common_options, words
+from pipeline.errors import ConfigError, PipelineError
+from pipeline.options import AnyPath, Common, OutputFile, common_options, counts, words
 from pipeline.progress import tell
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
@@ -65,7 +66,7 @@ COLUMNS: tuple[str, ...] = (
     show_default=True,
     help="Peers on the same frames and poses; an empty word for none.",
 )
-@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
+@click.option("--csv", "csv_path", type=OutputFile(), help="Write it as CSV too.")
 @common_options("learn", computes=True)
 def command(
     common: Common,
@@ -112,9 +113,10 @@ def command(
 
     peers = _installed(words("--against", against, PEERS))
     paper = conditions == "paper"
-    kinds, counts = _asked(
-        poses or ("orbit" if paper else "true,slam"), views or ("5" if paper else "5,10,20")
-    )
+    kinds: list[Any] = words("--poses", poses or ("orbit" if paper else "true,slam"), POSES)
+    if not kinds:
+        raise ConfigError("--poses: name at least one kind")
+    filmed = counts("--views", views or ("5" if paper else "5,10,20"))
     all_meshes = load_meshes(meshes, units)
     chosen = _chosen(all_meshes, only)
     config = common.settings.section("learn", LearnConfig)
@@ -122,9 +124,9 @@ def command(
     if talking:
         tell(f"pitch {1000 * config.pitch_m:g} mm; the paper does not state its pitch and interior rule")
         tell(_line(["object", "poses", "T", *TITLES, "paper"]))
-    rows, grown, total = [], [], len(counts) * len(chosen) * len(kinds)
+    rows, grown, total = [], [], len(filmed) * len(chosen) * len(kinds)
     remaining = shape_rows(
-        all_meshes, chosen, counts, kinds, peers, config, common.seed, keep, conditions, noise_free=noise_free
+        all_meshes, chosen, filmed, kinds, peers, config, common.seed, keep, conditions, noise_free=noise_free
     )
     try:
         with common.progress("shapes", "films") as progress:
@@ -140,29 +142,13 @@ def command(
     finally:
         if rows:
             document = summary(rows, grown, config.pitch_m)
+            common.report(document, _summary_lines(document))
             if csv_path is not None:
                 _write_csv(csv_path, document["rows"])
-            common.report(document, _summary_lines(document))
-
-
-def _asked(poses: str, views: str) -> tuple[list[Any], list[int]]:
-    """Kinds of poses and numbers of views."""
-    from pipeline.errors import ConfigError
-    from pipeline.options import numbers
-
-    kinds = words("--poses", poses, POSES)
-    counts = [int(count) for count in numbers("--views", views)]
-    if min(counts) < 1:
-        raise ConfigError(f"--views {views}: every number must be at least 1")
-    if not kinds:
-        raise ConfigError("--poses: name at least one kind")
-    return kinds, counts
 
 
 def _chosen(meshes: Iterable[str], only: str) -> list[str]:
     """The names that have one of the words in them."""
-    from pipeline.errors import PipelineError
-
     chosen = [name for name in sorted(meshes) if any(word in name for word in only.split(","))]
     if not chosen:
         raise PipelineError(f"--only {only}: no mesh has that in its name")

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import AnyPath, Common, common_options, words
+from pipeline.options import AnyPath, Common, OutputFile, common_options, words
 from pipeline.peers import PEERS
 from pipeline.progress import tell
 
@@ -55,7 +55,7 @@ from pipeline.progress import tell
     show_default=True,
     help="Folder with sevenscenes_redkitchen and apc_shelf_handheld [env: VOXSCENE_DATA].",
 )
-@click.option("--csv", "csv_path", type=AnyPath(dir_okay=False), help="Write it as CSV too.")
+@click.option("--csv", "csv_path", type=OutputFile(), help="Write it as CSV too.")
 @common_options(computes=True)
 def command(
     common: Common,
@@ -117,9 +117,9 @@ def command(
             for cells in _cells(measured[-1]):
                 tell(_line(cells))
     document = {"rows": measured}
+    common.report(document, ["errors: median (least to most) over the runs that were not lost"])
     if csv_path is not None:
         _write_csv(csv_path, document)
-    common.report(document, ["errors: median (least to most) over the runs that were not lost"])
 
 
 HEADINGS = ["row", "tracker", "error", "unit", "rotation deg", "lost", "frames/s", "in 95%", "told"]
