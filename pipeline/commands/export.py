@@ -143,7 +143,7 @@ def command(
 
         paths += export_overlay(source, output, recording, truth)
     lines = [str(path) for path in paths]
-    lines += _seen_shares(output)
+    lines += _seen_shares(output) if models else []
     if room is not None:
         lines.append(f"room: {len(room.faces)} triangles")
     common.report({"files": [str(path) for path in paths]}, lines)
@@ -151,15 +151,11 @@ def command(
 
 def _seen_shares(output: Path) -> list[str]:
     """How much of each learned surface was seen, as the manifest has it."""
-    import json
+    from pipeline.export.files import manifest_entries
 
-    manifest = output / "manifest.json"
-    if not manifest.is_file():
-        return []
-    entries = json.loads(manifest.read_text()).get("exports", {})
     return [
         f"{name}: {shape['surface']['seen']:.0%} of the surface seen, {shape['surface']['inferred']:.0%} "
         f"inferred, {shape['surface']['never_seen']:.0%} never seen"
-        for name, shape in entries.items()
-        if isinstance(shape, dict) and "surface" in shape
+        for name, shape in manifest_entries(output)["shapes"].items()
+        if "surface" in shape
     ]

@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from pipeline.atomic import atomic_path, write_json
 from pipeline.errors import PipelineError
 
 MANIFEST = "manifest.json"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+
+Kind = Literal["shapes", "runs"]
+"""What entries of a manifest are of; a run and a shape may have one name."""
 
 
 def write_files(
     out: Path,
     contents: Mapping[str, bytes],
+    kind: Kind,
     manifest: Mapping[str, Mapping[str, Any]],
     *,
     grows: Collection[str] = (),
@@ -27,6 +31,7 @@ def write_files(
     Args:
         out: the folder, made if it is not there.
         contents: by path inside the folder.
+        kind: of what was exported.
         manifest: by what was exported, what its entry says; entries of earlier exports stay.
         grows: of `contents`, files that hold what the folder had and more.
         force: replace files that say something else.
@@ -37,7 +42,7 @@ def write_files(
     Raises:
         PipelineError: a file is there and differs, or the folder cannot be written; nothing is written then.
     """
-    entries = _entries(out / MANIFEST)
+    entries = manifest_entries(out)
     for name, content in contents.items():
         if name not in grows and not force and _differs(out / name, content):
             raise PipelineError(
@@ -52,8 +57,8 @@ def write_files(
         with atomic_path(path) as partial:
             partial.write_bytes(content)
     for name, entry in manifest.items():
-        entries[name] = _joined(entries.get(name, {}), entry)
-    write_json(out / MANIFEST, {"format_version": FORMAT_VERSION, "exports": entries})
+        entries[kind][name] = _joined(entries[kind].get(name, {}), entry)
+    write_json(out / MANIFEST, {"format_version": FORMAT_VERSION, **entries})
     return [*(out / name for name in contents), out / MANIFEST]
 
 
@@ -68,14 +73,19 @@ def _differs(path: Path, content: bytes) -> bool:
     return path.exists() and (not path.is_file() or path.read_bytes() != content)
 
 
-def _entries(path: Path) -> dict[str, Any]:
-    """What earlier exports into the folder wrote."""
+def manifest_entries(out: Path) -> dict[Kind, dict[str, Any]]:
+    """What earlier exports into the folder wrote, by kind and name.
+
+    Raises:
+        PipelineError: its manifest.json is none of this program.
+    """
+    path, kinds = out / MANIFEST, get_args(Kind)
     if not path.exists():
-        return {}
+        return {kind: {} for kind in kinds}
     try:
         manifest = json.loads(path.read_text())
         if manifest["format_version"] == FORMAT_VERSION:
-            return dict(manifest["exports"])
+            return {kind: dict(manifest[kind]) for kind in kinds}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise PipelineError(f"{path} is no manifest of voxscene ({error!r}); name another folder") from error
     raise PipelineError(f"{path} is of another version of voxscene; name another folder with -o")

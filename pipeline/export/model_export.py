@@ -95,7 +95,7 @@ def export_models(
         contents |= files
         for name, entry in bop_entries.items():
             entries[name]["files"].append({"format": "bop", "units": "mm", **entry})
-    return write_files(out, contents, entries, grows=GROWING, force=options.force)
+    return write_files(out, contents, "shapes", entries, grows=GROWING, force=options.force)
 
 
 def _facts(model: ExportModel, options: ExportOptions) -> dict[str, Any]:

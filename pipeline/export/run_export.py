@@ -20,8 +20,15 @@ from pipeline.run_folder import RunFolder
 
 SCENE_FORMATS = ("ply", "glb")
 """Formats of the room with the objects where they stand; the others have the objects one by one."""
+ROOM = "room"
 POSES = "bop/poses.csv"
 FRAME = "the run's reference frame: the camera of its first depth frame, z forward, x right, y down"
+MISSING = {
+    "scene": "holds neither a room nor objects; make them with voxscene slam, learn or parse",
+    "shapes": "holds no learned shapes; make them with voxscene learn",
+    "objects": "holds no objects; make them with voxscene learn or parse",
+}
+"""What is said of a run that lacks what a format holds."""
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 """Where nothing tells which way is up, it is up in the first image."""
 
@@ -46,35 +53,61 @@ def export_run(
         The files written, the manifest last.
 
     Raises:
-        PipelineError: the run holds nothing to export, or a file is there that says something else.
+        PipelineError: the run lacks what a format holds, or a file is there that says something else.
     """
     values = RunValues.load(RunFolder(run, force=False))
     posed = _posed_objects(values, options.unseen)
     geometry: Geometry | None = room if room is not None else _points(values)
-    if geometry is None and not posed:
-        raise PipelineError(f"{run} holds neither a room nor objects; make them with slam, learn or parse")
+    for form in formats:
+        if not _has(values, form, room):
+            raise PipelineError(f"--format {form}: {run} {MISSING[_part(form)]}")
+    if geometry is not None and ROOM in posed and not set(formats).isdisjoint(SCENE_FORMATS):
+        raise PipelineError(
+            f"{run} has an object named {ROOM}, as the room itself is: export that object alone, with"
+            f" voxscene export {run}/shapes/{ROOM}.npz, and the run without {' and '.join(SCENE_FORMATS)}"
+        )
     contents: dict[str, bytes] = {}
     if "ply" in formats:
         if geometry is not None:
-            contents["room.ply"] = mesh_bytes(geometry, "ply")
+            contents[f"{ROOM}.ply"] = mesh_bytes(geometry, "ply")
         for name, (mesh, pose) in posed.items():
             contents[f"{name}.ply"] = mesh_bytes(moved(mesh, pose), "ply")
     if "glb" in formats:
-        parts = dict(posed) if geometry is None else {"room": (geometry, np.eye(4)), **posed}
+        parts = dict(posed) if geometry is None else {ROOM: (geometry, np.eye(4)), **posed}
         contents["scene.glb"] = glb_bytes(parts, _up(values))
     one_by_one = [form for form in formats if form not in SCENE_FORMATS]
     models = _models(run, values, options, closed=not SIMULATORS.isdisjoint(one_by_one)) if one_by_one else []
-    if one_by_one and not models:
-        raise PipelineError(f"{run} holds no objects for --format {','.join(one_by_one)}")
     files = [{"format": Path(name).suffix[1:], "units": "m", "file": name} for name in contents]
     entry = {run.resolve().name: {"frame": FRAME, "files": files}}
-    paths = write_files(out, contents, entry, force=options.force) if contents else []
+    paths = write_files(out, contents, "runs", entry, force=options.force) if contents else []
     if not one_by_one:
         return paths
     written = export_models(
         models, one_by_one, out, _numbered(options, values), _poses(values, models, one_by_one, options)
     )
     return list(dict.fromkeys([*paths[:-1], *written]))
+
+
+def held_formats(run: Path, formats: Sequence[str]) -> list[str]:
+    """Those of the formats for which the run holds something."""
+    values = RunValues.load(RunFolder(run, force=False))
+    return [form for form in formats if _has(values, form)]
+
+
+def _has(values: RunValues, form: str, room: trimesh.Trimesh | None = None) -> bool:
+    """Whether there is something to write in a format."""
+    found = values.scene is not None and len(values.scene.found_poses) > 0
+    parts = {
+        "scene": room is not None or _points(values) is not None or bool(values.shapes) or found,
+        "shapes": bool(values.shapes),
+        "objects": bool(values.shapes or (values.surfaces and values.surfaces.by_name)),
+    }
+    return parts[_part(form)]
+
+
+def _part(form: str) -> str:
+    """What of a run a format holds, as `MISSING` names it."""
+    return "scene" if form in SCENE_FORMATS else "shapes" if form == "npz" else "objects"
 
 
 def _models(run: Path, values: RunValues, options: ExportOptions, *, closed: bool) -> list[ExportModel]:

@@ -10,7 +10,7 @@ import trimesh
 from pipeline.errors import PipelineError
 from pipeline.export.model_export import ExportOptions, export_models
 from pipeline.export.models import learned_model
-from pipeline.export.run_export import export_run
+from pipeline.export.run_export import export_run, held_formats
 
 
 def export(
@@ -22,7 +22,8 @@ def export(
 ) -> list[Path]:
     """Write whatever `source` is, in every format asked for.
 
-    Of a project's run, the learned shapes go to OUT/shapes and each recording to OUT/STEM.
+    Of a project's run, the learned shapes go to OUT/shapes and each recording to OUT/STEM, in those of the
+    formats for which it holds something.
 
     Args:
         source: a shape's file, a folder of them, or a run.
@@ -46,9 +47,13 @@ def export(
         if shapes := sorted((source / "shapes").glob("*.npz")):
             models = [learned_model(path, shells=options.shells, unseen=options.unseen) for path in shapes]
             written += export_models(models, formats, out / "shapes", options)
-        for run in sorted((source / "recordings").iterdir()):
-            if is_run(run):
-                written += export_run(run, formats, out / run.name, options)
+        for run in filter(is_run, sorted((source / "recordings").iterdir())):
+            if held := held_formats(run, formats):
+                written += export_run(run, held, out / run.name, options)
+        if not written:
+            raise PipelineError(
+                f"no recording's run in {source} holds anything for --format {','.join(formats)}"
+            )
         return written
     if is_run(source):
         return export_run(source, formats, out, options, room)

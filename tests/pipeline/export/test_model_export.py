@@ -101,7 +101,7 @@ def test_bop_folder_has_its_layout(shape_path: Path, tmp_path: Path) -> None:
         assert info[f"size_{letter}"] == pytest.approx(1000 * SIZE_M[axis], rel=1e-5)
         assert info[f"min_{letter}"] == pytest.approx(-info[f"size_{letter}"] / 2, rel=1e-5)
     manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
-    back = np.asarray(manifest["exports"]["block"]["files"][0]["object_from_bop"])
+    back = np.asarray(manifest["shapes"]["block"]["files"][0]["object_from_bop"])
     original = ShapePrior.load(shape_path).bounding_box_m
     restored = trimesh.transform_points(mesh.bounds / 1000, back)
     np.testing.assert_allclose(restored, original, atol=1e-6)
@@ -118,7 +118,7 @@ def test_shells_contain_each_other(shape_path: Path, tmp_path: Path) -> None:
 def test_the_manifest_names_every_file(shape_path: Path, tmp_path: Path) -> None:
     """With its units, and the frame they are in."""
     written = exported(shape_path, ["ply", "glb", "bop"], tmp_path / "out", units="mm")
-    manifest = json.loads(written[-1].read_text())["exports"]["block"]
+    manifest = json.loads(written[-1].read_text())["shapes"]["block"]
     units = {entry["file"]: entry["units"] for entry in manifest["files"]}
     assert units == {"block.ply": "mm", "block.glb": "m", "bop/models/obj_000001.ply": "mm"}
     np.testing.assert_allclose(manifest["size_m"], SIZE_M, rtol=1e-6)
@@ -160,7 +160,7 @@ def test_the_origin_is_where_it_was_asked_for(shape_path, tmp_path: Path, origin
     exported(shape_path, ["ply"], tmp_path / "out", origin=origin)
     mesh = trimesh.load_mesh(tmp_path / "out" / "block.ply")
     np.testing.assert_allclose(mesh.bounds.mean(axis=0), np.array(place) * PITCH_M, atol=1e-6)
-    entry = json.loads((tmp_path / "out" / "manifest.json").read_text())["exports"]["block"]
+    entry = json.loads((tmp_path / "out" / "manifest.json").read_text())["shapes"]["block"]
     in_grid = trimesh.transform_points(mesh.bounds, np.array(entry["object_from_model"]))
     np.testing.assert_allclose(in_grid, ShapePrior.load(shape_path).bounding_box_m, atol=1e-6)
 
@@ -178,8 +178,8 @@ def test_two_exports_into_one_folder_are_both_whole(shape_path: Path, tmp_path: 
     assert sorted(json.loads((models / "models_info.json").read_text())) == ["1", "2"]
     assert json.loads((tmp_path / "out/bop/ids.json").read_text()) == {"block": 1, "flat": 2}
     manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
-    assert sorted(manifest["exports"]) == ["block", "flat"]
-    files = [file["file"] for entry in manifest["exports"].values() for file in entry["files"]]
+    assert sorted(manifest["shapes"]) == ["block", "flat"]
+    files = [file["file"] for entry in manifest["shapes"].values() for file in entry["files"]]
     assert all((tmp_path / "out" / file).is_file() for file in files)
 
 
@@ -233,7 +233,7 @@ def test_simulator_files_have_the_solids_mass_and_convex_parts(shape_path: Path,
     """Mass is density times volume in both; every part is convex, and together they fill the block."""
     exported(shape_path, ["urdf", "mjcf"], tmp_path / "out", density=500.0)
     out = tmp_path / "out"
-    volume = json.loads((out / "manifest.json").read_text())["exports"]["block"]["volume_m3"]
+    volume = json.loads((out / "manifest.json").read_text())["shapes"]["block"]["volume_m3"]
     robot, model = Xml.parse(out / "block.urdf").getroot(), Xml.parse(out / "block.xml").getroot()
     (mass,), (inertial,) = robot.iter("mass"), model.iter("inertial")
     masses = [float(mass.attrib["value"]), float(inertial.attrib["mass"])]

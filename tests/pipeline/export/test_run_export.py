@@ -1,0 +1,73 @@
+"""`export` of runs that lack something, or in which two things have one name."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from pipeline.cli import voxscene
+from pipeline.publishing.values import RunValues
+from pipeline.room import RoomView
+from pipeline.run_access import open_run_folder
+from shapes.prior import ShapePrior
+from tests.pipeline.export.test_model_export import block
+
+
+def write_run(path: Path, room: RoomView | None, *shapes: str) -> Path:
+    """A run with a room, or none, and a block by every name."""
+    with open_run_folder(path, {"film.mcap": "0"}) as folder:
+        if room is not None:
+            folder.stage("room", RoomView.load, lambda: room, settings={}, inputs={})
+        for name in shapes:
+            folder.stage(f"learn/{name}", ShapePrior.load, block, settings={}, inputs={})
+    return path
+
+
+def export(source: Path, formats: str, out: Path) -> Result:
+    """The command."""
+    return CliRunner().invoke(voxscene, ["export", str(source), "--format", formats, "-o", str(out)])
+
+
+@pytest.mark.parametrize("formats", ["npz", "ply,npz"])
+def test_a_run_without_learned_shapes_says_so(values: RunValues, tmp_path: Path, formats: str) -> None:
+    """One line that names the command which makes them, and nothing is written."""
+    told = export(write_run(tmp_path / "run", values.room), formats, tmp_path / "out")
+    assert told.exit_code == 1
+    assert "holds no learned shapes; make them with voxscene learn" in told.stderr
+    assert told.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_projects_recordings_without_objects_are_passed_over(values: RunValues, tmp_path: Path) -> None:
+    """What the others hold is written; where none holds anything, that is said."""
+    project = tmp_path / "project"
+    (project / "stages").mkdir(parents=True)
+    write_run(project / "recordings" / "a", values.room)
+    told = export(project, "npz", tmp_path / "none")
+    assert told.exit_code == 1
+    assert "holds anything for --format npz" in told.stderr
+
+    write_run(project / "recordings" / "b", values.room, "mug")
+    told = export(project, "npz,ply", tmp_path / "out")
+    assert told.exit_code == 0, told.output
+    assert (tmp_path / "out" / "a" / "room.ply").is_file()
+    assert (tmp_path / "out" / "b" / "mug.npz").is_file()
+
+
+def test_a_run_and_its_shape_may_have_one_name(values: RunValues, tmp_path: Path) -> None:
+    """The manifest tells of both."""
+    told = export(write_run(tmp_path / "mug", values.room, "mug"), "ply,obj", tmp_path / "out")
+    assert told.exit_code == 0, told.output
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert [file["file"] for file in manifest["runs"]["mug"]["files"]] == ["room.ply", "mug.ply"]
+    assert [file["file"] for file in manifest["shapes"]["mug"]["files"]] == ["mug.obj"]
+
+
+def test_an_object_named_room_does_not_take_the_rooms_place(values: RunValues, tmp_path: Path) -> None:
+    """One line says how both are exported."""
+    run = write_run(tmp_path / "run", values.room, "room")
+    told = export(run, "ply", tmp_path / "out")
+    assert told.exit_code == 1
+    assert "an object named room" in told.stderr
+    assert export(run, "obj", tmp_path / "out").exit_code == 0
