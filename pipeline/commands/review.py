@@ -83,6 +83,8 @@ def command(
             serve_viewer(rrds, port, lambda address: common.report({"address": address}, [address]))
         else:
             open_viewer(rrds)
+            shown = [str(rrd) for rrd in rrds]
+            common.report({"shown": shown}, [f"shown: {', '.join(shown)}"])
 
 
 def _others(rrds: Sequence[Path]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pipeline.atomic import atomic_path
+from pipeline.atomic import write_bytes
 
 if TYPE_CHECKING:
     from pipeline.evaluation.trajectories import ComparedTrajectory
@@ -24,30 +24,33 @@ def write_error_rrd(path: Path, compared: Sequence[ComparedTrajectory]) -> None:
     Args:
         path: the file.
         compared: beside the reference, ours first.
+
+    Raises:
+        PipelineError: the file cannot be written.
     """
-    with atomic_path(path) as partial:
-        recording = rr.RecordingStream("voxscene", recording_id=path.resolve().parent.name)
-        blueprint = rrb.Blueprint(
-            rrb.Horizontal(
-                rrb.Spatial3DView(origin="paths", name="Paths, aligned"),
-                rrb.TimeSeriesView(origin="error", name="Position error, cm"),
-            ),
-            collapse_panels=True,
+    recording = rr.RecordingStream("voxscene", recording_id=path.resolve().parent.name)
+    blueprint = rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin="paths", name="Paths, aligned"),
+            rrb.TimeSeriesView(origin="error", name="Position error, cm"),
+        ),
+        collapse_panels=True,
+    )
+    # To memory: on a full disk Rerun's own file writer hangs, or ends as if all was well.
+    memory = recording.memory_recording()
+    recording.send_blueprint(blueprint, make_active=False, make_default=True)
+    recording.set_log_time_enabled(False)
+    strips = rr.LineStrips3D([compared[0].reference[:, :3, 3]], colors=REFERENCE_COLOUR, radii=0.004)
+    recording.log("paths/reference", strips, static=True)
+    for number, one in enumerate(compared):
+        colour, entity = COLOURS[number % len(COLOURS)], one.name.replace(" ", "_")
+        strips = rr.LineStrips3D([one.aligned[:, :3, 3]], colors=colour, radii=0.003)
+        recording.log(f"paths/{entity}", strips, static=True)
+        series = rr.SeriesLines(names=one.name, colors=colour, widths=1.5)
+        recording.log(f"error/{entity}", series, static=True)
+        recording.send_columns(
+            f"error/{entity}",
+            indexes=[rr.TimeColumn("time", timestamp=one.times_ns.astype("datetime64[ns]"))],
+            columns=rr.Scalars.columns(scalars=100 * one.position_errors_m),
         )
-        recording.save(partial, default_blueprint=blueprint)
-        recording.set_log_time_enabled(False)
-        strips = rr.LineStrips3D([compared[0].reference[:, :3, 3]], colors=REFERENCE_COLOUR, radii=0.004)
-        recording.log("paths/reference", strips, static=True)
-        for number, one in enumerate(compared):
-            colour, entity = COLOURS[number % len(COLOURS)], one.name.replace(" ", "_")
-            strips = rr.LineStrips3D([one.aligned[:, :3, 3]], colors=colour, radii=0.003)
-            recording.log(f"paths/{entity}", strips, static=True)
-            series = rr.SeriesLines(names=one.name, colors=colour, widths=1.5)
-            recording.log(f"error/{entity}", series, static=True)
-            recording.send_columns(
-                f"error/{entity}",
-                indexes=[rr.TimeColumn("time", timestamp=one.times_ns.astype("datetime64[ns]"))],
-                columns=rr.Scalars.columns(scalars=100 * one.position_errors_m),
-            )
-        recording.flush()
-        recording.disconnect()
+    write_bytes(path, memory.drain_as_bytes())

@@ -21,6 +21,9 @@ from pipeline.views.rrd import write_rrd
 from pipeline.views.truth_view import truth_of
 from recordings.attached import save_attachments
 
+ONLY_HERE = "127.0.0.1"
+"""Address at which no other machine reaches a viewer."""
+
 
 def rrds_of(path: Path, *, rebuild: bool = False) -> list[Path]:
     """The run.rrd of a run folder, and of every recording in it; made where it is missing or stale."""
@@ -76,14 +79,19 @@ def open_viewer(rrds: Sequence[Path]) -> None:
     """Open Rerun recordings in the viewer and wait until it is closed.
 
     Raises:
-        PipelineError: there is no screen.
+        PipelineError: there is no screen, or the viewer failed.
     """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise PipelineError(
             "there is no screen here; look at it in a browser with --web, take a picture with "
             f"--screenshot OUT.png, or open {rrds[-1]} with `rerun` on another machine"
         )
-    subprocess.run([_program(), *rrds], check=False)
+    ended = subprocess.run([_program(), "--bind", ONLY_HERE, *rrds], check=False)
+    if ended.returncode != 0:
+        raise PipelineError(
+            f"Rerun's viewer ended with code {ended.returncode}; look at it in a browser with --web, or take "
+            "a picture with --screenshot OUT.png"
+        )
 
 
 def serve_viewer(rrds: Sequence[Path], port: int, say: Callable[[str], None]) -> None:
@@ -100,7 +108,7 @@ def serve_viewer(rrds: Sequence[Path], port: int, say: Callable[[str], None]) ->
     arguments = [
         "--serve-web",
         "--bind",
-        "127.0.0.1",
+        ONLY_HERE,
         "--web-viewer-port",
         str(port),
         "--port",
@@ -108,7 +116,7 @@ def serve_viewer(rrds: Sequence[Path], port: int, say: Callable[[str], None]) ->
     ]
     environment = dict(os.environ, CI="1", RUST_LOG="warn")
     server = subprocess.Popen([_program(), *arguments, *rrds], env=environment)
-    say(f"http://127.0.0.1:{port}/?url=rerun%2Bhttp://127.0.0.1:{port + 1}/proxy")
+    say(f"http://{ONLY_HERE}:{port}/?url=rerun%2Bhttp://{ONLY_HERE}:{port + 1}/proxy")
     try:
         if server.wait() != 0:
             raise PipelineError(f"Rerun could not serve; is port {port} or {port + 1} in use? name another")

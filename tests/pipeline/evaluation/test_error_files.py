@@ -14,6 +14,7 @@ from pipeline.evaluation.error_files import write_comparison
 from pipeline.evaluation.trajectories import compared_file, compared_run
 from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.run_access import open_run_folder
+from pipeline.views.error_view import write_error_rrd
 from recordings.types import Trajectory
 from slam.result import SlamResult
 
@@ -72,6 +73,19 @@ def test_files_and_figures_agree(true_trajectory: SlamResult, reference: Traject
     for name in ("error.png", "path.png"):
         with Image.open(out / name) as picture:
             assert picture.width > 300
+
+
+def test_views_of_errors_are_whole_or_not_at_all(
+    true_trajectory: SlamResult, reference: Trajectory, tmp_path: Path, limited_files
+) -> None:
+    """On a full disk, one line and no file."""
+    ours = compared_run(true_trajectory, reference)
+    path = tmp_path / "errors.rrd"
+    with pytest.raises(PipelineError, match="File too large"), limited_files(2000):
+        write_error_rrd(path, [ours])
+    assert not list(tmp_path.iterdir())
+    write_error_rrd(path, [ours])
+    assert path.stat().st_size > 2000
 
 
 def test_a_file_that_is_no_trajectory_is_told(reference: Trajectory, tmp_path: Path) -> None:

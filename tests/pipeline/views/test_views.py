@@ -265,6 +265,26 @@ def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.Monkey
         open_viewer([tmp_path / "run.rrd"])
 
 
+@pytest.mark.parametrize("code", [0, 3])
+def test_a_viewer_that_fails_is_told(code: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No other machine reaches it; what it showed stands in the document."""
+    viewer = tmp_path / "rerun"
+    viewer.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/said\nexit {code}\n')
+    viewer.chmod(0o755)
+    rrd = tmp_path / "run.rrd"
+    monkeypatch.setenv("DISPLAY", ":9")
+    monkeypatch.setattr("pipeline.views.viewer._program", lambda: viewer)
+    monkeypatch.setattr("pipeline.views.viewer.rrds_of", lambda *_, **__: [rrd])
+    told = CliRunner().invoke(voxscene, ["review", str(tmp_path), "--json"])
+
+    assert (tmp_path / "said").read_text().split() == ["--bind", "127.0.0.1", str(rrd)]
+    if code:
+        assert (told.exit_code, told.stdout) == (1, "")
+        assert "viewer ended with code 3" in told.stderr
+    else:
+        assert json.loads(told.stdout) == {"shown": [str(rrd)]}
+
+
 def test_a_picture_of_a_project_tells_whose_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """And how to take one of another recording; of a single run there is nothing to choose."""
     rrds = [tmp_path / "recordings" / name / "run.rrd" for name in ("can", "table")]
