@@ -118,12 +118,13 @@ def common_options(*sections: str, computes: bool = False) -> Callable[[Command]
             overrides: tuple[str, ...],
             **kwargs: Any,
         ) -> Any:
-            from pipeline.config import Settings
+            from pipeline.config import RunConfig, Settings
             from pipeline.logs import show_on_stderr
 
             show_on_stderr(logging.INFO if verbose else logging.WARNING)
             seeding = () if seed is None else (f"run.seed={seed}",)
             settings = Settings.read(config_file, (*overrides, *seeding), ("run", *sections))
+            settings.section("run", RunConfig)  # refuses typos where nothing is drawn, too
             common = Common(as_json=as_json, quiet=quiet, settings=settings)
             with common.progress(click.get_current_context().info_name or "voxscene", "") as display:
                 display.phase("working")
@@ -350,6 +351,32 @@ def words(option: str, text: str, known: Sequence[str]) -> list[str]:
     if unknown:
         raise PipelineError(f"{option}: no {unknown[0]!r}; there are {', '.join(known)}")
     return given
+
+
+COMMON = ("as_json", "quiet", "verbose", "seed", "config_file", "overrides")
+"""Parameters that `common_options` gives to every command."""
+
+
+def written_flags() -> dict[str, str]:
+    """What was written on the command line of the command that runs: its options, by their parameters."""
+    context = click.get_current_context()
+    return {
+        one.name: max(one.opts, key=len)
+        for one in context.command.params
+        if one.name and context.get_parameter_source(one.name) is click.core.ParameterSource.COMMANDLINE
+    }
+
+
+def only_for(whose: str, *names: str) -> None:
+    """Refuse options, by their parameters, that would say nothing.
+
+    Raises:
+        ConfigError: one was written; it says whose it is.
+    """
+    written = written_flags()
+    for name in names:
+        if name in written:
+            raise ConfigError(f"{written[name]} is for {whose} only")
 
 
 def _decorated(command: Any, options: Sequence[Callable[[Any], Any]]) -> Any:

@@ -8,9 +8,12 @@ from typing import Any
 import click
 
 from pipeline.errors import ConfigError
-from pipeline.options import AnyPath, Common, common_options
+from pipeline.options import AnyPath, Common, common_options, only_for
 
 DEFAULT_FORMATS = "ply,glb"
+WITH_UNITS = ("ply", "obj", "stl")
+"""Formats whose readers are told no units."""
+SURFACES = (*WITH_UNITS, "glb")
 OVERLAY = "overlay"
 """A picture, where the other formats are models."""
 
@@ -114,7 +117,7 @@ def command(
     from pipeline.export.run_export import SCENE_FORMATS
     from pipeline.export.run_room import run_room
     from pipeline.export.simulators import DENSITY_KG_M3
-    from pipeline.export.sources import export, is_run
+    from pipeline.export.sources import export, is_run, shape_names
 
     wanted = tuple(dict.fromkeys(part.strip() for part in formats.split(",")))
     for form in wanted:
@@ -123,16 +126,21 @@ def command(
     models = tuple(form for form in wanted if form != OVERLAY)
     if unseen == "open" and (solids := sorted(set(wanted) & SOLIDS)):
         raise ConfigError(f"--unseen open: {solids[0]} needs closed surfaces; leave it out")
+    _refuse_unused(set(wanted), scene=is_run(source), room=mesh or pitch_m is not None)
     if (mesh or pitch_m or recording or OVERLAY in wanted) and not is_run(source):
         raise ConfigError("--mesh, --pitch, --recording and overlay are for the run of one recording")
     if (mesh or pitch_m) and not set(wanted) & set(SCENE_FORMATS):
         raise ConfigError(f"--mesh writes the room as {' or '.join(SCENE_FORMATS)}: name one in --format")
+    numbers = read_ids(ids)
+    unknown = sorted(set(numbers) - shape_names(source)) if numbers else []
+    if unknown:
+        raise ConfigError(f"{ids}: {source} has no shape {unknown[0]!r}")
     options = ExportOptions(
         units=units or "m",
         origin=origin,
         shells=shells,
         unseen=unseen,
-        ids=read_ids(ids),
+        ids=numbers,
         density=density or DENSITY_KG_M3,
         force=force,
     )
@@ -147,6 +155,38 @@ def command(
     if room is not None:
         lines.append(f"room: {len(room.faces)} triangles")
     common.report({"files": [str(path) for path in paths]}, lines)
+
+
+def _refuse_unused(wanted: set[str], *, scene: bool, room: bool) -> None:
+    """Refuse options that say nothing of any of the formats.
+
+    Args:
+        wanted: formats.
+        scene: the source is the run of one recording, whose ply and glb are a scene in a frame of its own.
+        room: the room is written as triangles.
+
+    Raises:
+        ConfigError: one was written.
+    """
+    from pipeline.export.model_export import SIMULATORS
+    from pipeline.export.run_export import SCENE_FORMATS
+
+    one_by_one = wanted - set(SCENE_FORMATS) if scene else wanted
+    what = " of shapes one by one" if scene else ""
+    if one_by_one.isdisjoint(WITH_UNITS):
+        only_for(f"{', '.join(WITH_UNITS)}{what}", "units")
+    if one_by_one.isdisjoint(SURFACES):
+        only_for(f"{', '.join(SURFACES)}{what}", "shells")
+    if one_by_one.isdisjoint((*SURFACES, *SIMULATORS)):
+        only_for(f"{', '.join((*SURFACES, *sorted(SIMULATORS)))}{what}", "origin")
+    if wanted.isdisjoint(SIMULATORS):
+        only_for(" and ".join(sorted(SIMULATORS)), "density")
+    if "bop" not in wanted:
+        only_for("bop", "ids")
+    if OVERLAY not in wanted:
+        only_for(OVERLAY, "truth")
+        if not room:
+            only_for(f"--mesh and {OVERLAY}", "recording")
 
 
 def _seen_shares(output: Path) -> list[str]:

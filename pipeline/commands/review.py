@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from pipeline.errors import PipelineError
-from pipeline.options import AnyPath, Common, OutputFile, common_options, image_size
+from pipeline.options import AnyPath, Common, OutputFile, common_options, image_size, only_for
 from pipeline.progress import Progress
 
 
@@ -61,6 +61,16 @@ def command(
     from pipeline.views.screenshot import take_screenshot
     from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrd_with_truth, rrds_of, serve_viewer
 
+    if not screenshot:
+        only_for("--screenshot", "size", "frame")
+    if not web:
+        only_for("--web", "port")
+    if screenshot:
+        only_for("a review without --screenshot", "web")
+    if from_mcap:
+        only_for("a run folder", "truth", "rebuild")
+    if truth:
+        only_for("a review without --truth, which makes its views each time", "rebuild")
     width, height = image_size(size)
     if from_mcap:
         rrds = [rrd_of_mcap(run)]

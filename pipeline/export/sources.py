@@ -11,6 +11,8 @@ from pipeline.errors import PipelineError
 from pipeline.export.model_export import ExportOptions, export_models
 from pipeline.export.models import learned_model
 from pipeline.export.run_export import export_run, held_formats
+from pipeline.publishing.values import RunValues
+from pipeline.run_folder import RunFolder
 
 
 def export(
@@ -68,6 +70,17 @@ def export(
         f"{source} is neither a learned shape (NAME.npz), a folder of them, nor a run; "
         "make a run with voxscene slam, learn, parse or run"
     )
+
+
+def shape_names(source: Path) -> set[str]:
+    """Names of the shapes that an export of `source` writes."""
+    if is_project(source):
+        runs = filter(is_run, (source / "recordings").iterdir())
+        return {path.stem for path in (source / "shapes").glob("*.npz")}.union(*map(shape_names, runs))
+    if is_run(source):
+        values = RunValues.load(RunFolder(source, force=False))
+        return {*values.shapes, *(values.surfaces.by_name if values.surfaces else ())}
+    return {path.stem for path in source.glob("*.npz")} if source.is_dir() else {source.stem}
 
 
 def is_run(folder: Path) -> bool:

@@ -374,6 +374,14 @@ def seven_scenes(folder: Path) -> Path:
         (["--unasked", "others"], "--unasked needs --worlds"),
         (["--copies", "--share-search"], "about which --share-search says nothing"),
         (["--calibration", "--worlds", "3"], "about which --worlds says nothing"),
+        (["--growth", "--keep", "rows"], "about which --keep says nothing"),
+        (["--growth", "--tables", "3"], "about which --tables says nothing"),
+        (["--lookalikes", "--copies"], "about which --copies says nothing"),
+        (["--decoys", "--csv", "rows.csv"], "about which --csv says nothing"),
+        (["--absent", "1", "--workers", "2"], "about which --workers says nothing"),
+        (["--lookalikes", "--only", "mug"], "about which --only says nothing"),
+        (["--data", "bop", "--objects", "3"], "about which --objects says nothing"),
+        (["--proposals", "both", "--results", "a=b.csv"], "about which --results says nothing"),
     ],
 )
 def test_options_that_would_say_nothing(options: list[str], line: str) -> None:
@@ -413,3 +421,32 @@ def test_numbers_of_views_are_whole(views: str) -> None:
     """A number that is none is not rounded."""
     told = run("bench", "shapes", "--meshes", ".", "--views", views)
     assert (told.exit_code, f"--views {views}: " in told.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ("bench air --lattice 2 --csv air.csv", "--csv is for a bench without --lattice only"),
+        ("bench air --lattice 2 --lamp any", "--lamp is for a bench without --lattice only"),
+        ("bench occlusion --drawn 2 --scenes 3", "--scenes is for a bench without --drawn only"),
+        ("eval slam RUN --reference a.tum -s recording.every=0", "no section 'recording' here"),
+        ("export RUN --format ply -o OUT --truth a", "--truth is for overlay only"),
+        ("export RUN --format ply -o OUT --density 3", "--density is for mjcf and urdf only"),
+        ("export RUN --format ply -o OUT --ids a.json", "--ids is for bop only"),
+        ("export RUN --format ply -o OUT --recording a", "--recording is for --mesh and overlay only"),
+        ("export RUN --format glb -o OUT --units mm", "--units is for ply, obj, stl only"),
+        ("info a.mcap -s run.sede=3", "there is no setting run.sede"),
+        ("review RUN --frame 3", "--frame is for --screenshot only"),
+        ("review RUN --from-mcap --truth a.tum", "--truth is for a run folder only"),
+        ("review RUN --port 9000", "--port is for --web only"),
+        ("review RUN --rebuild --truth a.tum", "--rebuild is for a review without --truth"),
+        ("review RUN --size 64x64", "--size is for --screenshot only"),
+        ("review RUN --web --screenshot a.png", "--web is for a review without --screenshot only"),
+    ],
+)
+def test_options_that_say_nothing_are_refused(arguments: str, line: str) -> None:
+    """One line says whose they are."""
+    told = run(*arguments.split())
+    assert (told.exit_code, told.stdout) == (2, "")
+    assert line in told.stderr
+    assert told.stderr.count("\n") == 1

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, OutputFile, common_options, image_size
+from pipeline.options import Common, OutputFile, common_options, image_size, only_for
 
 
 @click.command(name="air")
@@ -46,6 +46,7 @@ def command(
     from pipeline.quiet_stdout import stdout_to_stderr
 
     if lattice:
+        only_for("a bench without --lattice", "scenes", "size", "lamp", "csv_path")
         from pipeline.benchmarks.air_lattice import lattice_lines, measure_lattice
 
         with common.progress("air", "images") as progress, stdout_to_stderr():

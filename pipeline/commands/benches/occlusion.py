@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pipeline.options import Common, OutputFile, common_options
+from pipeline.options import Common, OutputFile, common_options, only_for
 
 if TYPE_CHECKING:
     from pipeline.benchmarks.occlusion import OcclusionRow
@@ -51,6 +51,8 @@ def command(
     )
     from pipeline.quiet_stdout import stdout_to_stderr
 
+    if drawn:
+        only_for("a bench without --drawn", "scenes")
     with common.progress("occlusion", "scenes") as progress, stdout_to_stderr():
         if drawn:
             rows = measure_drawn_scenes(common.seed, drawn, width, draws, progress)

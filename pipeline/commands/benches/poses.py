@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,16 @@ import click
 from pipeline.commands.benches import pose_runs
 from pipeline.commands.benches.pose_runs import KINDS, PoseFiles
 from pipeline.executors import Workers
-from pipeline.options import AnyPath, Common, OutputFile, common_options, image_size, words
+from pipeline.options import (
+    COMMON,
+    AnyPath,
+    Common,
+    OutputFile,
+    common_options,
+    image_size,
+    words,
+    written_flags,
+)
 
 PEERS = ("fpfh", "icp24", "ppf")
 SOURCES = ("points", "masks", "both")
@@ -25,10 +35,24 @@ OF_SOURCES = {
     "split": "data",
 }
 """Options that say something of one source of images, and that source."""
-INSTEAD = ("growth", "absent", "lookalikes", "copies", "decoys", "calibration")
-"""Measurements that make images of their own, in one column."""
-OF_COLUMNS = ("challenging", "worlds", "data", "share_search", "learned", "proposals")
-"""Options that say nothing of these."""
+NOT_OF_SOURCES = {
+    "challenging": ("first", "objects"),
+    "worlds": ("objects",),
+    "data": ("first", "objects"),
+}
+"""Options that say nothing of a source of images."""
+TABLE_NUMBERS, SHAPES = ("tables", "first"), ("meshes", "units", "only")
+INSTEAD = {
+    "growth": SHAPES,
+    "absent": (*TABLE_NUMBERS, *SHAPES, "objects"),
+    "lookalikes": TABLE_NUMBERS,
+    "copies": (*TABLE_NUMBERS, *SHAPES),
+    "decoys": (*TABLE_NUMBERS, *SHAPES),
+    "calibration": (*TABLE_NUMBERS, *SHAPES, "csv_path"),
+}
+"""Measurements that make images of their own, in one column, and the options that say something of them."""
+OF_COLUMNS = ("share_search", "learned", "against", "results")
+"""Options that say nothing of --proposals."""
 
 
 class NamedFile(click.ParamType):
@@ -213,7 +237,7 @@ def command(
     from pipeline.benchmarks.pose_report import report_lines
     from pipeline.mesh_source import MeshSource
 
-    _refuse_unused(click.get_current_context())
+    _refuse_unused()
     if sum(one is not None for one in (tables, challenging, worlds, data)) > 1:
         raise click.UsageError("--tables, --challenging, --worlds and --data are four sources; name one")
     if watch and keep is None:
@@ -263,27 +287,27 @@ def command(
     pose_runs.judge(common, source, methods, workers, files, (pose_figures, report_lines), watch=watch)
 
 
-def _refuse_unused(context: click.Context) -> None:
-    """Refuse options that were given and would say nothing.
+def _refuse_unused() -> None:
+    """Refuse options that were written and would say nothing.
 
     Raises:
         UsageError: one was.
     """
-    given = {
-        name
-        for name in context.params
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    }
-    for name in OF_SOURCES:
-        if name in given and OF_SOURCES[name] not in given:
-            raise click.UsageError(f"{_option(name)} needs --{OF_SOURCES[name]}, whose images it is about")
-    for measurement in INSTEAD:
-        unused = [name for name in OF_COLUMNS if name in given]
-        if measurement in given and unused:
-            raise click.UsageError(
-                f"--{measurement} makes images of its own, about which {_option(unused[0])} says nothing"
-            )
+    written = written_flags()
+    for name, source in OF_SOURCES.items():
+        if name in written and source not in written:
+            raise click.UsageError(f"{written[name]} needs --{source}, whose images it is about")
+    for measurement, used in INSTEAD.items():
+        if measurement in written:
+            _refuse(written, set(written) - {measurement, *used, *COMMON}, measurement, "images")
+    for source, unused in NOT_OF_SOURCES.items():
+        if source in written:
+            _refuse(written, unused, source, "images")
+    if "proposals" in written:
+        _refuse(written, OF_COLUMNS, "proposals", "columns")
 
 
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+def _refuse(written: Mapping[str, str], unused: Collection[str], chosen: str, what: str) -> None:
+    for name, flag in written.items():
+        if name in unused:
+            raise click.UsageError(f"--{chosen} makes {what} of its own, about which {flag} says nothing")

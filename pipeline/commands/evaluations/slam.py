@@ -49,7 +49,7 @@ ESTIMATES = (".tum", ".txt")
     metavar="DIR",
     help="Write reference.tum, estimate.tum, errors.csv, error.png, path.png and errors.rrd.",
 )
-@common_options("recording", computes=True)
+@common_options(computes=True)
 def command(
     run_path: Path,
     reference: Path,

@@ -24,9 +24,10 @@ def write_run(path: Path, room: RoomView | None, *shapes: str) -> Path:
     return path
 
 
-def export(source: Path, formats: str, out: Path) -> Result:
+def export(source: Path, formats: str, out: Path, *options: str) -> Result:
     """The command."""
-    return CliRunner().invoke(voxscene, ["export", str(source), "--format", formats, "-o", str(out)])
+    command = ["export", str(source), "--format", formats, "-o", str(out), *options]
+    return CliRunner().invoke(voxscene, command)
 
 
 @pytest.mark.parametrize("formats", ["npz", "ply,npz"])
@@ -71,3 +72,26 @@ def test_an_object_named_room_does_not_take_the_rooms_place(values: RunValues, t
     assert told.exit_code == 1
     assert "an object named room" in told.stderr
     assert export(run, "obj", tmp_path / "out").exit_code == 0
+
+
+def test_options_of_shapes_say_nothing_of_a_scene(values: RunValues, tmp_path: Path) -> None:
+    """Refused where ply is the scene of a run, taken where shapes are written beside it."""
+    run = write_run(tmp_path / "run", values.room, "mug")
+    for option in (["--units", "mm"], ["--shells"], ["--origin", "grid"]):
+        told = export(run, "ply", tmp_path / "out", *option)
+        assert (told.exit_code, f"{option[0]} is for " in told.stderr) == (2, True)
+    assert export(run, "ply,stl", tmp_path / "out", "--units", "mm").exit_code == 0
+
+
+@pytest.mark.parametrize("source", ["run", "run/shapes", "run/shapes/mug.npz"])
+def test_ids_are_of_shapes_that_are_there(values: RunValues, tmp_path: Path, source: str) -> None:
+    """A misspelt name is told, and not numbered as if it had not been given."""
+    write_run(tmp_path / "run", values.room, "mug")
+    ids = tmp_path / "ids.json"
+    ids.write_text('{"mug": 14, "typo": 3}')
+    told = export(tmp_path / source, "bop", tmp_path / "out", "--ids", str(ids))
+    assert told.exit_code == 2
+    assert "has no shape 'typo'" in told.stderr
+    ids.write_text('{"mug": 14}')
+    told = export(tmp_path / source, "bop", tmp_path / "out", "--ids", str(ids))
+    assert told.exit_code == 0, told.output
