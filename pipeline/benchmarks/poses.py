@@ -33,6 +33,8 @@ TUNING_OBJECTS = 3
 """On each tuning table, on which the settings of peers are tried."""
 MOST_ERROR_M = 0.1
 """Larger errors count as this when settings are compared."""
+ESTIMATE_AFTER = 8
+"""Images after which the remaining time is told."""
 
 Found = list[tuple[str, list[Judged], float]]
 """Method, rows and seconds."""
@@ -209,15 +211,12 @@ class RemainingTime:
     """Says once, after some images, how long the rest will take.
 
     Args:
-        after: so many images.
         say: is given the sentence.
         progress: is told images done and in all as well.
     """
 
-    def __init__(
-        self, after: int, say: Callable[[str], None], progress: Callable[[int, int | None], None]
-    ) -> None:
-        self._after, self._say, self._progress = after, say, progress
+    def __init__(self, say: Callable[[str], None], progress: Callable[[int, int | None], None]) -> None:
+        self._say, self._progress = say, progress
         self._begun: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int | None = None) -> None:
@@ -228,8 +227,8 @@ class RemainingTime:
             self._begun = now, done
             return
         begun_s, first = self._begun
-        if total is not None and done - first == self._after and total > done:
-            seconds = (now - begun_s) / self._after * (total - done)
+        if total is not None and done - first == ESTIMATE_AFTER and total > done:
+            seconds = (now - begun_s) / ESTIMATE_AFTER * (total - done)
             self._say(f"{done} of {total} images: about {seconds / 60:.0f} minutes for the rest")
 
 

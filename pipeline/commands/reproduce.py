@@ -13,8 +13,6 @@ from pipeline.progress import tell
 
 SECTIONS = ("C", "D", "E", "F", "G", "H", "L", "O")
 PEERS = ("fpfh", "icp24", "ppf")
-ESTIMATE_AFTER = 8
-"""Images after which the remaining time is told."""
 
 
 @click.command(name="reproduce")
@@ -62,7 +60,6 @@ def command(
     from pipeline.atomic import write_text
     from pipeline.benchmarks.bop_targets import models_folder
     from pipeline.benchmarks.pose_sources import BopImages
-    from pipeline.benchmarks.poses import RemainingTime
     from pipeline.mesh_source import MeshSource
     from pipeline.quiet_stdout import stdout_to_stderr
     from pipeline.reproduction.reproduce import reproduce
@@ -95,7 +92,7 @@ def command(
             executors=executors,
             at_once=at_once,
             say=say,
-            progress=RemainingTime(ESTIMATE_AFTER, say, progress),
+            progress=progress,
         )
         page = reproduce(request, sorted(chosen))
     path = output / "report.html"

@@ -56,7 +56,7 @@ def image_chapter(request: Request, page: Page) -> None:
 
 
 def pose_chapters(
-    request: Request, page: Page, source: PoseSource, title: str, name: str, made_by: str
+    request: Request, page: Page, source: PoseSource, title: str, name: str, images: Sequence[str]
 ) -> None:
     """E to H: errors in a source's images, curves, and overlays of the most different and the worst.
 
@@ -66,7 +66,7 @@ def pose_chapters(
         source: of the images.
         title: of the first chapter.
         name: of the files.
-        made_by: the command that makes this part alone.
+        images: the options of `bench poses` that name the source.
     """
     methods = _methods(request)
     found = judged_images(source, methods, request.executors, request.at_once, request.rows, request.progress)
@@ -74,7 +74,7 @@ def pose_chapters(
     document = pose_figures(judged, seconds)
     page.chapter(title)
     page.text("ADD-S strictly under a threshold; a missing object counts one metre; all objects are judged.")
-    page.listing(made_by)
+    page.listing(request.command("bench", "poses", *images, "--against", ",".join(request.peers)))
     _tables(page, document)
     write_csv(request.out / "tables" / f"{name}.csv", judged)
     curves = request.out / "figures" / f"{name}_curves.png"

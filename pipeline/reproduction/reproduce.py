@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from pipeline.benchmarks.occlusion import figures, measure_occlusion, write_rows
+from pipeline.benchmarks.poses import RemainingTime
 from pipeline.benchmarks.sampler import document_of, measure_sampler
 from pipeline.errors import PipelineError
 from pipeline.machine import machine
@@ -15,7 +17,6 @@ from pipeline.reproduction.shape_chapter import shape_chapter
 
 SAMPLER_MOVES = 2_000_000
 OCCLUSION_WIDTH_PX, OCCLUSION_DRAWS = 64, 2**18
-"""As `bench occlusion` has them."""
 
 
 def reproduce(request: Request, sections: Sequence[str]) -> Page:
@@ -37,21 +38,21 @@ def reproduce(request: Request, sections: Sequence[str]) -> Page:
     for letter, chapter in CHAPTERS.items():
         if letter in sections:
             request.say(f"section {letter}")
-            chapter(request, page)
+            remaining = RemainingTime(request.say, request.progress)  # sections differ in what an image costs
+            chapter(replace(request, progress=remaining), page)
     return page
 
 
 def _poses(request: Request, page: Page) -> None:
-    made_by = request.command("bench", "poses", "--challenging", str(request.images))
-    source = challenging_source(request)
-    pose_chapters(request, page, source, "E, G, H. Poses in challenging images", "challenging", made_by)
+    source, images = challenging_source(request), ("--challenging", str(request.images))
+    pose_chapters(request, page, source, "E, G, H. Poses in challenging images", "challenging", images)
 
 
 def _real_images(request: Request, page: Page) -> None:
     if request.data is None:
         raise PipelineError("section F needs a data set: --data BOP_ROOT, or leave F out of --only")
-    made_by = request.command("bench", "poses", "--data", str(request.data.root))
-    pose_chapters(request, page, request.data, "F, G, H. Poses in real images", "data", made_by)
+    images = ("--data", str(request.data.root), "--split", request.data.split)
+    pose_chapters(request, page, request.data, "F, G, H. Poses in real images", "data", images)
 
 
 def _occlusion(request: Request, page: Page) -> None:
@@ -63,7 +64,8 @@ def _occlusion(request: Request, page: Page) -> None:
         "Its probability where a box is turned, wide, or closer, before which both are there with 0.9; the "
         f"share of the volume that is hidden beside it. In the supplement's order: {in_order}."
     )
-    page.listing(request.command("bench", "occlusion", meshes=False))
+    about = ("--width", str(OCCLUSION_WIDTH_PX), "--draws", str(OCCLUSION_DRAWS))
+    page.listing(request.command("bench", "occlusion", *about, meshes=False))
     page.table(
         ("scene", "hidden", "probability of the mug", "standard error"),
         [(row.scene, f"{row.hidden_fraction:.1%}", f"{row.mug:.4f}", f"{row.mug_error:.4f}") for row in rows],
@@ -74,7 +76,7 @@ def _sampler(request: Request, page: Page) -> None:
     document = document_of(measure_sampler(request.seed, SAMPLER_MOVES, request.progress))
     page.chapter("O. The sampler of scene graphs")
     page.text("Total variation of visited scene graphs from the enumerated posterior.")
-    page.listing(request.command("bench", "sampler", meshes=False))
+    page.listing(request.command("bench", "sampler", "--moves", str(SAMPLER_MOVES), meshes=False))
     page.table(
         ("objects", "graphs", "without data", "independent draws", "with data"),
         [

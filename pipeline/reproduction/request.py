@@ -47,6 +47,16 @@ class Request:
 
     def command(self, *words: str, meshes: bool = True) -> str:
         """A command of the program that makes one part alone."""
-        of_meshes = ["--meshes", str(self.shapes.folder)] if meshes and self.shapes.folder else []
-        only = ["--only", ",".join(self.shapes.names)] if meshes and self.shapes.names else []
-        return shlex.join(["voxscene", *words, *of_meshes, *only, "--seed", str(self.seed)])
+        of_meshes = self._of_meshes if meshes else []
+        return shlex.join(["voxscene", *words, *of_meshes, "--seed", str(self.seed)])
+
+    @property
+    def _of_meshes(self) -> list[str]:
+        """Options that name the objects; the built-in ones need none."""
+        shapes = self.shapes
+        said = {
+            "--meshes": shapes.folder and str(shapes.folder),
+            "--units": shapes.folder and shapes.units,
+            "--only": ",".join(shapes.names),
+        }
+        return [word for option, value in said.items() if value for word in (option, value)]

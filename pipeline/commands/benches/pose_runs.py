@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 KINDS = ("single", "stacked", "partial", "occluded")
 MOST_OBJECTS = 10
-ESTIMATE_AFTER = 8
-"""Images after which the remaining time is told."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +115,7 @@ def judge(
     done = list(kept_images(source, methods, files.keep)) if watch else []
     try:
         with common.progress("poses", "images") as progress:
-            remaining = RemainingTime(ESTIMATE_AFTER, lambda line: _say(common, line), progress)
+            remaining = RemainingTime(lambda line: _say(common, line), progress)
             if not watch:
                 for key, found in judged_images(source, methods, executors, at_once, files.keep, remaining):
                     done.append((key, found))

@@ -27,7 +27,7 @@ COLUMNS: tuple[str, ...] = (
 
 
 @click.command(name="shapes")
-@click.option("--meshes", type=AnyPath(), required=True, metavar="DIR", help="True shapes.")
+@click.option("--meshes", type=AnyPath(), metavar="DIR", help="True shapes, instead of the built-in objects.")
 @click.option("--units", type=click.Choice(["m", "mm"]), help="Of the meshes; metres unless BOP's.")
 @click.option("--views", metavar="T,...", help="Numbers of views; 5,10,20, or the paper's 5.")
 @click.option(
@@ -70,7 +70,7 @@ COLUMNS: tuple[str, ...] = (
 @common_options("learn", computes=True)
 def command(
     common: Common,
-    meshes: Path,
+    meshes: Path | None,
     units: Any,
     views: str | None,
     only: str,
@@ -107,7 +107,7 @@ def command(
     from pipeline.benchmarks.shape_summary import summary
     from pipeline.benchmarks.shapes import growth as growth_of
     from pipeline.benchmarks.shapes import shape_rows
-    from pipeline.meshes import load_meshes
+    from pipeline.mesh_source import MeshSource
     from pipeline.quiet_stdout import stdout_to_stderr
     from shapes.learning.config import LearnConfig
 
@@ -117,7 +117,7 @@ def command(
     if not kinds:
         raise ConfigError("--poses: name at least one kind")
     filmed = counts("--views", views or ("5" if paper else "5,10,20"))
-    all_meshes = load_meshes(meshes, units)
+    all_meshes = MeshSource.of(meshes, units).meshes
     chosen = _chosen(all_meshes, only)
     config = common.settings.section("learn", LearnConfig)
     talking = not (common.as_json or common.quiet)
