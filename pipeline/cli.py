@@ -16,6 +16,7 @@ import click
 
 from pipeline.errors import ConfigError, PipelineError, ProjectError
 from pipeline.logs import unforeseen
+from pipeline.options import GOES_ON
 from recordings.errors import RecordingError
 
 COMMANDS = (
@@ -41,9 +42,8 @@ COMMANDS = (
 DAMAGED = 3
 """Exit code where part of a damaged input was lost and the rest was used."""
 
-
-RESUMED = ("demo", "slam", "learn", "parse", "run")
-"""Commands that go on where they were interrupted."""
+RESUMED = ("demo", "slam", "learn", "parse", "run", "reproduce", "synth challenging")
+"""Commands that always go on where they were interrupted; others say so with `goes_on`."""
 
 
 class Failure(click.ClickException):
@@ -108,10 +108,13 @@ class LazyGroup(click.Group):
             raise Misuse(_one_line(error)) from error
         except (RecordingError, PipelineError) as error:
             raise Failure(_one_line(error)) from error
+        except BrokenPipeError:  # nobody reads on, as after `| head`: that is no mistake
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+            raise SystemExit(1) from None
         except OSError as error:
             raise Failure(f"{error.filename or 'system'}: {error.strerror or error}") from error
         except KeyboardInterrupt as error:
-            resumed = ctx.invoked_subcommand in RESUMED
+            resumed = _named(ctx) in RESUMED or GOES_ON in ctx.meta
             how = "the same command goes on where it stopped" if resumed else "nothing half-written is left"
             raise Failure(f"interrupted; {how}") from error
         except Exception as error:  # one line for the user, the traceback for us
@@ -142,6 +145,14 @@ def main() -> None:
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
     """What ends the program from outside ends it as Ctrl-C does: nothing half-written stays."""
     raise KeyboardInterrupt
+
+
+def _named(ctx: click.Context) -> str:
+    """The words that call the subcommand of a group, without the program's name."""
+    words = [ctx.invoked_subcommand or ""]
+    while ctx.parent is not None:
+        words, ctx = [ctx.info_name or "", *words], ctx.parent
+    return " ".join(words)
 
 
 def _one_line(error: object) -> str:

@@ -136,7 +136,7 @@ def common_options(*sections: str, computes: bool = False) -> Callable[[Command]
 
         options = [
             click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout."),
-            click.option("--quiet", "-q", is_flag=True, help="No progress and no text."),
+            click.option("--quiet", "-q", is_flag=True, help="No progress and no text, but for warnings."),
             click.option("--verbose", "-v", is_flag=True, help="Print what goes to log.txt on stderr too."),
             click.option(
                 "--seed",
@@ -365,6 +365,15 @@ def written_flags() -> dict[str, str]:
         for one in context.command.params
         if one.name and context.get_parameter_source(one.name) is click.core.ParameterSource.COMMANDLINE
     }
+
+
+GOES_ON = "pipeline.goes_on"
+"""Key in click's `meta`."""
+
+
+def goes_on() -> None:
+    """Say of the command that runs that, interrupted, it goes on with what it kept when given again."""
+    click.get_current_context().meta[GOES_ON] = True
 
 
 def only_for(whose: str, *names: str) -> None:

@@ -107,6 +107,44 @@ def test_mistakes_end_in_one_line(error: BaseException, line: str) -> None:
     assert (result.exit_code, result.stdout, result.stderr) == (code, "", line)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "interrupted", "goes_on"),
+    [
+        ("reproduce -o out", "pipeline.mesh_source.MeshSource.of", True),
+        ("synth challenging out", "pipeline.mesh_source.MeshSource.of", True),
+        ("bench poses --keep out", "pipeline.mesh_source.MeshSource.of", True),
+        ("bench poses", "pipeline.mesh_source.MeshSource.of", False),
+        ("bench shapes --keep out", "pipeline.mesh_source.MeshSource.of", True),
+        ("bench shapes", "pipeline.mesh_source.MeshSource.of", False),
+        ("bench air --csv out.csv", "pipeline.benchmarks.air.measure_air", True),
+        ("bench slam", "pipeline.benchmarks.slam_cases.real_rows", False),
+    ],
+)
+def test_an_interrupted_command_says_whether_it_goes_on(
+    arguments: str, interrupted: str, goes_on: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """True of those that keep what they finished, false of others of the same last word."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(interrupted, interrupt)
+    told = CliRunner().invoke(voxscene, arguments.split())
+    how = "the same command goes on where it stopped" if goes_on else "nothing half-written is left"
+    assert (told.exit_code, told.stderr.splitlines()[-1]) == (1, f"voxscene: interrupted; {how}")
+
+
+def test_a_reader_that_stops_is_no_mistake(mug_file: Path) -> None:
+    """As after `| head`: nothing is said."""
+    read, write = os.pipe()
+    os.close(read)
+    words = [sys.executable, "-m", "pipeline", "info", str(mug_file)]
+    done = subprocess.run(words, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
 def test_usage_mistakes_exit_with_two() -> None:
     """As click has it."""
     assert CliRunner().invoke(voxscene, ["nonsense"]).exit_code == 2

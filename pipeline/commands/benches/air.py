@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pipeline.options import Common, OutputFile, common_options, image_size, only_for
+from pipeline.options import Common, OutputFile, common_options, goes_on, image_size, only_for
 
 
 @click.command(name="air")
@@ -55,6 +55,8 @@ def command(
         return
     from pipeline.benchmarks.air import measure_air
 
+    if csv_path:
+        goes_on()
     with common.progress("air", "scenes") as progress, stdout_to_stderr():
         document = measure_air(common.seed, scenes, image_size(size), lamp, csv_path, progress)
     common.report(document, _lines(document))

@@ -17,6 +17,7 @@ from pipeline.options import (
     Common,
     OutputFile,
     common_options,
+    goes_on,
     image_size,
     words,
     written_flags,
@@ -242,6 +243,8 @@ def command(
         raise click.UsageError("--tables, --challenging, --worlds and --data are four sources; name one")
     if watch and keep is None:
         raise click.UsageError("--watch needs --keep, where the rows are")
+    if keep:
+        goes_on()
     if data is not None and meshes is None:
         from pipeline.benchmarks.bop_targets import models_folder
 

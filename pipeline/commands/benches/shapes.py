@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from pipeline.errors import ConfigError, PipelineError
-from pipeline.options import AnyPath, Common, OutputFile, common_options, counts, words
+from pipeline.options import AnyPath, Common, OutputFile, common_options, counts, goes_on, words
 from pipeline.progress import tell
 
 PEERS = ("carving", "votes", "octomap", "tsdf")
@@ -111,6 +111,8 @@ def command(
     from pipeline.quiet_stdout import stdout_to_stderr
     from shapes.learning.config import LearnConfig
 
+    if keep:
+        goes_on()
     peers = _installed(words("--against", against, PEERS))
     paper = conditions == "paper"
     kinds: list[Any] = words("--poses", poses or ("orbit" if paper else "true,slam"), POSES)
