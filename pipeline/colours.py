@@ -22,6 +22,8 @@ SEEN, INFERRED, UNSEEN = GREEN, ORANGE, PURPLE
 """States of a learned shape's surface: some ray touched it; it closes the shape behind what was seen; nobody
 knows what is there."""
 
+BACKGROUND = (18, 20, 26)
+"""Of views and charts, on which every one of these colours is seen."""
 AMBIENT = 0.35
 """Share of light that reaches points turned away from the lamp, so that nothing is black."""
 

@@ -18,7 +18,7 @@ from pipeline.errors import ConfigError
 
 T = TypeVar("T")
 
-SECTIONS = ("run", "recording", "slam", "learn", "parse", "synth", "bench")
+SECTIONS = ("run", "recording", "slam", "learn", "parse", "synth")
 """Every section that a settings file may have."""
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 if TYPE_CHECKING:
     import jax
 
 Stage = Literal["slam", "learn", "parse", "draws"]
-STAGES: tuple[Stage, ...] = ("slam", "learn", "parse", "draws")
+STAGES: tuple[Stage, ...] = get_args(Stage)
 """In the order in which the root key is split; new stages go to the end."""
 
 

@@ -9,10 +9,10 @@ import click
 
 from pipeline.executors import Workers, executors_for
 from pipeline.options import AnyPath, Common, common_options, words
+from pipeline.peers import REGISTRATIONS
 from pipeline.progress import tell
 
 SECTIONS = ("C", "D", "E", "F", "G", "H", "L", "O")
-PEERS = ("fpfh", "icp24", "ppf")
 
 
 @click.command(name="reproduce")
@@ -25,7 +25,7 @@ PEERS = ("fpfh", "icp24", "ppf")
 @click.option("--data", type=AnyPath(), metavar="BOP_ROOT", help="Real images, for section F.")
 @click.option("--split", default="test", show_default=True, help="Folder of the data set's scenes.")
 @click.option(
-    "--against", default="fpfh", show_default=True, metavar="PEER,...", help=f"Of {', '.join(PEERS)}."
+    "--against", default="fpfh", show_default=True, metavar="PEER,...", help=f"Of {', '.join(REGISTRATIONS)}."
 )
 @click.option("--workers", type=Workers(), default=1, show_default=True, help="Processes, or a Dask cluster.")
 @common_options(computes=True)
@@ -87,7 +87,7 @@ def command(
             shapes=shapes,
             images=images,
             data=None if data is None else BopImages(root=data.resolve(), split=split, shapes=shapes),
-            peers=tuple(words("--against", against, PEERS)),
+            peers=tuple(words("--against", against, REGISTRATIONS)),
             seed=common.seed,
             executors=executors,
             at_once=at_once,

@@ -13,6 +13,8 @@ from scipy.spatial import KDTree
 MISSING_M = 1.0
 """Error of an object that was not found."""
 THRESHOLDS_M = (0.005, 0.01, 0.02)
+LARGEST_M = 0.1
+"""To which the area under the curve of accuracy is taken (PoseCNN, section V)."""
 MODEL_POINTS = 20_000
 """So many that turning a symmetric object of everyday size about its axis adds under a millimetre."""
 
@@ -48,12 +50,12 @@ def accuracy(errors_m: ArrayLike, threshold_m: float) -> float:
     return float((np.asarray(errors_m) < threshold_m).mean())
 
 
-def area_under_accuracy(errors_m: ArrayLike, largest_m: float = 0.1) -> float:
-    """Area under the curve of accuracy over thresholds from 0 to `largest_m`, as a share of the whole.
+def area_under_accuracy(errors_m: ArrayLike) -> float:
+    """Area under the curve of accuracy over thresholds from 0 to `LARGEST_M`, as a share of the whole.
 
     Exact: each error e adds the thresholds above it, 1 - e / largest.
     """
-    return float(np.clip(1 - np.asarray(errors_m) / largest_m, 0, 1).mean())
+    return float(np.clip(1 - np.asarray(errors_m) / LARGEST_M, 0, 1).mean())
 
 
 def error_figures(errors_m: Sequence[float]) -> dict[str, Any]:

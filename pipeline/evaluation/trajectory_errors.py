@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from recordings.types import Trajectory
 
 LEVELS = (0.5, 0.9, 0.95)
+APART_NS = 20_000_000
+"""A frame and a reference pose farther apart are not of one time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +35,8 @@ class TrajectoryErrors:
     rpe_rotation_rad: float
 
 
-def matched(
-    times_ns: NDArray[np.int64], reference: Trajectory, tolerance_ns: int = 20_000_000
-) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Indices of frames and of the reference poses nearest to them in time, within the tolerance."""
+def matched(times_ns: NDArray[np.int64], reference: Trajectory) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Indices of frames and of the reference poses nearest to them in time, within `APART_NS`."""
     order = np.argsort(reference.times_ns, kind="stable")
     sorted_times = reference.times_ns[order]
     after = np.clip(np.searchsorted(sorted_times, times_ns), 1, max(len(sorted_times) - 1, 1))
@@ -44,7 +44,7 @@ def matched(
     before = np.maximum(after - 1, 0)
     nearer = np.abs(sorted_times[before] - times_ns) <= np.abs(sorted_times[after] - times_ns)
     nearest = np.where(nearer, before, after)
-    close = np.abs(sorted_times[nearest] - times_ns) <= tolerance_ns
+    close = np.abs(sorted_times[nearest] - times_ns) <= APART_NS
     return np.nonzero(close)[0], order[nearest[close]]
 
 

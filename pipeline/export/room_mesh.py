@@ -15,6 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
+from pipeline.room import UNSEEN_GREY
 from recordings.types import CameraIntrinsics, Frame
 from shapes.learning.colouring import ColourSums
 
@@ -30,8 +31,6 @@ MOST_FRAMES = 1000
 COLOURED_FRAMES = 100
 BLOCK = 16
 """Voxels along the edge of a block, Open3D's own choice."""
-UNSEEN_GREY = 128
-"""Of vertices that no colour image shows, where others have a colour."""
 
 Posed = tuple[Frame, NDArray[np.float64]]
 

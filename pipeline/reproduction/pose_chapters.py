@@ -20,7 +20,8 @@ from pipeline.figures.pose_sheets import draw_sheets
 from pipeline.peers.registration import settings
 from pipeline.report.page import Page
 from pipeline.reproduction.request import Request
-from pipeline.synthesis.challenging_scene import KINDS, ChallengingScene
+from pipeline.synthesis.challenging_kinds import KINDS
+from pipeline.synthesis.challenging_scene import ChallengingScene
 
 SHOWN = 4
 """Images of each kind in the picture of the set."""

@@ -66,8 +66,8 @@ def air_meshes() -> dict[str, trimesh.Trimesh]:
     }
 
 
-def air_world(width: int = 64, height: int = 64, light: Light | None = None) -> TableWorld:
-    """The camera looks down at the table's middle; light and noise known, albedos not."""
+def air_world(width: int = 64, height: int = 64) -> TableWorld:
+    """The camera looks down at the table's middle; light and noise are the usual ones, albedos unknown."""
     focal = FOCAL_WIDTHS * width
     camera = CameraIntrinsics(
         width=width, height=height, fx=focal, fy=focal, cx=(width - 1) / 2, cy=(height - 1) / 2
@@ -77,7 +77,7 @@ def air_world(width: int = 64, height: int = 64, light: Light | None = None) -> 
     camera_from_world[:3, :3] = [[1, 0, 0], [0, -sine, -cosine], [0, cosine, -sine]]
     camera_from_world[:3, 3] = [0, 0, DISTANCE_M]
     kinds = tuple(Kind.standing(name, mesh) for name, mesh in air_meshes().items())
-    return TableWorld(camera=camera, camera_from_world=camera_from_world, kinds=kinds, light=light or Light())
+    return TableWorld(camera=camera, camera_from_world=camera_from_world, kinds=kinds, light=Light())
 
 
 def air_scene(world: TableWorld, seed: int) -> AirScene:

@@ -1,11 +1,11 @@
-"""How challenging images are taken: their kinds, and what a user may set about them."""
+"""How challenging images are taken: what a user may set about them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from pipeline.errors import PipelineError
+from pipeline.synthesis.challenging_kinds import KINDS
 from pipeline.synthesis.placement import Table
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, SyntheticScene
@@ -13,13 +13,6 @@ from pipeline.synthesis.sensor import DepthSensor
 from recordings.settings import check_finite, check_within
 from recordings.types import DepthNoise
 
-KINDS: Mapping[str, tuple[float, float]] = {
-    "single": (0.95, 1.0),
-    "stacked": (0.6, 1.0),
-    "partial": (0.2, 0.7),
-    "occluded": (0.1, 0.6),
-}
-"""The kinds of images with the limits of the target's visible fraction."""
 DEPTH_UNIT_M = 0.0001
 """Of a stored 1, as in YCB-Video."""
 MOST_STORED = 65534

@@ -25,7 +25,8 @@ from pipeline.fingerprints import PROGRAM, canonical_hash, source_hash
 from pipeline.jax_setup import set_up_jax
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.challenging import ChallengingImage, challenging_image, unplaceable
-from pipeline.synthesis.challenging_scene import DEPTH_UNIT_M, KINDS, ChallengingScene
+from pipeline.synthesis.challenging_kinds import KINDS
+from pipeline.synthesis.challenging_scene import DEPTH_UNIT_M, ChallengingScene
 from pipeline.synthesis.visibility import silhouette
 from pipeline.synthesis.writing import write_recording
 from pipeline.task_engine import Executors, Task, run_tasks

@@ -39,6 +39,9 @@ PRESENCE = 0.9
 LOW_M, HIGH_M = np.array([-0.22, -0.16, 0.55]), np.array([0.22, 0.16, 1.25])
 """Corners of the cuboid that holds objects, all of it in sight, x right, y down and z ahead."""
 
+GRID_POINTS = 32
+"""Along each side of the cuboid, by which its hidden share is counted."""
+
 SCENES: Mapping[str, tuple[float, float]] = {
     "turned": (75.0, 0.85),
     "wide": (0.0, 0.85),
@@ -113,15 +116,10 @@ def occlusion_scene(
     )
 
 
-def hidden_fraction(scene: OcclusionScene, points: int = 32) -> float:
-    """Share of the cuboid behind what the camera sees, or out of its sight, by a grid of points.
-
-    Args:
-        scene: whose ideal image is looked at.
-        points: along each side of the cuboid.
-    """
+def hidden_fraction(scene: OcclusionScene) -> float:
+    """Share of the cuboid behind what the camera sees, or out of its sight, by a grid of points."""
     axes = [
-        low + (high - low) * (np.arange(points) + 0.5) / points
+        low + (high - low) * (np.arange(GRID_POINTS) + 0.5) / GRID_POINTS
         for low, high in zip(LOW_M, HIGH_M, strict=True)
     ]
     x, y, z = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))

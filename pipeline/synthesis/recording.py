@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.synthesis.sensor import DepthSensor
 from pipeline.synthesis.world import NOTHING, Part, RayCaster, View
 from recordings.truth import SceneTruth
-from recordings.types import CameraIntrinsics, Damage, Frame, Trajectory
+from recordings.types import CameraIntrinsics, Frame, Trajectory
 
 CAMERA = (1 << 32) - 1
 """In place of a frame's number where what all frames share is drawn."""
@@ -29,10 +29,7 @@ class SyntheticRecording:
         truth: the objects of interest.
         sensor: how depth is measured.
         disparity_per_m: the drawn camera's distortion field at its nodes, None without one.
-        damage: never any.
     """
-
-    damage = Damage()
 
     def __init__(
         self,

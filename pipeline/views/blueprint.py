@@ -6,6 +6,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from pipeline.colours import BACKGROUND
 from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
 from pipeline.views.framing import Eye, chosen_eye, eye_before
@@ -16,8 +17,6 @@ from pipeline.views.truth_view import ERROR_PLOT
 from shapes.geometry.poses import transform_points
 from shapes.prior import ShapePrior
 
-BACKGROUND = (18, 20, 26)
-"""Of 3D views, on which every colour of `pipeline.colours` is seen."""
 ROOM_VIEW = "Room"
 SHAPE_FROM = np.array([0.75, -0.65, 0.55])
 """Side of a learned shape from which it is looked at, its support below."""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from pipeline.colours import INFERRED, LOST, PATH, SEEN, TRUTH, UNSEEN
+from pipeline.colours import BACKGROUND, INFERRED, LOST, PATH, SEEN, TRUTH, UNSEEN
 from pipeline.publishing.told_spread import position_text
 from pipeline.views.rendered_depth import DIFFERENCE_MM, difference_colours
 
-BACKGROUND, INK, FAINT = (18, 20, 26), (235, 235, 235), (70, 76, 88)
+INK, FAINT = (235, 235, 235), (70, 76, 88)
 LETTER_PX, LINE_PX, MARGIN_PX = 15, 26, 12
 BAR_PX = 180
 WIDTH_PX, NARROW_PX = 580, 440

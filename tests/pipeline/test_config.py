@@ -68,6 +68,7 @@ def test_overrides_are_toml_or_bare_words(tmp_path: Path) -> None:
         ("[slam]\ncoutn = 1", (), "no setting slam.coutn; did you mean 'count'"),
         ("[slam.inner]\nx = 1", (), "no setting slam.inner.x; there are kind, width_m"),
         ("[slam]\ncount = 'many'", (), "slam.count: .*integer.*, got 'many'"),
+        ("[bench]\nscenes = 1", (), "no section 'bench'"),
         ("[slam.inner]\nwidth_m = -1", (), "slam.inner: width_m must be positive"),
         ("[slam.inner]\nkind = 'c'", (), "slam.inner.kind: .*'a' or 'b', got 'c'"),
         ("[slam]\ninner = 3", (), "slam.inner"),

@@ -10,6 +10,7 @@ from pipeline.errors import PipelineError
 from pipeline.executors import executors_for
 from pipeline.options import Common, words
 from pipeline.progress import tell
+from pipeline.synthesis.challenging_kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from pipeline.benchmarks.pose_sources import PoseSource
     from pipeline.mesh_source import MeshSource
 
-KINDS = ("single", "stacked", "partial", "occluded")
 MOST_OBJECTS = 10
 
 
@@ -52,7 +52,7 @@ def pose_source(
     if data is not None:
         return BopImages(root=data.resolve(), split=split, shapes=shapes)
     if challenging is not None:
-        chosen = tuple(words("--kinds", kinds, KINDS))
+        chosen = tuple(words("--kinds", kinds, list(KINDS)))
         return challenging_images(
             shapes, chosen, challenging, ChallengingScene().seen_worse(*seen), common.seed
         )

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from pipeline.commands.benches import pose_runs
-from pipeline.commands.benches.pose_runs import KINDS, PoseFiles
+from pipeline.commands.benches.pose_runs import PoseFiles
 from pipeline.executors import Workers
 from pipeline.options import (
     COMMON,
@@ -22,8 +22,9 @@ from pipeline.options import (
     words,
     written_flags,
 )
+from pipeline.peers import REGISTRATIONS
+from pipeline.synthesis.challenging_kinds import KINDS
 
-PEERS = ("fpfh", "icp24", "ppf")
 SOURCES = ("points", "masks", "both")
 TABLES = 100
 """Unless another source is asked for."""
@@ -123,7 +124,7 @@ class NamedFile(click.ParamType):
     metavar="PEER,...",
     default="fpfh,icp24",
     show_default=True,
-    help=f"Peers of {', '.join(PEERS)} to run on the same images; an empty word for none.",
+    help=f"Peers of {', '.join(REGISTRATIONS)} to run on the same images; an empty word for none.",
 )
 @click.option(
     "--results", multiple=True, type=NamedFile(), help="Another program's BOP results file as a column."
@@ -282,7 +283,7 @@ def command(
         chosen = words("--proposals", proposals, SOURCES)
         pose_runs.compare_proposals(common, source, chosen, workers, files, watch=watch)
         return
-    peers = pose_runs.other_methods(shapes, source, words("--against", against, PEERS), results)
+    peers = pose_runs.other_methods(shapes, source, words("--against", against, REGISTRATIONS), results)
     methods = [
         *(one.of(common.seed, learned or 0) for one in (SEARCH_SHARED if share_search else OURS)),
         *peers,

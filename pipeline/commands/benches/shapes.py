@@ -11,17 +11,17 @@ import click
 
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.options import AnyPath, Common, OutputFile, common_options, counts, goes_on, words
+from pipeline.peers import VOXEL_MAPS
 from pipeline.progress import tell
 
-PEERS = ("carving", "votes", "octomap", "tsdf")
 POSES = ("true", "slam", "orbit")
 FIGURES = ("solid", "shell", "observed", "ceiling", "ratio", "reachable", "touched")
 WALLS = ("wall_mm", "true_wall_mm")
 SCORES = ("brier", "log_loss", "ece")
 OURS = (*FIGURES[:-2], "reach", "touched", "wall mm", "true mm")
-TITLES = (*OURS, *PEERS, "Brier", "log loss", "ECE", "seconds")
+TITLES = (*OURS, *VOXEL_MAPS, "Brier", "log loss", "ECE", "seconds")
 COLUMNS: tuple[str, ...] = (
-    *("object", "thin", "conditions", "noise_free", "poses", "views", *FIGURES, *WALLS, *PEERS, *SCORES),
+    *("object", "thin", "conditions", "noise_free", "poses", "views", *FIGURES, *WALLS, *VOXEL_MAPS, *SCORES),
     *("walls_drawn", "seconds", "supplement", "particles", "hidden_occupied", "failed"),
 )
 
@@ -62,7 +62,7 @@ COLUMNS: tuple[str, ...] = (
 @click.option(
     "--against",
     metavar="PEER,...",
-    default=",".join(PEERS),
+    default=",".join(VOXEL_MAPS),
     show_default=True,
     help="Peers on the same frames and poses; an empty word for none.",
 )
@@ -113,7 +113,7 @@ def command(
 
     if keep:
         goes_on()
-    peers = _installed(words("--against", against, PEERS))
+    peers = _installed(words("--against", against, VOXEL_MAPS))
     paper = conditions == "paper"
     kinds: list[Any] = words("--poses", poses or ("orbit" if paper else "true,slam"), POSES)
     if not kinds:
@@ -170,7 +170,7 @@ def _row_line(row: dict[str, Any]) -> str:
     if "failed" in row:
         return _line([name, row["poses"], row["views"], f"  failed: {row['failed']}"])
     flat = _with_peers(row)
-    cells = [flat[key] for key in (*FIGURES, *WALLS, *PEERS)]
+    cells = [flat[key] for key in (*FIGURES, *WALLS, *VOXEL_MAPS)]
     cells += [row[score] for score in SCORES] + [row["seconds"], row["supplement"]]
     return _line([name, row["poses"], row["views"], *map(_number, cells)])
 
@@ -178,7 +178,7 @@ def _row_line(row: dict[str, Any]) -> str:
 def _with_peers(row: dict[str, Any]) -> dict[str, Any]:
     """A row and, by peer, what it reached at its best setting for the object."""
     best = {peer: max(one["solid"] for one in settings.values()) for peer, settings in row["peers"].items()}
-    return dict.fromkeys(PEERS) | row | best
+    return dict.fromkeys(VOXEL_MAPS) | row | best
 
 
 def _number(value: float | None) -> str:
@@ -190,7 +190,7 @@ def _summary_lines(document: dict[str, Any]) -> list[str]:
     for mean in document["means"]:
         name = f"mean, {mean['walls']} walls ({mean['objects']})"
         peers = {peer: best["solid"] for peer, best in mean["peers"].items()}
-        cells = [mean[key] for key in (*FIGURES, *WALLS)] + [peers.get(peer) for peer in PEERS]
+        cells = [mean[key] for key in (*FIGURES, *WALLS)] + [peers.get(peer) for peer in VOXEL_MAPS]
         cells += [None] * len(SCORES)
         lines.append(_line([name, mean["poses"], mean["views"], *map(_number, [*cells, mean["seconds"]])]))
         if mean["walls"] == "all":

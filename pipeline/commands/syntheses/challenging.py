@@ -11,8 +11,7 @@ from pipeline.errors import ConfigError
 from pipeline.executors import Workers, executors_for
 from pipeline.options import AnyPath, Common, common_options, image_size, words
 from pipeline.progress import tell
-
-KINDS = ("single", "stacked", "partial", "occluded")
+from pipeline.synthesis.challenging_kinds import KINDS
 
 
 @click.command(name="challenging")
@@ -70,7 +69,7 @@ def command(
     }
     own["visible"] = _share_range(visible) if visible else None
     wanted = ChallengingSet(
-        kinds=tuple(words("--kinds", kinds, KINDS)),
+        kinds=tuple(words("--kinds", kinds, list(KINDS))),
         images=images,
         scene=common.settings.section("synth", ChallengingScene, own),
         shapes=MeshSource.of(meshes, units, only),

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.benchmarks import shape_films
+from pipeline.benchmarks import pose_methods, shape_films
 from pipeline.benchmarks import shapes as bench
 from pipeline.benchmarks.shape_summary import exponent, falls, summary
 from pipeline.benchmarks.shapes import shape_rows
+from pipeline.peers import REGISTRATIONS, VOXEL_MAPS, registration
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig
 from shapes.learning.config import LearnConfig
@@ -114,6 +115,13 @@ def test_rows_of_other_settings_are_not_taken(
     peers = ["carving", "tsdf"]
     with pytest.raises(InterruptedError):
         list(shape_rows(films, ["thin"], [4], ["true"], peers, CONFIG, seed, kept, conditions))
+
+
+def test_every_peer_of_the_command_has_settings() -> None:
+    """Commands name peers without importing them."""
+    assert tuple(bench.PEERS) == VOXEL_MAPS
+    assert tuple(registration.settings()) == REGISTRATIONS
+    assert tuple(pose_methods.PEERS) == REGISTRATIONS
 
 
 def test_every_slice_films_a_mesh_alike(films: dict) -> None:

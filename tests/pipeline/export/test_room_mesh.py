@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PipelineError
-from pipeline.export.room_mesh import UNSEEN_GREY, room_mesh
+from pipeline.export.room_mesh import room_mesh
+from pipeline.room import UNSEEN_GREY
 from recordings.types import CameraIntrinsics, Frame
 
 CAMERA = CameraIntrinsics(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)

@@ -25,7 +25,8 @@ from pipeline.reproduction import pose_chapters, shape_chapter
 from pipeline.reproduction import reproduce as chapters
 from pipeline.reproduction.reproduce import CHAPTERS, reproduce
 from pipeline.reproduction.request import Request
-from pipeline.synthesis.challenging_scene import KINDS, ChallengingScene
+from pipeline.synthesis.challenging_kinds import KINDS
+from pipeline.synthesis.challenging_scene import ChallengingScene
 from pipeline.synthesis.scenarios import CameraConfig
 from tests.pipeline.benchmarks.test_poses import Truthful
 

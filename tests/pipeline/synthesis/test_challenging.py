@@ -8,7 +8,8 @@ import trimesh
 from pipeline.errors import PipelineError
 from pipeline.synthesis import challenging
 from pipeline.synthesis.challenging import ChallengingImage, challenging_image, unplaceable
-from pipeline.synthesis.challenging_scene import KINDS, ChallengingScene
+from pipeline.synthesis.challenging_kinds import KINDS
+from pipeline.synthesis.challenging_scene import ChallengingScene
 from pipeline.synthesis.challenging_views import BAND
 from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.scenarios import CameraConfig
