@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.colours import AMBIENT
 from pipeline.synthesis.sensor import DepthSensor
 from pipeline.synthesis.world import NOTHING, Part, RayCaster, View
 from recordings.truth import SceneTruth
@@ -98,5 +99,5 @@ class SyntheticRecording:
 
     def _shaded(self, view: View) -> NDArray[np.uint8]:
         """Colours (H, W, 3) under a lamp at the camera."""
-        light = np.where(view.part == NOTHING, 0.0, 0.35 + 0.65 * view.cos_incidence)
+        light = np.where(view.part == NOTHING, 0.0, AMBIENT + (1 - AMBIENT) * view.cos_incidence)
         return (view.rgb * light[..., None]).astype(np.uint8)

@@ -1,18 +1,24 @@
 """The bench of hidden objects on few draws."""
 
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 from pipeline.benchmarks.occlusion import (
+    OcclusionRow,
     drawn_figures,
     figures,
     measure_drawn_scenes,
     measure_occlusion,
     write_rows,
 )
+from pipeline.cli import voxscene
+from pipeline.errors import PipelineError
 from pipeline.synthesis.occluded_table import PLACES, occluded_table
-from pipeline.synthesis.occlusion import hidden_fraction, occlusion_camera, occlusion_scene
+from pipeline.synthesis.occlusion import SCENES, hidden_fraction, occlusion_camera, occlusion_scene
 
 
 def test_the_order_of_the_supplements_figure(tmp_path: Path) -> None:
@@ -24,6 +30,23 @@ def test_the_order_of_the_supplements_figure(tmp_path: Path) -> None:
     assert told["in_order"]
     assert told["least_box"] > 0.99
     assert len((tmp_path / "rows.csv").read_text().splitlines()) == 4
+
+
+def test_a_table_that_cannot_be_written_is_told_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """What was measured is printed before the file is written."""
+    zeros: dict[str, Any] = dict.fromkeys((one.name for one in fields(OcclusionRow)), 0.0)
+    rows = [OcclusionRow(**zeros | {"scene": scene, "there": False}) for scene in SCENES]
+
+    def fail(*_: object) -> None:
+        raise PipelineError("cannot write it: No space left on device")
+
+    monkeypatch.setattr("pipeline.benchmarks.occlusion.measure_occlusion", lambda *_: rows)
+    monkeypatch.setattr("pipeline.benchmarks.occlusion.write_rows", fail)
+    told = CliRunner().invoke(voxscene, ["bench", "occlusion", "--csv", str(tmp_path / "rows.csv")])
+    assert (told.exit_code, "No space left" in told.stderr) == (1, True)
+    assert "turned < wide < closer: no" in told.stdout
 
 
 def test_scenes_drawn_from_the_prior() -> None:
