@@ -134,9 +134,19 @@ def chosen(
 
 
 def _shapes_of(folder: Path) -> Path:
+    if folder.is_file():
+        raise PipelineError(
+            f"{folder} is a file; name its folder, and the shape with --objects {folder.stem}"
+        )
     if not folder.is_dir():
         raise PipelineError(f"no folder of shapes {folder}")
-    return folder / "shapes" if (folder / "shapes").is_dir() else folder
+    if (folder / "shapes").is_dir():
+        return folder / "shapes"
+    if (folder / "stages").is_dir():
+        raise PipelineError(
+            f"{folder} is a run without learned shapes; make one: voxscene learn REC -o {folder}"
+        )
+    return folder
 
 
 def _learned_surface(path: Path) -> SceneSurface:

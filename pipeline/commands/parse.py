@@ -82,7 +82,8 @@ class FrameNumbers(click.ParamType):
     "--frames",
     type=FrameNumbers(),
     metavar="N,M,...|N:M",
-    help="Depth frames: 0, or 0,5,9, or 0:5 (5 not included); the first that shows enough by default.",
+    help="Depth frames: 0, or 0,5,9, or 0:5 (5 not included), counted after --start, --end and --every; "
+    "the first that shows enough by default.",
 )
 @click.option(
     "--graph",

@@ -77,6 +77,8 @@ def command(
     else:
         rrds = [rrd_with_truth(run, truth)] if truth else rrds_of(run, rebuild=rebuild)
     if not rrds:
+        if (run / "stages/inputs.json").is_file() and len([*run.glob("stages/**/*.json")]) == 1:
+            raise PipelineError(f"{run} holds no finished stage; the command that began it goes on with it")
         if any(run.glob("stages/*.json")):
             raise PipelineError(
                 f"{run} is of another version, or was changed by hand; the command that made it makes it anew"

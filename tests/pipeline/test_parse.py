@@ -216,7 +216,7 @@ def test_a_recording_of_blank_frames_is_refused(
 
 
 def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Path) -> None:
-    """An unknown name, a frame past the end, a folder without shapes."""
+    """An unknown name, a frame past the end; a folder without shapes, none, a file, a run."""
     recording = parsed.parent / "table.mcap"
     (tmp_path / "empty").mkdir()
     for shapes, more, told in [
@@ -224,6 +224,8 @@ def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Pat
         (meshes, ("--frames", "7"), "no frame 7: it has 1, from 0 on"),
         (tmp_path / "empty", (), "holds no meshes"),
         (tmp_path / "nowhere", (), "no folder of shapes"),
+        (recording, (), "is a file; name its folder, and the shape with --objects table"),
+        (parsed, (), "is a run without learned shapes; make one: voxscene learn"),
     ]:
         result = parse(recording, shapes, tmp_path / "run", *more)
         assert result.exit_code == 1

@@ -250,7 +250,7 @@ def test_the_views_are_made_again_from_the_mcap_alone(
 
 
 def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No run, no screen."""
+    """No run, a run of another version, one that was cut off, no screen."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     result = CliRunner().invoke(voxscene, ["review", str(tmp_path)])
@@ -260,6 +260,8 @@ def test_review_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.Monkey
     (tmp_path / "stages").mkdir()
     (tmp_path / "stages" / "slam.json").write_text('{"fingerprint": "of an older version"}')
     assert "another version" in CliRunner().invoke(voxscene, ["review", str(tmp_path)]).stderr
+    (tmp_path / "stages" / "slam.json").rename(tmp_path / "stages" / "inputs.json")
+    assert "no finished stage" in CliRunner().invoke(voxscene, ["review", str(tmp_path)]).stderr
     assert rrds_of(tmp_path / "none") == []
     with pytest.raises(PipelineError, match=r"no screen here; .* --web, take a picture with --screenshot"):
         open_viewer([tmp_path / "run.rrd"])
