@@ -186,10 +186,17 @@ class RecordingSource:
     Attributes:
         path: an MCAP file or a rosbag2 folder.
         said: values of `ReadOptions` by name; None says nothing.
+
+    Raises:
+        PipelineError: the path is a run folder, whose run.mcap holds views of a few frames.
     """
 
     path: Path
     said: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        if (self.path / "stages").is_dir():
+            raise PipelineError(f"{self.path} is a run, not a recording; name what it was made from")
 
     @property
     def of_colour_alone(self) -> RecordingSource:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -135,6 +136,16 @@ def test_a_pipe_is_not_waited_for(command: str, tmp_path: Path) -> None:
     os.mkfifo(path)
     output = ["-o", tmp_path / "run"] if command == "slam" else []
     assert_one_line(run(command, path, *output), "it is a pipe or a device; copy it")
+
+
+@pytest.mark.parametrize("command", ["info", "slam"])
+def test_a_run_is_not_taken_for_a_recording(command: str, mug_file: Path, tmp_path: Path) -> None:
+    """Its run.mcap holds depth, too, of a few frames."""
+    (tmp_path / "mug.run" / "stages").mkdir(parents=True)
+    shutil.copy(mug_file, tmp_path / "mug.run" / "run.mcap")
+    output = ["-o", tmp_path / "run"] if command == "slam" else []
+    assert_one_line(run(command, tmp_path / "mug.run", *output), "is a run, not a recording")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("command", ["info", "review", "report"])
