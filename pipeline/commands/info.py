@@ -120,7 +120,7 @@ def _warnings(depth: DepthOverview) -> list[str]:
 def _depth_lines(overview: Overview) -> list[str]:
     depth = overview.depth
     if depth is None:
-        return [*_candidate_lines(overview), "depth   " + ("undecided" if overview.candidates else "none")]
+        return [*_candidate_lines(overview), f"depth   {_why_none(overview)}"]
     size = f"{depth.size[0]}x{depth.size[1]}"
     return [
         *_candidate_lines(overview),
@@ -130,6 +130,18 @@ def _depth_lines(overview: Overview) -> list[str]:
         f"colour  {_colour(depth)}",
         *_gap_lines(depth.pace),
     ]
+
+
+def _why_none(overview: Overview) -> str:
+    """Why no depth topic is taken, and what to do."""
+    if overview.candidates:
+        return "undecided"
+    if not any(topic.messages for topic in overview.topics):
+        return "none: there is no message"
+    return (
+        "none: no topic holds 16-bit or float images, compressedDepth or point clouds; one colour image: "
+        "voxscene parse --colour only"
+    )
 
 
 def _candidate_lines(overview: Overview) -> list[str]:

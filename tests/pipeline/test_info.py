@@ -107,6 +107,10 @@ def test_a_recording_without_depth_is_no_error(tmp_path):
     assert document["depth_frames"] == 0
     assert document["width"] is document["fx"] is None
     assert document["duration_s"] == 2.0
+    assert "none: no topic holds 16-bit or float images" in run("info", path).stdout
+    with RecordingWriter(tmp_path / "empty.mcap"):
+        pass
+    assert "depth   none: there is no message" in run("info", tmp_path / "empty.mcap").stdout
 
 
 def test_options_reach_the_reader(recording):
