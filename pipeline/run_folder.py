@@ -117,6 +117,7 @@ class RunFolder:
         self.path = path
         self.force = force
         self.checkpoint_path: Path | None = None
+        self._told: set[str] = set()
 
     def stage(
         self,
@@ -150,7 +151,7 @@ class RunFolder:
         record = self.record(name)
         if self.force or record is None or record.fingerprint != fingerprint:
             if record is not None and not self.force:
-                _tell_difference(name, record.settings, plain_values(settings))
+                self._tell_difference(name, record.settings, plain_values(settings))
             self._expect_checkpoint(name, fingerprint)
             seconds, compile_s = self._compute(name, compute)
             record = StageRecord(
@@ -263,6 +264,15 @@ class RunFolder:
             raise PipelineError(f"cannot write {path}: {error.strerror or error}") from error
         return round(timing.seconds, 6), round(timing.compile_s, 6)
 
+    def _tell_difference(self, stage: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+        """Say once which settings are others than those that a stage was made with, if any are."""
+        one, other = _by_name(before), _by_name(now)
+        differ = [name for name in sorted({*one, *other}) if one.get(name) != other.get(name)]
+        told = ", ".join(f"{name} was {one.get(name, 'not set')}" for name in differ)
+        if told and told not in self._told:
+            log.warning("%s is made again: %s", stage, told)
+        self._told.add(told)
+
     def _tell_other_cores(self, record: StageRecord) -> None:
         """Say where a run goes on with other cores or versions, for its last bits are a mixture then."""
         for used in record.uses:
@@ -276,15 +286,6 @@ class RunFolder:
 
     def _record_path(self, name: str) -> Path:
         return self.path / "stages" / f"{name}.json"
-
-
-def _tell_difference(stage: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Say which settings are others than those that a stage was made with, if any are."""
-    one, other = _by_name(before), _by_name(now)
-    differ = [name for name in sorted({*one, *other}) if one.get(name) != other.get(name)]
-    if differ:
-        told = ", ".join(f"{name} was {one.get(name, 'not set')}" for name in differ)
-        log.warning("%s is made again: %s", stage, told)
 
 
 def _by_name(settings: Mapping[str, Any], above: str = "") -> dict[str, Any]:

@@ -59,14 +59,16 @@ def slam(
 
 
 def test_settings_that_make_a_stage_again_are_told(tmp_path: Path) -> None:
-    """By name, with what they were; not of a stage that is unchanged, or made for the first time."""
+    """By name, with what they were, once; not of a stage that is unchanged, or made for the first time."""
     said = list[str]()
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
     log.addHandler(handler)
     try:
         for particles in (8, 8, 16):
-            slam(RunFolder(tmp_path), Work(), {"slam": {"particles": particles, "proposal": "enumerate"}})
+            run, settings = RunFolder(tmp_path), {"slam": {"particles": particles, "proposal": "enumerate"}}
+            slam(run, Work(), settings)
+            run.stage("room", Text.load, Work(), settings=settings, inputs={})
     finally:
         log.removeHandler(handler)
 
