@@ -182,3 +182,34 @@ def test_what_a_search_may_not_have_found_is_told_more_widely_of_each_further_ke
 
     np.testing.assert_allclose(told, 0.0, atol=1e-6)
     np.testing.assert_allclose(unsure, 0.25 * np.stack([0.0 * step, step, 2.0 * step]), atol=1e-6)
+
+
+def test_the_reported_covariance_is_that_of_the_heavier_tails(key):
+    """A Student-t of 13 degrees of freedom has 13/11 of the square of its scale as its covariance.
+
+    Of a keyframe whose own is known, at which the frame stands.
+    """
+    poses = jnp.stack([jnp.asarray(IDENTITY), ANCHOR])
+    history = History()
+    for number in range(2):
+        history.append(number, replace(first_frame_info(4), keyframes=number + 1))
+    of_noise = np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
+    placed = replace(
+        _placed(poses, [True] * 2, np.zeros((2, 6, 3))),
+        factor=np.zeros((1, NODES, 3)),
+        covariances=np.stack([0.0 * of_noise, of_noise])[None],
+    )
+    maps = MapMixture(
+        poses=np.asarray(poses)[None],
+        probabilities=np.ones(1),
+        hypotheses=np.zeros(1, int),
+        known=(None,),
+    )
+    camera = CameraIntrinsics(width=8, height=6, fx=8.0, fy=8.0, cx=3.5, cy=2.5)
+
+    result = smoothed(key, history, maps, placed, camera)
+
+    freedom = float(result.degrees_of_freedom)
+    expected = np.stack([0.0 * of_noise, freedom / (freedom - 2.0) * of_noise])
+    np.testing.assert_allclose(result.covariance, expected, atol=1e-6)
+    assert freedom == 13.0

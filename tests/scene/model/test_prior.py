@@ -14,6 +14,7 @@ from scene.model.prior import (
     contact_of,
     log_floating,
     log_parameters,
+    log_pose_given_faces,
     sample_pose,
     supporting_face_probabilities,
 )
@@ -86,7 +87,8 @@ def test_contact_table_is_the_contact_density(key: jax.Array) -> None:
 def test_contact_measure_is_eight_times_the_pose_measure(key: jax.Array) -> None:
     """Over floating poses in a cuboid round the parent, E[sum 8 p_contact / p_floating] = 1.
 
-    kappa = 10; with 8 and 1/8 swapped, or left out, it is 1/64 or 1/8.
+    kappa = 10; with 8 and 1/8 swapped, or left out, it is 1/64 or 1/8. So it is of poses given the parent's
+    top face, whose probability is 0.64, and each of the child's.
     """
     model = cube_model(2, upward_concentration=2.0)
     half = jnp.full(3, 4.0)
@@ -107,7 +109,20 @@ def test_contact_measure_is_eight_times_the_pose_measure(key: jax.Array) -> None
         contacts = (
             jnp.exp(LOG_CONTACT_JACOBIAN) * contact_densities(wide, model.bodies, poses, jnp.array(1))[0]
         )
-        return jnp.sum(contacts) / jnp.exp(log_floating(wide, child[4:]))
+
+        def given(child_face: jax.Array) -> jax.Array:
+            scene = SceneGraph(
+                parents=jnp.array([-1, 0]),
+                child_faces=jnp.stack([jnp.array(0), child_face]),
+                parent_faces=jnp.array([0, 5]),
+                poses=poses,
+                present=jnp.ones(2, bool),
+            )
+            return jnp.exp(log_pose_given_faces(wide, model.bodies, scene, jnp.array(1)))
+
+        given_top = jax.vmap(given)(jnp.arange(6))
+        densities = jnp.stack([jnp.sum(contacts), jnp.mean(given_top)])
+        return densities / jnp.exp(log_floating(wide, child[4:]))
 
     ratios = jax.lax.map(ratio, jax.random.uniform(key, (400_000, 9)), batch_size=20_000)
 
