@@ -7,11 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise, Frame
+from shapes.geometry import pose_gaussian
 from shapes.geometry.poses import single_precision_poses
-from slam.filter.rival_motion import Doubt, RivalMotion, doubt_of_frame
+from slam.filter.rival_motion import BENT, Doubt, RivalMotion, _judged, doubt_of_frame
 from slam.keyframes.depth_view import CanvasView, view_of_frame
 from slam.keyframes.surfels import surfel_image
 from slam.likelihood.noise_calibration import NoiseCalibration
+from slam.registration.second_motion import TwoMotions
 from tests.slam import box_room
 
 NOISE = DepthNoise()
@@ -65,3 +67,26 @@ def test_doubt_stays_where_the_earlier_view_says_nothing() -> None:
 
     assert doubt.shift_m >= 0.03
     np.testing.assert_array_equal(kept.of_keyframes[1], ASIDE)
+
+
+def test_what_two_motions_leave_open_is_the_second_moment_of_both(seed: int) -> None:
+    """Each is right with its share: sum p d d' + p C of the other one, a quarter of whose step may bend."""
+    rng = np.random.default_rng(seed)
+    first = _in_start(START)
+    step = np.asarray([0.04, -0.02, 0.01, 0.02, 0.0, -0.03])
+    factor = 0.01 * rng.normal(size=(6, 6))
+    two = TwoMotions(
+        poses=jnp.stack([first, pose_gaussian.displace(first, jnp.asarray(step, jnp.float32))]),
+        covariances=jnp.asarray(np.stack([0 * factor, factor @ factor.T]), jnp.float32),
+        shares=jnp.asarray([0.45, 0.3]),
+        explained=jnp.asarray(0.75),
+        log_odds=jnp.asarray(9.0),
+    )
+
+    displacements, share, _ = _judged(two, first, jnp.zeros((6, 8)))
+
+    size = np.repeat(np.linalg.norm(step.reshape(2, 3), axis=1), 3)
+    of_other = factor @ factor.T + np.diag((BENT * size) ** 2)
+    expected = 0.4 * (np.outer(step, step) + of_other)
+    np.testing.assert_allclose(displacements @ displacements.T, expected, atol=2e-7)
+    assert float(share) == pytest.approx(0.3)
