@@ -138,7 +138,7 @@ def test_what_stands_on_a_lookalike_stays(can_is_there: bool, seed: int) -> None
     assert log_odds[BOX] > EXPECTED
 
 
-@pytest.mark.xfail(reason=LOOKALIKES_STAY, strict=True)
+@pytest.mark.xfail(reason=LOOKALIKES_STAY, raises=AssertionError, strict=True)
 def test_a_lookalike_is_told_absent(seed: int) -> None:
     """A can is not in the drum's place, whatever the noise: in none of five images."""
     with jax.enable_x64(False):  # as the program starts it
@@ -148,7 +148,7 @@ def test_a_lookalike_is_told_absent(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason=LOOKALIKES_STAY, strict=False)
+@pytest.mark.xfail(reason=LOOKALIKES_STAY, raises=AssertionError, strict=False)
 @pytest.mark.parametrize("can_beside", [True, False])
 def test_what_a_lookalike_hid_is_sought_once_more(can_beside: bool, key: jax.Array, seed: int) -> None:
     """The can was put in the drum's place: found beside it where it is, and nowhere where it is not."""

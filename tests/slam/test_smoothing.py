@@ -187,12 +187,14 @@ def test_what_a_search_may_not_have_found_is_told_more_widely_of_each_further_ke
 def test_the_reported_covariance_is_that_of_the_heavier_tails(key):
     """A Student-t of 13 degrees of freedom has 13/11 of the square of its scale as its covariance.
 
-    Of a keyframe whose own is known, at which the frame stands.
+    Of a keyframe whose own is known, at which the frame stands; what a second motion leaves open is added.
     """
     poses = jnp.stack([jnp.asarray(IDENTITY), ANCHOR])
+    displacements = np.random.default_rng(0).normal(scale=0.02, size=(6, 8)).astype(np.float32)
+    first = first_frame_info(4)
     history = History()
-    for number in range(2):
-        history.append(number, replace(first_frame_info(4), keyframes=number + 1))
+    for number, doubt in enumerate((first.doubt, replace(first.doubt, displacements=displacements))):
+        history.append(number, replace(first, keyframes=number + 1, doubt=doubt))
     of_noise = np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
     placed = replace(
         _placed(poses, [True] * 2, np.zeros((2, 6, 3))),
@@ -210,6 +212,7 @@ def test_the_reported_covariance_is_that_of_the_heavier_tails(key):
     result = smoothed(key, history, maps, placed, camera)
 
     freedom = float(result.degrees_of_freedom)
-    expected = np.stack([0.0 * of_noise, freedom / (freedom - 2.0) * of_noise])
+    open_to = displacements.astype(np.float64) @ displacements.T
+    expected = np.stack([0.0 * of_noise, freedom / (freedom - 2.0) * of_noise + open_to])
     np.testing.assert_allclose(result.covariance, expected, atol=1e-6)
     assert freedom == 13.0

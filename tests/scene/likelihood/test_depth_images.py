@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from recordings.types import DepthNoise
 from scene.likelihood.colour_density import ColourDensity
 from scene.likelihood.colour_layers import ColourLayers, ColourTables, ComparedColours
-from scene.likelihood.depth_images import DepthLikelihood
+from scene.likelihood.depth_images import DepthLikelihood, _log_mean_exp
 from scene.likelihood.object_density import object_densities
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import PixelDensity
@@ -327,3 +327,11 @@ def test_colours_are_one_more_factor(
 
     assert abs(expected) > 1
     assert values[1] - values[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_an_estimate_over_shapes_is_the_mean_of_likelihoods() -> None:
+    """Not of their logs, and without overflow: of three draws in each of two rows."""
+    log_values = jnp.asarray([[-1000.0, -1001.0, -2000.0], [3.0, 3.0, 3.0]])
+
+    expected = [-1000.0 + np.log((1.0 + np.exp(-1.0)) / 3.0), 3.0]
+    np.testing.assert_allclose(_log_mean_exp(log_values), expected, atol=1e-3)

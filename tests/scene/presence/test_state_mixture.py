@@ -5,8 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
+from scene.likelihood.pixel_density import SUPPORT_ERROR
+from scene.objects.scene_object import scene_object
 from scene.presence.size_prior import SizePrior
 from scene.presence.state_mixture import StateMixture
 from tests.statistical import assert_mean
@@ -96,3 +99,18 @@ def test_sizes_are_normal_about_the_shapes(seed: int) -> None:
         np.testing.assert_allclose(
             np.diff(tied[0, :, :2]).ravel() if one else 0.0, 0.0, atol=1e-12
         )  # a can's radii are one
+
+
+def test_small_things_are_less_surely_of_their_size() -> None:
+    """Errors: of the camera's scale, and of faces over the half size; a round thing has one radius."""
+    box = trimesh.creation.box((0.1, 0.05, 0.02))
+    can = trimesh.creation.cylinder(0.03, 0.1, sections=64)
+    objects = [scene_object(name, one.vertices, one.faces) for name, one in (("box", box), ("can", can))]
+
+    sizes = SizePrior.of(objects, 2e-3)
+
+    np.testing.assert_allclose(sizes.sigma[0], np.hypot(SUPPORT_ERROR, 2e-3 / np.array([0.05, 0.025, 0.01])))
+    assert sizes.ties[0].tolist() == [0, 1, 2]
+    assert sizes.ties[1].tolist() == [0, 0, 2]
+    assert sizes.sigma[1, 0] == sizes.sigma[1, 1]
+    assert pytest.approx(0.01) == SUPPORT_ERROR

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shapes.learning.distillation import distil
+from shapes.learning.distillation import _drawn, distil
 
 PARTICLES, VOXELS = 5, 8
 
@@ -44,3 +44,18 @@ def test_nothing_random_is_nearer(particles: tuple[jax.Array, jax.Array], seed: 
     tried = jnp.asarray(np.random.default_rng(seed + 1).uniform(0.01, 0.99, (1000, VOXELS)), jnp.float32)
     others = jax.vmap(lambda one: divergence(one, phi, log_weights))(tried)
     assert float(best) <= float(others.min())
+
+
+@pytest.mark.parametrize("count", [4, 2])
+def test_trajectories_that_are_equal_count_together(count: int, key: jax.Array) -> None:
+    """Two of four are one with the sum of their weights; a systematic sample has each share to 1 / count."""
+    one, other, third = np.random.default_rng(0).normal(size=(3, 5, 4, 4))
+    poses, weights = np.stack([one, other, one, third]), np.array([0.35, 0.1, 0.3, 0.25])
+
+    drawn, shares = _drawn(key, poses, np.log(weights) - 700.0, count)
+
+    expected = {one.tobytes(): 0.65, other.tobytes(): 0.1, third.tobytes(): 0.25}
+    assert sum(shares) == pytest.approx(1.0)
+    assert len({pose.tobytes() for pose in drawn}) == len(drawn)
+    for pose, share in zip(drawn, shares, strict=True):
+        assert share == pytest.approx(expected[pose.tobytes()], abs=1e-12 if count == 4 else 0.5)
