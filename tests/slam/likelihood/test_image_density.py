@@ -16,8 +16,10 @@ from slam.keyframes.planes import region_planes
 from slam.keyframes.rendering import depth_on_rays, fused_planes, planes_in_frame, render
 from slam.keyframes.surfels import surfel_image
 from slam.likelihood.image_density import (
+    ScoredPixels,
     log_density_of_mapped,
     log_image_density,
+    log_pixel_factors,
     rendered_depth,
     scored_pixels,
 )
@@ -89,6 +91,31 @@ def test_returns_have_a_normalised_density(expected, depth, in_front):
         total = trapezoid(np.exp(np.asarray(density)), np.asarray(z))
 
     assert total == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+@pytest.mark.parametrize("border", [False, True])
+def test_a_return_or_none_has_a_normalised_density(mapped: bool, border: bool) -> None:
+    """The atom of no return and the integral over returns are one, of pixels that differ in depth alone."""
+    with jax.enable_x64(True):
+        z = np.linspace(0.02, 10.5, 200_001)
+        every = np.ones(len(z) + 1)
+        foreseen = np.tile(1.5 * every, (3, 1)), 0.9 * every, 0.3 * every, 0.3 * every
+        pixels = ScoredPixels(
+            observed_m=jnp.append(jnp.asarray(z), 0.0),
+            measured=jnp.asarray(every > 0),
+            foreseen=PredictedDepth(*map(jnp.asarray, foreseen)),
+            in_front=jnp.asarray(every < 0),
+            border=jnp.asarray((every > 0) & border),
+            rays=jnp.asarray(np.outer([0.0, 0.0, 1.0], every)),
+            planes=jnp.asarray(np.outer([0.0, 0.0, 0.5], every))[None],
+            weights=jnp.asarray((0.004**-2.0 if mapped else 0.0) * every)[None],
+        )
+        at_the_keyframe = jnp.asarray([[1.0, 0, 0, 0, 0, 0, 0]])
+        factors = np.exp(np.asarray(log_pixel_factors(pixels, at_the_keyframe, NOISE)[0]))
+
+    assert factors[-1] == pytest.approx(0.3)
+    assert factors[-1] + trapezoid(factors[:-1], z) == pytest.approx(1.0, abs=3e-3)
 
 
 def test_a_hole_is_foreseen_by_its_neighbours_and_says_nothing_of_the_place():
