@@ -330,7 +330,8 @@ def test_candidates_compare_alike_under_either_of_two_renderings():
     optimum = jax.jit(optimum_at)(local_map, view, NOISE, single_precision_poses(truth))
     exponent = 0.05
     spread = jnp.linalg.cholesky(jnp.linalg.inv(exponent * optimum.layer_precisions.sum(0)))
-    candidates = [pose_gaussian.displace(optimum.pose, spread[:, i]) for i in range(6)]
+    steps = jnp.concatenate([spread, -spread], axis=1)
+    candidates = [pose_gaussian.displace(optimum.pose, step) for step in steps.T]
 
     def tempered(centre: jax.Array) -> np.ndarray:
         pixels = _scored(local_map, centre, view)
@@ -339,7 +340,8 @@ def test_candidates_compare_alike_under_either_of_two_renderings():
 
     here, there = tempered(optimum.pose), tempered(candidates[0])
 
-    np.testing.assert_allclose(here[1:] - here[0], -0.5, atol=0.5)
+    # Both ways together the slope at the optimum falls out, and half a nat is lost in every direction.
+    np.testing.assert_allclose((here[1:7] + here[7:]) / 2 - here[0], -0.5, atol=0.03)
     np.testing.assert_allclose(here - here[0], there - there[0], atol=1.5)
 
 
