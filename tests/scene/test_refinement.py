@@ -47,6 +47,27 @@ def test_particles_have_the_spread_of_a_narrow_posterior(seed: int) -> None:
     np.testing.assert_allclose(np.sqrt((white**2).mean(axis=(0, 1))), 1.0, atol=0.1)
 
 
+def test_the_prior_counts_beside_the_likelihood(seed: int) -> None:
+    """A likelihood and a prior of one shape, two of their standard deviations apart: half-way, and narrower.
+
+    In standard deviations of the likelihood, within a tenth as for one well; but for the mean along the way:
+    particles begin round the seed, not as the prior has them, and moves bring them three quarters of the way.
+    """
+    rng = np.random.default_rng(seed)
+    apart = np.array([2.0, 0, 0, 0, 0, 0])
+
+    def log_density(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        white = steps_from(CENTRES[0], poses) / SIGMA
+        return -0.5 * (white**2).sum(axis=1), -0.5 * ((white - apart) ** 2).sum(axis=1)
+
+    drawn = [anneal(rng, log_density, CENTRES[:1], PLAIN)[0] for _ in range(REPEATS)]
+    white = np.stack([steps_from(CENTRES[0], poses) / SIGMA for poses in drawn])
+    mean = white.mean(axis=(0, 1))
+    assert 0.6 < mean[0] < 1.1
+    assert np.abs(mean[1:]).max() < 0.15
+    np.testing.assert_allclose(white.std(axis=(0, 1)), np.sqrt(0.5), atol=0.1)
+
+
 def test_two_wells_get_their_shares(seed: int) -> None:
     """Of wells of like shape with odds 1 to 3, each with a seed.
 
