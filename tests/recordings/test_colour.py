@@ -17,6 +17,8 @@ from tests.recordings.samples import SECOND_NS, Scribe, camera_info, compressed_
 K = (35.0, 36.0, 18.5, 15.25)
 DEPTH = np.full((30, 40), 1000, np.uint16)
 STEP_NS = SECOND_NS // 30
+STAMPS_NS = SECOND_NS, SECOND_NS + STEP_NS
+"""Of two frames."""
 
 
 @pytest.fixture
@@ -38,6 +40,16 @@ def read(path, messages, *, colour_camera: tuple | None = K, colour_frame="camer
             scribe.ros2("/c/image", message, SECOND_NS)
     (frame,) = open_recording(path)
     return frame
+
+
+def write_two(path, colours, cameras=("/d/camera_info",)):
+    """A recording of two depth images, each with a colour message of its stamp, and the given cameras."""
+    with Scribe(path) as scribe:
+        for topic in cameras:
+            scribe.ros2(topic, camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
+        for stamp, colour in zip(STAMPS_NS, colours, strict=True):
+            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
+            scribe.ros2("/c/image", colour, stamp)
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "8UC3"])
@@ -185,12 +197,11 @@ def test_a_damaged_colour_image_costs_the_colour_only(rgb, recording_path):
     """The frame stays, the colour image is counted as lost."""
     buffer = io.BytesIO()
     Image.fromarray(rgb).save(buffer, "PNG")
-    with Scribe(recording_path) as scribe:
-        scribe.ros2("/d/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
-        for i, data in enumerate([buffer.getvalue(), buffer.getvalue()[:60]]):
-            stamp = SECOND_NS + i * STEP_NS
-            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
-            scribe.ros2("/c/image", compressed_image(stamp, "png", data), stamp)
+    images = buffer.getvalue(), buffer.getvalue()[:60]
+    write_two(
+        recording_path,
+        [compressed_image(stamp, "png", data) for stamp, data in zip(STAMPS_NS, images, strict=True)],
+    )
     recording = open_recording(recording_path)
     assert [frame.rgb is not None for frame in recording] == [True, False]
     assert recording.damage.lost_messages == 1
@@ -246,12 +257,11 @@ def test_a_first_image_that_is_cut_does_not_decide(size, rgb, recording_path):
     """Those after it come with their frames; it is counted as lost itself."""
     buffer = io.BytesIO()
     Image.fromarray(rgb).save(buffer, "JPEG", quality=95)
-    with Scribe(recording_path) as scribe:
-        scribe.ros2("/d/camera_info", camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
-        for i, data in enumerate([buffer.getvalue()[:size], buffer.getvalue()]):
-            stamp = SECOND_NS + i * STEP_NS
-            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
-            scribe.ros2("/c/image", compressed_image(stamp, "rgb8; jpeg compressed bgr8", data), stamp)
+    images, format_ = (buffer.getvalue()[:size], buffer.getvalue()), "rgb8; jpeg compressed bgr8"
+    write_two(
+        recording_path,
+        [compressed_image(stamp, format_, data) for stamp, data in zip(STAMPS_NS, images, strict=True)],
+    )
     recording = open_recording(recording_path)
     assert [frame.rgb is not None for frame in recording] == [False, True]
     assert recording.damage.lost_messages == 1
@@ -259,13 +269,12 @@ def test_a_first_image_that_is_cut_does_not_decide(size, rgb, recording_path):
 
 def test_a_first_raw_image_without_pixels_does_not_decide(rgb, recording_path):
     """As a driver sends it before the camera runs; it is counted as lost itself."""
-    with Scribe(recording_path) as scribe:
-        for topic in ("/c/camera_info", "/d/camera_info"):
-            scribe.ros2(topic, camera_info(SECOND_NS, (40, 30), K), SECOND_NS)
-        for i, pixels in enumerate([rgb[:0, :0], rgb]):
-            stamp = SECOND_NS + i * STEP_NS
-            scribe.ros2("/d/image", image(stamp, "16UC1", DEPTH), stamp)
-            scribe.ros2("/c/image", image(stamp, "rgb8", pixels), stamp)
+    images = rgb[:0, :0], rgb
+    write_two(
+        recording_path,
+        [image(stamp, "rgb8", pixels) for stamp, pixels in zip(STAMPS_NS, images, strict=True)],
+        cameras=("/c/camera_info", "/d/camera_info"),
+    )
     recording = open_recording(recording_path)
     assert [frame.rgb is not None for frame in recording] == [False, True]
     assert recording.damage.lost_messages == 1

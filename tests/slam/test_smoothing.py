@@ -25,6 +25,7 @@ def _pose(*tangent: float) -> jax.Array:
 
 ANCHOR, DRAWN = _pose(0.3, 0.2, -0.1, 0.5, 0.2, -0.4), _pose(0.1, 0.0, 0.0, 0.0, 0.1, 0.0)
 RELATIVE = _pose(0.1, 0.7, 0.3, -0.3, 0.6, 0.2)
+CAMERA = CameraIntrinsics(width=8, height=6, fx=8.0, fy=8.0, cx=3.5, cy=2.5)
 
 
 def _placed(poses: jax.Array, held: list[bool], sensitivity: np.ndarray) -> RefinedKeyframes:
@@ -39,6 +40,16 @@ def _placed(poses: jax.Array, held: list[bool], sensitivity: np.ndarray) -> Refi
         disparity_per_m=np.zeros((1, 63)),
         sd_per_m=np.ones((1, 63)),
         sensitivity=sensitivity[None],
+    )
+
+
+def _one_map(poses: jax.Array) -> MapMixture:
+    """Of keyframes (N, 7), as the only hypothesis has them."""
+    return MapMixture(
+        poses=np.asarray(poses)[None],
+        probabilities=np.ones(1),
+        hypotheses=np.zeros(1, int),
+        known=(None,),
     )
 
 
@@ -167,16 +178,10 @@ def test_what_a_search_may_not_have_found_is_told_more_widely_of_each_further_ke
         history.append(number, replace(first_frame_info(4), keyframes=number + 1))
     placed = replace(_placed(poses, [True] * 3, np.zeros((3, 6, 3))), factor=np.zeros((1, NODES, 3)))
     step = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
-    sure = MapMixture(
-        poses=np.asarray(poses)[None],
-        probabilities=np.ones(1),
-        hypotheses=np.zeros(1, int),
-        known=(None,),
-    )
-    camera = CameraIntrinsics(width=8, height=6, fx=8.0, fy=8.0, cx=3.5, cy=2.5)
+    sure = _one_map(poses)
 
     told, unsure = (
-        smoothed(key, history, maps, placed, camera).covariance
+        smoothed(key, history, maps, placed, CAMERA).covariance
         for maps in (sure, replace(sure, undiscovered=0.25, unseen_step=step))
     )
 
@@ -201,15 +206,8 @@ def test_the_reported_covariance_is_that_of_the_heavier_tails(key):
         factor=np.zeros((1, NODES, 3)),
         covariances=np.stack([0.0 * of_noise, of_noise])[None],
     )
-    maps = MapMixture(
-        poses=np.asarray(poses)[None],
-        probabilities=np.ones(1),
-        hypotheses=np.zeros(1, int),
-        known=(None,),
-    )
-    camera = CameraIntrinsics(width=8, height=6, fx=8.0, fy=8.0, cx=3.5, cy=2.5)
 
-    result = smoothed(key, history, maps, placed, camera)
+    result = smoothed(key, history, _one_map(poses), placed, CAMERA)
 
     freedom = float(result.degrees_of_freedom)
     open_to = displacements.astype(np.float64) @ displacements.T
