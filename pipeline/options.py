@@ -195,7 +195,9 @@ class RecordingSource:
     said: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        if (self.path / "stages").is_dir():
+        from pipeline.run_folder import holds_stages
+
+        if holds_stages(self.path):
             raise PipelineError(f"{self.path} is a run, not a recording; name what it was made from")
 
     @property

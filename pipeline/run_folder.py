@@ -36,6 +36,11 @@ INPUTS = Path("stages", "inputs.json")
 """Within a run folder: what it was made from."""
 
 
+def holds_stages(folder: Path) -> bool:
+    """Whether a folder is a run folder, of one recording or of a project."""
+    return (folder / INPUTS.parent).is_dir()
+
+
 def read_inputs(path: Path) -> dict[str, str] | None:
     """What a run folder was made from; None where it is new or was cut off before it was known."""
     try:

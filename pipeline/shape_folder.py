@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.errors import PipelineError
 from pipeline.fingerprints import file_hash
+from pipeline.run_folder import holds_stages
 from pipeline.surfaces import MESH_SUFFIXES, SceneSurface
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def _shapes_of(folder: Path) -> Path:
         raise PipelineError(f"no folder of shapes {folder}")
     if (folder / "shapes").is_dir():
         return folder / "shapes"
-    if (folder / "stages").is_dir():
+    if holds_stages(folder):
         raise PipelineError(
             f"{folder} is a run without learned shapes; make one: voxscene learn REC -o {folder}"
         )

@@ -58,6 +58,7 @@ def command(
 
     Of a project's run folder, every recording's run is opened; a picture shows the last of them.
     """
+    from pipeline.run_folder import RunFolder, holds_stages
     from pipeline.views.screenshot import take_screenshot
     from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrd_with_truth, rrds_of, serve_viewer
 
@@ -77,12 +78,12 @@ def command(
     else:
         rrds = [rrd_with_truth(run, truth)] if truth else rrds_of(run, rebuild=rebuild)
     if not rrds:
-        if (run / "stages/inputs.json").is_file() and len([*run.glob("stages/**/*.json")]) == 1:
-            raise PipelineError(f"{run} holds no finished stage; the command that began it goes on with it")
-        if any(run.glob("stages/*.json")):
+        if any(RunFolder(one).changed for one in [run, *run.glob("recordings/*")]):
             raise PipelineError(
                 f"{run} is of another version, or was changed by hand; the command that made it makes it anew"
             )
+        if holds_stages(run):
+            raise PipelineError(f"{run} holds no finished stage; the command that began it goes on with it")
         raise PipelineError(f"{run} holds no run; make one with voxscene slam, learn, parse or demo")
     if screenshot:
         take_screenshot(rrds, screenshot, (width, height), frame)

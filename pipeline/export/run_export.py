@@ -58,8 +58,9 @@ def export_run(
     values = RunValues.load(RunFolder(run, force=False))
     posed = _posed_objects(values, options.unseen)
     geometry: Geometry | None = room if room is not None else _points(values)
+    held = _held_parts(values, geometry)
     for form in formats:
-        if not _has(values, form, room):
+        if _part(form) not in held:
             raise PipelineError(f"--format {form}: {run} {MISSING[_part(form)]}")
     if geometry is not None and ROOM in posed and not set(formats).isdisjoint(SCENE_FORMATS):
         raise PipelineError(
@@ -91,18 +92,19 @@ def export_run(
 def held_formats(run: Path, formats: Sequence[str]) -> list[str]:
     """Those of the formats for which the run holds something."""
     values = RunValues.load(RunFolder(run, force=False))
-    return [form for form in formats if _has(values, form)]
+    held = _held_parts(values, _points(values))
+    return [form for form in formats if _part(form) in held]
 
 
-def _has(values: RunValues, form: str, room: trimesh.Trimesh | None = None) -> bool:
-    """Whether there is something to write in a format."""
+def _held_parts(values: RunValues, geometry: Geometry | None) -> set[str]:
+    """What there is of a run whose room is that geometry, as `MISSING` names it."""
     found = values.scene is not None and len(values.scene.found_poses) > 0
     parts = {
-        "scene": room is not None or _points(values) is not None or bool(values.shapes) or found,
+        "scene": geometry is not None or bool(values.shapes) or found,
         "shapes": bool(values.shapes),
         "objects": bool(values.shapes or (values.surfaces and values.surfaces.by_name)),
     }
-    return parts[_part(form)]
+    return {part for part, is_there in parts.items() if is_there}
 
 
 def _part(form: str) -> str:
