@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.likelihood.colour_layers import ColourLayers, ComparedColours
+from scene.likelihood.earlier_frames import earlier_depths
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.objects.scene_object import SceneObject
@@ -25,7 +26,7 @@ class ComparedFrames:
 
     Attributes:
         views: the frames, prepared.
-        densities: of their windows.
+        densities: of their windows, of each given those before it, of which the searched one is the first.
         camera_from_world: (F, 4, 4).
         searched: number of the frame that was searched.
         world_from_camera: (4, 4) of that frame.
@@ -63,19 +64,16 @@ class ComparedFrames:
             learned: how well pixels foretell each other.
             config: settings.
         """
-        windows, error_m = [view.window for view in views], config.model_error_m
-        densities = [
-            PixelDensity.of(window.depth_m, view.support_m, noise, error_m, window.stride, learned)
-            for view, window in zip(views, windows, strict=True)
-        ]
         data = views[searched]
         camera_from_table = data.table.camera_from_table if data.table else np.eye(4)
         world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
         world_from_first = world_from_camera @ np.linalg.inv(first_camera_from_camera[searched])
+        camera_from_world = np.linalg.inv(world_from_first @ first_camera_from_camera)
+        densities = frame_densities(views, searched, camera_from_world, noise, learned, config.model_error_m)
         return cls(
             views=views,
             densities=densities,
-            camera_from_world=np.linalg.inv(world_from_first @ first_camera_from_camera),
+            camera_from_world=camera_from_world,
             searched=searched,
             world_from_camera=world_from_camera,
             colours=ColourLayers.of(data, objects, densities[searched], config.gamma),
@@ -110,3 +108,30 @@ class ComparedFrames:
         return ComparedColours(
             self.colours.of_objects(objects), jnp.float32(self.colour_weight), self.searched
         )
+
+
+def frame_densities(
+    views: Sequence[SceneData],
+    first: int,
+    camera_from_world: NDArray[np.float64],
+    noise: DepthNoise,
+    learned: UnknownWeights,
+    shape_sigma_m: float,
+) -> list[PixelDensity]:
+    """The density of each frame given those before it: one comes first, then the others as they come.
+
+    Args:
+        views: F frames.
+        first: number of the one that has none before it.
+        camera_from_world: (F, 4, 4).
+        noise: of the sensor.
+        learned: how well pixels foretell each other.
+        shape_sigma_m: error of objects' surfaces.
+    """
+    windows, order = [view.window for view in views], sorted(range(len(views)), key=lambda one: one != first)
+    earlier_m = earlier_depths(views, camera_from_world, order)
+    learned = learned.with_earlier([window.depth_m for window in windows], earlier_m, noise)
+    return [
+        PixelDensity.of(window.depth_m, view.support_m, noise, shape_sigma_m, window.stride, learned, told_m)
+        for view, window, told_m in zip(views, windows, earlier_m, strict=True)
+    ]

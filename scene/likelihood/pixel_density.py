@@ -50,19 +50,23 @@ class ImageTerms:
         observed_m: `NO_RETURN` where nothing was measured.
         rest_m: depth of the supports, +inf where none is.
         unknown: what else the pixels may show.
-        parts: (5, H, W) density at the observed depth of what both neighbours, the left, the upper, the upper
-            right one foretell of unknown things, and of one that begins here.
-        shares: (4, H, W) weights of the first four.
+        earlier_m: what an earlier frame has measured there, `NO_RETURN` where none has.
+        parts: (6, H, W) density at the observed depth of what both neighbours, the left, the upper, the upper
+            right one and an earlier frame foretell of unknown things, and of one that begins here.
+        shares: (5, H, W) weights of the first five.
         behind: probability that a pixel shows the supports.
+        behind_earlier: that an earlier frame does.
         rest: what pixels show of the supports.
     """
 
     observed_m: jax.Array
+    earlier_m: jax.Array
     rest_m: jax.Array
     unknown: UnknownSurfaces
     parts: jax.Array
     shares: jax.Array
     behind: jax.Array
+    behind_earlier: jax.Array
     rest: Shown
 
 
@@ -109,11 +113,14 @@ class ObjectImages:
     pixels: ObjectPixels
     surfaces: SurfaceImages
 
-    def share(self, factors: PixelFactors, before: SurfaceBefore, places: Places) -> jax.Array:
+    def share(
+        self, factors: PixelFactors, surface: Surface, before: SurfaceBefore, places: Places
+    ) -> jax.Array:
         """Probability (P,) of the objects' side of their outlines at listed pixels."""
         inner, outer = places.beside(self.pixels.inner), places.beside(self.pixels.outer)
-        within = 1 - factors.shifted(inner, lambda *by: 1 - before.shows(*by))
-        beside = factors.shifted(outer, before.shows)
+        earlier = factors.shows_earlier(surface)
+        within = 1 - factors.shifted(inner, lambda *by: 1 - before.shows(*by), 1 - earlier)
+        beside = factors.shifted(outer, before.shows, earlier)
         return jnp.where(places.of(self.pixels.covers), within, beside)
 
 
@@ -147,6 +154,7 @@ class PixelDensity:
         shape_sigma_m: float,
         stride: int,
         learned: UnknownWeights | None = None,
+        earlier_m: NDArray[np.float32] | None = None,
     ) -> PixelDensity:
         """The density of every `stride`-th pixel (H, W) of an image.
 
@@ -157,42 +165,50 @@ class PixelDensity:
             shape_sigma_m: error of objects' surfaces.
             stride: pixels of the image from one of these to the next.
             learned: how well they foretell each other; None learns it from these pixels.
+            earlier_m: (H, W) what an earlier frame has measured there, `NO_RETURN` where none has; None has
+                no such frame.
         """
         learned = learned or UnknownWeights.learned([depth_m], noise)
+        if earlier_m is None:
+            earlier_m = np.full_like(depth_m, NO_RETURN)
         numbers = noise, shape_sigma_m, min(1.0, EDGE_PX / stride), learned
         with jax.enable_x64(False):
-            return _of_image(depth_m, rest_m, *jax.tree.map(np.float32, numbers))
+            return _of_image(depth_m, earlier_m, rest_m, *jax.tree.map(np.float32, numbers))
 
     @classmethod
     def of_image(
         cls,
         observed_m: jax.Array,
+        earlier_m: jax.Array,
         rest_m: jax.Array,
         noise: DepthNoise,
         shape_sigma_m: jax.Array,
         edge_reach: jax.Array,
         learned: UnknownWeights,
     ) -> PixelDensity:
-        """The density of an image (H, W) before supports (H, W) with all that is learned of its sensor."""
-        unknown = UnknownSurfaces.of(observed_m, noise, learned)
+        """The density of an image (H, W) before supports (H, W) with all that is learned of its sensor.
+
+        Given what an earlier frame has measured (H, W).
+        """
+        unknown = UnknownSurfaces.of(observed_m, earlier_m, noise, learned)
         parts = [*unknown.density_parts(observed_m), unknown.new_density(observed_m)]
         blank = jnp.zeros_like(observed_m)
         nothing = Shown(blank, blank, blank, blank, [blank] * len(parts))
-        terms = ImageTerms(
-            observed_m, rest_m, unknown, jnp.stack(parts), jnp.stack(unknown.shares()), blank, nothing
-        )
+        foretold = jnp.stack(parts), jnp.stack(unknown.shares())
+        terms = ImageTerms(observed_m, earlier_m, rest_m, unknown, *foretold, blank, blank, nothing)
         density = cls(noise, shape_sigma_m, edge_reach, learned, terms, blank)
         one, everywhere = density.stacked(), Places.everywhere(blank.shape)
         supports = one.support_images()
         surface, before = supports.at(everywhere)
         factors = one.factors(everywhere)
-        shown = factors.shown(surface, before)
-        unknown = factors.unknown_beside(before.shows, everywhere.beside(blank[None]))
+        shown, earlier = factors.shown(surface, before), factors.shows_earlier(surface)
+        no_object = everywhere.beside(blank[None])
+        unknown = factors.unknown_beside(before.shows, no_object, earlier, no_object(0, 0))
         log_rest = jnp.log(factors.density(shown, unknown))
-        behind, rest = jax.tree.map(
-            lambda leaf: leaf.reshape(*leaf.shape[:-1], *blank.shape), (before.shows(0, 0), shown)
+        behind, behind_earlier, rest = jax.tree.map(
+            lambda leaf: leaf.reshape(*leaf.shape[:-1], *blank.shape), (before.shows(0, 0), earlier, shown)
         )
-        terms = replace(terms, behind=behind, rest=rest)
+        terms = replace(terms, behind=behind, behind_earlier=behind_earlier, rest=rest)
         return replace(density, image=terms, log_rest=log_rest.reshape(blank.shape))
 
     def stacked(self) -> PixelDensity:
@@ -226,10 +242,10 @@ class PixelDensity:
         own, own_before = one.with_badly_foretold(objects.surfaces).at(places)
         other, other_before = one.support_images().at(places)
         factors = one.factors(places)
-        unknown = one._unknown_at(factors, own_before, places)
+        unknown = one._unknown_at(factors, own, own_before, places)
         own_m = factors.drawn(own_key, own, own_before, unknown)
         other_m = factors.drawn(other_key, other, other_before, unknown)
-        is_own = jax.random.uniform(side_key, own_m.shape) < objects.share(factors, own_before, places)
+        is_own = jax.random.uniform(side_key, own_m.shape) < objects.share(factors, own, own_before, places)
         return jnp.where(is_own, own_m, other_m)
 
     def object_images(self, pixels: ObjectPixels, parts: ImageParts) -> ObjectImages:
@@ -274,16 +290,23 @@ class PixelDensity:
         in_frames = parts.in_images(places)
         factors = self.factors(in_frames)
         surface, before = objects.surfaces.at(places)
-        unknown = self._unknown_at(factors, before, in_frames)
-        share = objects.share(factors, before, places)
+        unknown = self._unknown_at(factors, surface, before, in_frames)
+        share = objects.share(factors, surface, before, places)
         own = factors.density(factors.shown(surface, before), unknown)
         other = factors.density(jax.tree.map(in_frames.of, self.image.rest), unknown)
         return jnp.log(share * own + (1 - share) * other)
 
-    def _unknown_at(self, factors: PixelFactors, before: SurfaceBefore, places: Places) -> Unknown:
+    def _unknown_at(
+        self, factors: PixelFactors, surface: Surface, before: SurfaceBefore, places: Places
+    ) -> Unknown:
         """What listed pixels (P,) of the F images may show beside an object and the supports."""
-        behind = places.beside(self.image.behind)
-        return factors.unknown_beside(lambda *by: jnp.maximum(before.shows(*by), behind(*by)), before.shows)
+        behind, earlier = places.beside(self.image.behind), factors.shows_earlier(surface)
+        return factors.unknown_beside(
+            lambda *by: jnp.maximum(before.shows(*by), behind(*by)),
+            before.shows,
+            jnp.maximum(earlier, places.of(self.image.behind_earlier)),
+            earlier,
+        )
 
     def shown_by(self, layer_m: jax.Array) -> jax.Array:
         """Probability (H, W) that a pixel shows an object's layer (H, W), by its own depth; 0 beside it.
@@ -318,6 +341,7 @@ class PixelDensity:
             weights=weights,
             scales=scales,
             observed_m=observed_m(0, 0),
+            earlier_m=places.of(image.earlier_m),
             unknown=UnknownSurfaces(
                 means_m, sigmas_m, shares, columns, places.of_images(self.learned.reach_m)
             ),

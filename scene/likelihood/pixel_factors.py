@@ -13,7 +13,9 @@ the surface is not where it should be. The scene's part
 foretells the residual z - d as u foretells the depth: errors of neighbouring pixels are alike, so that those
 before it that show the same surface foretell r_k, with the weights and scales of u. Where nothing is curved
 both are as sharp. Whether a neighbour shows the surface is told by its own measurement alone, and so are
-kappa and m: unknown things and errors come in pieces. Everything that a factor looks at is the scene or a
+kappa and m: unknown things and errors come in pieces. So does an earlier frame that measured what is there,
+whose errors but for its noise are this one's, too: it foretells z itself, and tells of kappa, m and outlines,
+with the weight that `UnknownWeights` has of it (`scene.likelihood.earlier_frames`). Everything that a factor looks at is the scene or a
 pixel before, so that the product is a density of the image (docs/model.md).
 
 Pixels come in a list: an object covers a small part of an image, and a factor needs few pixels beside it.
@@ -33,6 +35,7 @@ from scene.likelihood.pixel_places import Near
 from scene.likelihood.unknown_surfaces import (
     EDGES,
     NO_EDGE,
+    PREDICTIONS,
     UnknownSurfaces,
     drawn_normal,
     is_surprising,
@@ -49,9 +52,14 @@ LEAST_DENSITY = 1e-8
 UNKNOWN, CHANGES = 0.5, 0.05
 """kappa where nothing was measured before, and the probability that a pixel's neighbour shows the scene
 where it shows something unknown, or the other way round: what stands about is some ten pixels wide."""
+APPEARS = CHANGES**2
+"""The same from one frame to the next, where it is the same place that both see."""
 MISSING, MISSING_ON = 0.002, 0.25
 """Probability that a surface ends before its outline, or is not there, at a pixel, and beside such pixels.
 Counted on YCB-Video's 0001/10 and 0002/1 where their objects were found: 2 of 1,555 pixels, 1 of 4 beside."""
+
+
+(EARLIER,) = PREDICTIONS[-1]
 
 
 @dataclass(frozen=True)
@@ -96,8 +104,8 @@ class Shown:
         scene: (...) the scene's part a.
         missing: (...) probability that the surface is not where it should be.
         in_front: (...) Phi((d - z) / sigma).
-        before: five (...) of what both neighbours, the left, the upper, the upper right one foretell, and of
-            what begins here, the probability that it is nearer.
+        before: six (...) of what both neighbours, the left, the upper, the upper right one and an earlier
+            frame foretell, and of what begins here, the probability that it is nearer.
     """
 
     there: jax.Array
@@ -138,7 +146,7 @@ class Unknown:
 
     Attributes:
         kappa: (P,) probability of something unknown.
-        weights: five (P,) of what it may be.
+        weights: six (P,) of what it may be.
         density: (P,) u, at the observed depth.
     """
 
@@ -158,9 +166,10 @@ class PixelFactors:
             and where one was not.
         scales: (K, P) of these, over the sensor's standard deviation.
         observed_m: (P,).
+        earlier_m: (P,) what an earlier frame has measured there, `NO_RETURN` where none has.
         unknown: what else the pixels may show, leaves (..., P).
-        parts: (5, P) as `ImageTerms` has them.
-        shares: (4, P) likewise.
+        parts: (6, P) as `ImageTerms` has them.
+        shares: (5, P) likewise.
         measured: whether anything was measured beside them.
     """
 
@@ -169,16 +178,33 @@ class PixelFactors:
     weights: jax.Array
     scales: jax.Array
     observed_m: jax.Array
+    earlier_m: jax.Array
     unknown: UnknownSurfaces
     parts: jax.Array
     shares: jax.Array
     measured: Near
 
-    def unknown_beside(self, scene: Near, objects: Near) -> Unknown:
-        """What is unknown, where pixels beside show the scene, and its objects, with such probabilities."""
-        kept = kept_parts(objects(0, 1), objects(1, 0), objects(1, -self.unknown.columns))
+    @property
+    def earlier(self) -> jax.Array:
+        """Weight (P,) of what an earlier frame tells, 0 where none has measured."""
+        return self.unknown.weights[EARLIER]
+
+    def shows_earlier(self, surface: Surface) -> jax.Array:
+        """Probability (P,) that an earlier frame shows a surface (P,) there, by its own measurement."""
+        return surface.shows(self.earlier_m, self.noise, self.unknown.reach_m)
+
+    def unknown_beside(
+        self, scene: Near, objects: Near, scene_earlier: jax.Array, objects_earlier: jax.Array
+    ) -> Unknown:
+        """What is unknown, where pixels beside show the scene, and its objects, with such probabilities.
+
+        So does an earlier frame (P,).
+        """
+        right = objects(1, -self.unknown.columns)
+        kept = kept_parts(objects(0, 1), objects(1, 0), right, objects_earlier)
         weights = [*kept, 1 - _weighted(kept, self.shares)]
-        return Unknown(self._kappa(scene), weights, _weighted(weights, self.parts))
+        kappa = self._pooled(self._kappa(scene), APPEARS + (1 - 2 * APPEARS) * (1 - scene_earlier))
+        return Unknown(kappa, weights, _weighted(weights, self.parts))
 
     def shown(self, surface: Surface, before: SurfaceBefore) -> Shown:
         """What pixels show of a surface (P,)."""
@@ -190,7 +216,7 @@ class PixelFactors:
         return Shown(
             there=surface.there,
             scene=self._scene(surface, before),
-            missing=self._missing(before),
+            missing=self._missing(surface, before),
             in_front=normal_distribution((depth_m - self.observed_m) / sigma_m),
             before=nearer,
         )
@@ -218,14 +244,14 @@ class PixelFactors:
         anywhere = self.noise.max_range_m * chance[1]
         told = drawn_normal(keys[8], *map(jnp.stack, self._parts(surface, before)))
         seen = jnp.where(chance[2] < OUTLIERS, anywhere, told)
-        seen = jnp.where(chance[3] < self._missing(before), behind, seen)
+        seen = jnp.where(chance[3] < self._missing(surface, before), behind, seen)
         hit = jnp.where(is_thing & (thing < surface.finite_m + error_m), thing, seen)
         miss = jnp.where(is_thing, thing, anywhere)
         none_hit, none_miss = self.noise.none_hit_probability, self.noise.none_miss_probability
         none = jnp.where(surface.there | is_thing, none_hit, none_miss)
         return jnp.where(chance[4] < none, NO_RETURN, jnp.where(surface.there, hit, miss))
 
-    def shifted(self, outline: Near, other: Near) -> jax.Array:
+    def shifted(self, outline: Near, other: Near, other_earlier: jax.Array) -> jax.Array:
         """Probability (P,) that pixels at one side of an outline show its other side; 0 elsewhere.
 
         An outline is shifted with probability 1/2, as it was one pixel before but for `CHANGES`; where it is,
@@ -234,6 +260,7 @@ class PixelFactors:
         Args:
             outline: these pixels.
             other: probability that they show the other side, by their own measurement.
+            other_earlier: (P,) that an earlier frame does.
         """
         told, seen = [], []
         for by in ((0, 1), (1, 0)):
@@ -243,7 +270,8 @@ class PixelFactors:
         unseen = 0.5 * (1 - self.edge_reach) / (1 - 0.5 * self.edge_reach)
         before = unseen + (1 - unseen) * seen_other / jnp.maximum(count, 1.0)
         shifted = jnp.where(count > 0, CHANGES + (1 - 2 * CHANGES) * before, 0.5)
-        return jnp.where(outline(0, 0), self.edge_reach * shifted, 0.0)
+        shares = self._pooled(self.edge_reach * shifted, CHANGES + (1 - 2 * CHANGES) * other_earlier)
+        return jnp.where(outline(0, 0), shares, 0.0)
 
     def _scene(self, surface: Surface, before: SurfaceBefore) -> jax.Array:
         """The scene's part a (P,)."""
@@ -274,14 +302,20 @@ class PixelFactors:
             (by_right_plane, plane_m, 5, right),
             (by_three, left_m + above_m - corner_m, 6, left * above * corner),
         )
-        weights = [weight * share for weight, _, _, share in parts]
-        means_m = [depth_m + foretold_m for _, foretold_m, _, _ in parts]
-        spreads_m = [self.scales[scale] * sensor_m for _, _, scale, _ in parts]
+        earlier = self.earlier * self.shows_earlier(surface)
+        weights = [*((1 - earlier) * weight * share for weight, _, _, share in parts), earlier]
+        means_m = [*(depth_m + foretold_m for _, foretold_m, _, _ in parts), self.unknown.means_m[EARLIER]]
+        spreads_m = [*(self.scales[scale] * sensor_m for _, _, scale, _ in parts)]
+        spreads_m.append(self.unknown.sigmas_m[EARLIER])
         told = sum(weights, start=jnp.zeros_like(depth_m))
         spreads_m.append(surface.measured_sigma_m(self.noise))
         return [*weights, 1 - told], [*means_m, depth_m], spreads_m
 
-    def _missing(self, before: SurfaceBefore) -> jax.Array:
+    def _pooled(self, by_pixels: jax.Array, by_earlier: jax.Array) -> jax.Array:
+        """A probability (P,) by the pixels before and by an earlier frame, which counts by its weight."""
+        return by_pixels + self.earlier * (by_earlier - by_pixels)
+
+    def _missing(self, surface: Surface, before: SurfaceBefore) -> jax.Array:
         """Probability (P,) that a surface is not where it should be: what is behind it is seen there.
 
         Shapes, calibration and outlines are wrong in pieces.
@@ -289,7 +323,9 @@ class PixelFactors:
         left, above = (
             jnp.where(before.residual_m(*by) > 0, 1 - before.shows(*by), 0.0) for by in ((0, 1), (1, 0))
         )
-        return MISSING + (MISSING_ON - MISSING) * (left + above) / 2
+        ended = jnp.where(self.earlier_m > surface.finite_m, 1 - self.shows_earlier(surface), 0.0)
+        by_pixels = MISSING + (MISSING_ON - MISSING) * (left + above) / 2
+        return self._pooled(by_pixels, MISSING + (1 - 2 * MISSING) * ended)
 
     def _kappa(self, scene: Near) -> jax.Array:
         """Probability (P,) of something unknown, by what the pixels before show of the scene.

@@ -8,7 +8,8 @@ over predictions m_k from the measured pixels to the left and above: the plane t
 on one surface with the left one, with that above or with the first to its right that lies on another surface,
 without which outlines that lean to the left would be new in every row; the left one and that above alone; and
 their sum less the corner between them, which foretells errors that hang together. The remaining weight is
-that of a surface that begins here. On a plane inverse depth is linear in the pixel's place, so that planes
+that of a surface that begins here. Where an earlier frame of the same scene shows what is there, the depth
+that it measured has a weight and a scale of its own (`scene.likelihood.earlier_frames`). On a plane inverse depth is linear in the pixel's place, so that planes
 are fitted in inverse depth. Weights and the scales s_k are those of the sensor, at the distance from one
 compared pixel to the next: they come with its profile, or are learned from images by expectation maximisation
 (docs/model.md).
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -54,9 +55,9 @@ SURPRISE = 3.0
 """Standard deviations of the sensor that a prediction errs by in one of a hundred or so calm pixels."""
 LIKE_ALL = 20.0
 """Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
-PREDICTIONS = (0, 1, 4, 6), (2,), (3,), (5,)
+PREDICTIONS = (0, 1, 4, 6), (2,), (3,), (5,), (len(FIRST_SCALES),)
 """Those that look at the pixels to the left and above, at the left one alone, at that above alone, at the one
-to the right of that."""
+to the right of that, at an earlier frame."""
 EITHER = 4
 """The one that is there wherever one of both neighbours is, and tells of surprises."""
 assert (KINDS, len(FIRST_SCALES) + 1) == (UNKNOWN_KINDS, UNKNOWN_PARTS)  # of sensor profiles
@@ -71,11 +72,15 @@ class UnknownWeights:
         weights: (KINDS, K + 1) that sum to 1; the last is w_0.
         scales: (K,) standard deviations of predictions over that of the sensor there.
         reach_m: R.
+        earlier: weight of what an earlier frame foretells, and
+        earlier_scale: its standard deviation over that of the sensor; of a set of frames.
     """
 
     weights: jax.Array
     scales: jax.Array
     reach_m: jax.Array | float = REACH_M
+    earlier: jax.Array | float = 0.0
+    earlier_scale: jax.Array | float = 1.0
 
     @classmethod
     def of(cls, table: UnknownTable, pitch_rad: float) -> UnknownWeights:
@@ -113,6 +118,34 @@ class UnknownWeights:
             scales = np.sqrt(squares).clip(LEAST_SCALE)
         return cls(*(jax.device_put(part.astype(np.float32)) for part in (weights, scales)))
 
+    def with_earlier(
+        self,
+        images_m: Sequence[NDArray[np.float32]],
+        earlier_m: Sequence[NDArray[np.float32]],
+        noise: DepthNoise,
+    ) -> UnknownWeights:
+        """The same, with how well earlier frames foretell images, by expectation maximisation.
+
+        Args:
+            images_m: (H, W) each.
+            earlier_m: (H, W) what an earlier frame measured there, `NO_RETURN` where none did.
+            noise: of the sensor.
+        """
+        errors, sensor_m, by_pixels = [], [], []
+        for depth_m, told_m in zip(images_m, earlier_m, strict=True):
+            both = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (told_m != NO_RETURN)
+            sensor_m.append(np.asarray(standard_deviation(noise, told_m[both]), np.float64))
+            errors.append((depth_m - told_m)[both] / sensor_m[-1])
+            by_pixels.append(np.asarray(_density_by_pixels(depth_m, noise, self), np.float64)[both])
+        error, sensor, other = map(np.concatenate, (errors, sensor_m, by_pixels))
+        weight, scale = 0.5, 1.0
+        for _ in range(ITERATIONS if len(error) else 0):
+            told = weight * np.exp(-0.5 * (error / scale) ** 2) / (np.sqrt(2 * np.pi) * scale * sensor)
+            share = told / (told + (1 - weight) * other)
+            weight = float(np.clip(share.mean(), LEAST_WEIGHT, 1 - LEAST_WEIGHT))
+            scale = float(np.sqrt((share * error**2).sum() / share.sum().clip(1e-9)).clip(LEAST_SCALE))
+        return replace(self, earlier=np.float32(weight), earlier_scale=np.float32(scale))
+
 
 def _foretold(images_m: Sequence[NDArray[np.float32]], noise: DepthNoise) -> tuple[NDArray[np.float64], ...]:
     """How the measured pixels (n,) of all images are foretold.
@@ -141,9 +174,9 @@ class UnknownSurfaces:
     """The mixtures of all pixels of an image.
 
     Attributes:
-        means_m: (K, H, W) predicted depths.
-        sigmas_m: (K, H, W).
-        weights: (K + 1, H, W) that sum to 1; the last is w_0.
+        means_m: (K + 1, H, W) predicted depths, the last by an earlier frame.
+        sigmas_m: (K + 1, H, W).
+        weights: (K + 2, H, W) that sum to 1; the last is w_0.
         columns: (H, W) int32, how far to the right in the row above the upper right neighbour is.
         reach_m: R.
     """
@@ -155,22 +188,31 @@ class UnknownSurfaces:
     reach_m: jax.Array | float
 
     @classmethod
-    def of(cls, depth_m: jax.Array, noise: DepthNoise, learned: UnknownWeights) -> UnknownSurfaces:
-        """The mixtures of an image (H, W)."""
+    def of(
+        cls, depth_m: jax.Array, earlier_m: jax.Array, noise: DepthNoise, learned: UnknownWeights
+    ) -> UnknownSurfaces:
+        """The mixtures of an image (H, W), of which an earlier frame has measured (H, W)."""
         means_m, known = _predictions(depth_m, noise)
         weights = jnp.moveaxis(learned.weights[_kinds(depth_m, means_m, known, noise)], -1, 0)
         shares = weights * jnp.concatenate([known, jnp.ones_like(known[:1])])
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
         shares = shares / jnp.sum(shares, axis=0, keepdims=True)
+        seen = earlier_m != NO_RETURN
+        foretold_m, told = jnp.where(seen, earlier_m, 1.0), (learned.earlier * seen)[None]
+        shares = (1 - told) * shares
+        shares = jnp.concatenate([shares[:-1], told, shares[-1:]])
+        means_m = jnp.concatenate([means_m, foretold_m[None]])
+        spread_m = learned.earlier_scale * standard_deviation(noise, foretold_m)
+        sigmas_m = jnp.concatenate([sigmas_m, spread_m[None]])
         return cls(means_m, sigmas_m, shares, _upper_right(depth_m)[1], learned.reach_m)
 
     def density_parts(self, observed_m: jax.Array) -> list[jax.Array]:
-        """Four densities (...) at observed depths of what neighbours foretell, as `kept_parts` has them."""
+        """Five densities (...) at observed depths of what is foretold, as `kept_parts` has them."""
         foretold = zip(self.means_m, self.sigmas_m, strict=True)
         return self._by_neighbours([normal_density(observed_m, *of_mean) for of_mean in foretold])
 
     def shares(self) -> list[jax.Array]:
-        """Four weights (...) of what neighbours foretell, likewise."""
+        """Five weights (...) of what is foretold, likewise."""
         return self._by_neighbours([1.0] * len(self.means_m))
 
     def new_density(self, observed_m: jax.Array) -> jax.Array:
@@ -178,7 +220,7 @@ class UnknownSurfaces:
         return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
     def drawn(self, key: jax.Array, weights: Sequence[jax.Array]) -> jax.Array:
-        """Depths (...) drawn with five weights (...) of what neighbours foretell and of what begins here."""
+        """Depths (...) drawn with six weights (...) of what is foretold and of what begins here."""
         new_key, kind_key, key = jax.random.split(key, 3)
         of_parts = {one: group for group, members in enumerate(PREDICTIONS) for one in members}
         kept = jnp.stack([weights[of_parts[one]] for one in range(len(self.means_m))])
@@ -187,7 +229,7 @@ class UnknownSurfaces:
         return jnp.where(is_new, self.reach_m * jax.random.uniform(new_key, foretold.shape), foretold)
 
     def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> list[jax.Array]:
-        """Four probabilities (...) that what neighbours foretell is nearer than a surface so well known."""
+        """Five probabilities (...) that what is foretold is nearer than a surface so well known."""
         foretold = zip(self.means_m, self.sigmas_m, strict=True)
         distances = [(depth_m - mean_m) / jnp.hypot(of_mean_m, sigma_m) for mean_m, of_mean_m in foretold]
         return self._by_neighbours(list(map(normal_distribution, distances)))
@@ -198,7 +240,7 @@ class UnknownSurfaces:
         return sigma_m / self.reach_m * (low - high)
 
     def _by_neighbours(self, parts: Sequence[jax.Array | float]) -> list[jax.Array]:
-        """Four weighted sums (...) of K predictions (...), as `kept_parts` has them.
+        """Five weighted sums (...) of K + 1 predictions (...), as `kept_parts` has them.
 
         A list, for kernels that write to one array of several parts are scalar, and slow.
         """
@@ -206,13 +248,14 @@ class UnknownSurfaces:
         return [jnp.asarray(sum(weighted[part] for part in group)) for group in PREDICTIONS]
 
 
-def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array) -> list[jax.Array]:
-    """Four shares (...) that count of what both neighbours, the left, the upper, the upper right foretell.
+def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array, earlier: jax.Array) -> list[jax.Array]:
+    """Five shares (...) that count of what both neighbours, the left, the upper, the upper right one and an
+    earlier frame foretell.
 
     An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
     probability (...), is left out, and a surface that begins here gets its weight.
     """
-    return [(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right]
+    return [(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right, 1 - earlier]
 
 
 def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: DepthNoise) -> jax.Array:
@@ -246,6 +289,14 @@ def _surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
 def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
     """Whether predictions erred by far more than a sensor of this standard deviation does; any shape."""
     return jnp.abs(error_m) > SURPRISE * sensor_m
+
+
+@jit_stored()
+def _density_by_pixels(depth_m: jax.Array, noise: DepthNoise, learned: UnknownWeights) -> jax.Array:
+    """Density (H, W) of an image's pixels given those before them alone."""
+    alone = UnknownSurfaces.of(depth_m, jnp.full_like(depth_m, NO_RETURN), noise, learned)
+    parts = [*alone.density_parts(depth_m), alone.weights[-1] * alone.new_density(depth_m)]
+    return jnp.asarray(sum(parts))
 
 
 @jit_stored()
