@@ -329,8 +329,11 @@ class PixelDensity:
 
     def factors(self, places: Places) -> PixelFactors:
         """The factors of listed pixels (P,) of the F images."""
-        sensor = self.noise, self.edge_reach, calm_and_astir(self.learned.weights), self.learned.scales
+        learned = self.learned
+        sensor = self.noise, self.edge_reach, calm_and_astir(learned.weights), learned.scales
         noise, edge_reach, weights, scales = jax.tree.map(places.of_images, sensor)
+        of_earlier = map(places.of_images, (learned.earlier, learned.earlier_scales))
+        earlier_weights, earlier_scales = of_earlier
         image, observed_m, unknown = self.image, places.beside(self.image.observed_m), self.image.unknown
         means_m, sigmas_m, shares, columns = (
             places.of(part) for part in (unknown.means_m, unknown.sigmas_m, unknown.weights, unknown.columns)
@@ -342,9 +345,9 @@ class PixelDensity:
             scales=scales,
             observed_m=observed_m(0, 0),
             earlier_m=places.of(image.earlier_m),
-            unknown=UnknownSurfaces(
-                means_m, sigmas_m, shares, columns, places.of_images(self.learned.reach_m)
-            ),
+            earlier_weights=earlier_weights,
+            earlier_scales=earlier_scales,
+            unknown=UnknownSurfaces(means_m, sigmas_m, shares, columns, places.of_images(learned.reach_m)),
             parts=places.of(image.parts),
             shares=places.of(image.shares),
             measured=lambda *by: observed_m(*by) != NO_RETURN,

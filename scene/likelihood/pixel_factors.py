@@ -35,13 +35,13 @@ from scene.likelihood.pixel_places import Near
 from scene.likelihood.unknown_surfaces import (
     EDGES,
     NO_EDGE,
-    PREDICTIONS,
     UnknownSurfaces,
     drawn_normal,
     is_surprising,
     kept_parts,
     normal_density,
     normal_distribution,
+    told_otherwise,
 )
 from shapes.depth_noise import standard_deviation
 
@@ -57,9 +57,6 @@ APPEARS = CHANGES**2
 MISSING, MISSING_ON = 0.002, 0.25
 """Probability that a surface ends before its outline, or is not there, at a pixel, and beside such pixels.
 Counted on YCB-Video's 0001/10 and 0002/1 where their objects were found: 2 of 1,555 pixels, 1 of 4 beside."""
-
-
-(EARLIER,) = PREDICTIONS[-1]
 
 
 @dataclass(frozen=True)
@@ -167,6 +164,8 @@ class PixelFactors:
         scales: (K, P) of these, over the sensor's standard deviation.
         observed_m: (P,).
         earlier_m: (P,) what an earlier frame has measured there, `NO_RETURN` where none has.
+        earlier_weights: (2, P) as `UnknownWeights` has them.
+        earlier_scales: (2, P) likewise.
         unknown: what else the pixels may show, leaves (..., P).
         parts: (6, P) as `ImageTerms` has them.
         shares: (5, P) likewise.
@@ -179,15 +178,12 @@ class PixelFactors:
     scales: jax.Array
     observed_m: jax.Array
     earlier_m: jax.Array
+    earlier_weights: jax.Array
+    earlier_scales: jax.Array
     unknown: UnknownSurfaces
     parts: jax.Array
     shares: jax.Array
     measured: Near
-
-    @property
-    def earlier(self) -> jax.Array:
-        """Weight (P,) of what an earlier frame tells, 0 where none has measured."""
-        return self.unknown.weights[EARLIER]
 
     def shows_earlier(self, surface: Surface) -> jax.Array:
         """Probability (P,) that an earlier frame shows a surface (P,) there, by its own measurement."""
@@ -302,18 +298,30 @@ class PixelFactors:
             (by_right_plane, plane_m, 5, right),
             (by_three, left_m + above_m - corner_m, 6, left * above * corner),
         )
-        earlier = self.earlier * self.shows_earlier(surface)
+        earlier, earlier_m, spread_m = self._by_earlier(surface, depth_m + plane_m)
         weights = [*((1 - earlier) * weight * share for weight, _, _, share in parts), earlier]
-        means_m = [*(depth_m + foretold_m for _, foretold_m, _, _ in parts), self.unknown.means_m[EARLIER]]
-        spreads_m = [*(self.scales[scale] * sensor_m for _, _, scale, _ in parts)]
-        spreads_m.append(self.unknown.sigmas_m[EARLIER])
+        means_m = [*(depth_m + foretold_m for _, foretold_m, _, _ in parts), earlier_m]
+        spreads_m = [*(self.scales[scale] * sensor_m for _, _, scale, _ in parts), spread_m]
         told = sum(weights, start=jnp.zeros_like(depth_m))
         spreads_m.append(surface.measured_sigma_m(self.noise))
         return [*weights, 1 - told], [*means_m, depth_m], spreads_m
 
+    def _by_earlier(self, surface: Surface, foretold_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Weight, mean and deviation (P,) of a surface's depth by an earlier frame.
+
+        Pixels before foretell the depth `foretold_m` (P,).
+        """
+        earlier_m, differs = told_otherwise(self.earlier_m, foretold_m, True, self.noise)
+        weight, scale = (
+            jnp.where(differs > 0, apart, near) for near, apart in (self.earlier_weights, self.earlier_scales)
+        )
+        spread_m = scale * standard_deviation(self.noise, earlier_m)
+        return weight * self.shows_earlier(surface), earlier_m, spread_m
+
     def _pooled(self, by_pixels: jax.Array, by_earlier: jax.Array) -> jax.Array:
-        """A probability (P,) by the pixels before and by an earlier frame, which counts by its weight."""
-        return by_pixels + self.earlier * (by_earlier - by_pixels)
+        """A probability (P,) by the pixels before and by an earlier frame, where these may differ."""
+        weight = jnp.where(self.earlier_m == NO_RETURN, 0.0, self.earlier_weights[1])
+        return by_pixels + weight * (by_earlier - by_pixels)
 
     def _missing(self, surface: Surface, before: SurfaceBefore) -> jax.Array:
         """Probability (P,) that a surface is not where it should be: what is behind it is seen there.

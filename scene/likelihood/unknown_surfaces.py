@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import erf
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.sensor_profile import UNKNOWN_KINDS, UNKNOWN_PARTS, UnknownTable
 from recordings.types import NO_RETURN, DepthNoise
@@ -72,15 +72,16 @@ class UnknownWeights:
         weights: (KINDS, K + 1) that sum to 1; the last is w_0.
         scales: (K,) standard deviations of predictions over that of the sensor there.
         reach_m: R.
-        earlier: weight of what an earlier frame foretells, and
-        earlier_scale: its standard deviation over that of the sensor; of a set of frames.
+        earlier: (2,) weights of what an earlier frame foretells, where the pixels before foretell about the
+            same and where they do not, and
+        earlier_scales: (2,) standard deviations of it over that of the sensor; of a set of frames.
     """
 
     weights: jax.Array
     scales: jax.Array
     reach_m: jax.Array | float = REACH_M
-    earlier: jax.Array | float = 0.0
-    earlier_scale: jax.Array | float = 1.0
+    earlier: ArrayLike = field(default_factory=lambda: np.zeros(2, np.float32))
+    earlier_scales: ArrayLike = field(default_factory=lambda: np.ones(2, np.float32))
 
     @classmethod
     def of(cls, table: UnknownTable, pitch_rad: float) -> UnknownWeights:
@@ -131,20 +132,50 @@ class UnknownWeights:
             earlier_m: (H, W) what an earlier frame measured there, `NO_RETURN` where none did.
             noise: of the sensor.
         """
-        errors, sensor_m, by_pixels = [], [], []
-        for depth_m, told_m in zip(images_m, earlier_m, strict=True):
-            both = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (told_m != NO_RETURN)
-            sensor_m.append(np.asarray(standard_deviation(noise, told_m[both]), np.float64))
-            errors.append((depth_m - told_m)[both] / sensor_m[-1])
-            by_pixels.append(np.asarray(_density_by_pixels(depth_m, noise, self), np.float64)[both])
-        error, sensor, other = map(np.concatenate, (errors, sensor_m, by_pixels))
-        weight, scale = 0.5, 1.0
-        for _ in range(ITERATIONS if len(error) else 0):
-            told = weight * np.exp(-0.5 * (error / scale) ** 2) / (np.sqrt(2 * np.pi) * scale * sensor)
-            share = told / (told + (1 - weight) * other)
-            weight = float(np.clip(share.mean(), LEAST_WEIGHT, 1 - LEAST_WEIGHT))
-            scale = float(np.sqrt((share * error**2).sum() / share.sum().clip(1e-9)).clip(LEAST_SCALE))
-        return replace(self, earlier=np.float32(weight), earlier_scale=np.float32(scale))
+        parts = [
+            _foretold_by_earlier(*images, noise, self) for images in zip(images_m, earlier_m, strict=True)
+        ]
+        fits = [
+            _mixed_in(
+                *(np.concatenate([part[place][part[0] == differs] for part in parts]) for place in (1, 2, 3))
+            )
+            for differs in (False, True)
+        ]
+        weights, scales = np.array(fits, np.float32).T
+        return replace(self, earlier=weights, earlier_scales=scales)
+
+
+def _foretold_by_earlier(
+    depth_m: NDArray[np.float32],
+    earlier_m: NDArray[np.float32],
+    noise: DepthNoise,
+    learned: UnknownWeights,
+) -> tuple[NDArray, ...]:
+    """How an earlier frame foretells the pixels (n,) of an image that it has seen.
+
+    Returns:
+        Whether the pixels before foretell otherwise; the errors in standard deviations of the sensor; these
+        in metres; the density of the depth by the pixels before alone.
+    """
+    both = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (earlier_m != NO_RETURN)
+    of_pixels = _foretold_by_pixels(depth_m, earlier_m, noise, learned)
+    density, differs, sensor_m = (np.asarray(part)[both] for part in of_pixels)
+    return differs, (depth_m - earlier_m)[both] / sensor_m, sensor_m, density
+
+
+def _mixed_in(
+    errors: NDArray[np.float64], sensor_m: NDArray[np.float64], other: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Weight and scale of one more prediction beside a density (n,), by expectation maximisation."""
+    weight, scale = 0.5, 1.0
+    if not len(errors):
+        return 0.0, scale
+    for _ in range(ITERATIONS):
+        told = weight * np.exp(-0.5 * (errors / scale) ** 2) / (np.sqrt(2 * np.pi) * scale * sensor_m)
+        share = told / (told + (1 - weight) * other)
+        weight = float(np.clip(share.mean(), LEAST_WEIGHT, 1 - LEAST_WEIGHT))
+        scale = float(np.sqrt((share * errors**2).sum() / share.sum().clip(1e-9)).clip(LEAST_SCALE))
+    return weight, scale
 
 
 def _foretold(images_m: Sequence[NDArray[np.float32]], noise: DepthNoise) -> tuple[NDArray[np.float64], ...]:
@@ -197,12 +228,12 @@ class UnknownSurfaces:
         shares = weights * jnp.concatenate([known, jnp.ones_like(known[:1])])
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
         shares = shares / jnp.sum(shares, axis=0, keepdims=True)
-        seen = earlier_m != NO_RETURN
-        foretold_m, told = jnp.where(seen, earlier_m, 1.0), (learned.earlier * seen)[None]
+        foretold_m, differs = told_otherwise(earlier_m, means_m[EITHER], known[EITHER] > 0, noise)
+        told = (jnp.asarray(learned.earlier)[differs] * (earlier_m != NO_RETURN))[None]
         shares = (1 - told) * shares
         shares = jnp.concatenate([shares[:-1], told, shares[-1:]])
         means_m = jnp.concatenate([means_m, foretold_m[None]])
-        spread_m = learned.earlier_scale * standard_deviation(noise, foretold_m)
+        spread_m = jnp.asarray(learned.earlier_scales)[differs] * standard_deviation(noise, foretold_m)
         sigmas_m = jnp.concatenate([sigmas_m, spread_m[None]])
         return cls(means_m, sigmas_m, shares, _upper_right(depth_m)[1], learned.reach_m)
 
@@ -291,12 +322,35 @@ def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
     return jnp.abs(error_m) > SURPRISE * sensor_m
 
 
+def told_otherwise(
+    earlier_m: jax.Array, foretold_m: jax.Array, known: jax.Array | bool, noise: DepthNoise
+) -> tuple[jax.Array, jax.Array]:
+    """Depths (...) of an earlier frame, 1 where it has none; 1 where pixels before foretell none near by, else 0.
+
+    Args:
+        earlier_m: (...) `NO_RETURN` where the frame has none.
+        foretold_m: (...) what the pixels before foretell.
+        known: where they foretell anything.
+        noise: of the sensor.
+    """
+    seen_m = jnp.where(earlier_m == NO_RETURN, 1.0, earlier_m)
+    near = known & ~is_surprising(foretold_m - seen_m, standard_deviation(noise, seen_m))
+    return seen_m, 1 - near.astype(jnp.int32)
+
+
 @jit_stored()
-def _density_by_pixels(depth_m: jax.Array, noise: DepthNoise, learned: UnknownWeights) -> jax.Array:
-    """Density (H, W) of an image's pixels given those before them alone."""
+def _foretold_by_pixels(
+    depth_m: jax.Array, earlier_m: jax.Array, noise: DepthNoise, learned: UnknownWeights
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Density (H, W) of an image given the pixels before; whether these foretell otherwise than an earlier frame.
+
+    And the sensor's standard deviation at its depths.
+    """
     alone = UnknownSurfaces.of(depth_m, jnp.full_like(depth_m, NO_RETURN), noise, learned)
     parts = [*alone.density_parts(depth_m), alone.weights[-1] * alone.new_density(depth_m)]
-    return jnp.asarray(sum(parts))
+    known = alone.weights[EITHER] > 0
+    seen_m, differs = told_otherwise(earlier_m, alone.means_m[EITHER], known, noise)
+    return jnp.asarray(sum(parts)), differs > 0, standard_deviation(noise, seen_m)
 
 
 @jit_stored()
