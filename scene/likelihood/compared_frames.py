@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recordings.types import DepthNoise
 from scene.config import ParseConfig
 from scene.likelihood.colour_layers import ColourLayers, ComparedColours
-from scene.likelihood.earlier_frames import earlier_depths
+from scene.likelihood.earlier_frames import earlier_depths, with_earlier
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.objects.scene_object import SceneObject
@@ -130,7 +130,7 @@ def frame_densities(
     """
     windows, order = [view.window for view in views], sorted(range(len(views)), key=lambda one: one != first)
     earlier_m = earlier_depths(views, camera_from_world, order)
-    learned = learned.with_earlier([window.depth_m for window in windows], earlier_m, noise)
+    learned = with_earlier(learned, [window.depth_m for window in windows], earlier_m, noise)
     return [
         PixelDensity.of(window.depth_m, view.support_m, noise, shape_sigma_m, window.stride, learned, told_m)
         for view, window, told_m in zip(views, windows, earlier_m, strict=True)

@@ -1,23 +1,38 @@
 """What the frames of a scene have measured before each of them: depths foretold from one frame to another.
 
-Frames are given in an order, and each has the density of its image given those before it. All frames see the
-same surfaces, and what a mesh, a pose or a support errs by they share: taken for independent frames would count
-these errors once each. Depths that earlier frames measured, seen from where the camera is now, foretell its
-image but for the sensor's noise and the error of the motion between (docs/model.md, section L2).
+Frames have an order, and each has the density of its image given those before it. All show the same surfaces,
+and share what a mesh or a support errs by; taken for independent they would count these errors once each.
+Depths that earlier frames measured, seen from where the camera is now, foretell its image but for the
+sensor's noise and the error of the motion between (docs/model.md, section L2).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import NO_RETURN
-from scene.likelihood.unknown_surfaces import JOINED_M
+from recordings.types import NO_RETURN, DepthNoise
+from scene.likelihood.unknown_surfaces import (
+    EITHER,
+    ITERATIONS,
+    JOINED_M,
+    LEAST_SCALE,
+    LEAST_WEIGHT,
+    REACH_M,
+    UnknownSurfaces,
+    UnknownWeights,
+    told_otherwise,
+)
 from scene.observation.depth_view import project, unproject
 from scene.observation.frame_data import SceneData
+from shapes.depth_noise import standard_deviation
 from shapes.geometry.poses import transform_points
+from shapes.stored_kernels import jit_stored
 
 NEAR_PX = 0.75, 1.5
 """Pixels of the image about a compared one whose points foretell it: half the way to the next compared one
@@ -68,3 +83,72 @@ def _seen_from(
     total_m = np.bincount(pixels[joined], depth_m[joined], minlength=height * width)
     seen_m = np.where(count > 0, total_m / np.maximum(count, 1), NO_RETURN)
     return seen_m.reshape(height, width).astype(np.float32)
+
+
+def with_earlier(
+    learned: UnknownWeights,
+    images_m: Sequence[NDArray[np.float32]],
+    earlier_m: Sequence[NDArray[np.float32]],
+    noise: DepthNoise,
+) -> UnknownWeights:
+    """Weights with how well earlier frames foretell images, by expectation maximisation.
+
+    Args:
+        learned: how well pixels foretell each other.
+        images_m: (H, W) each.
+        earlier_m: (H, W) what an earlier frame measured there, `NO_RETURN` where none did.
+        noise: of the sensor.
+    """
+    parts = [_foretold(*images, noise, learned) for images in zip(images_m, earlier_m, strict=True)]
+    differs, errors, sensor_m, density = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
+    fits = [_mixed_in(errors[mine], sensor_m[mine], density[mine]) for mine in (~differs, differs)]
+    weights, scales = np.array(fits, np.float32).T
+    return replace(learned, earlier=weights, earlier_scales=scales)
+
+
+def _foretold(
+    depth_m: NDArray[np.float32],
+    earlier_m: NDArray[np.float32],
+    noise: DepthNoise,
+    learned: UnknownWeights,
+) -> tuple[NDArray, ...]:
+    """How an earlier frame foretells those pixels (n,) of an image that it has measured.
+
+    Returns:
+        Whether the pixels before foretell another depth; the errors in standard deviations of the sensor;
+        these in metres; the density of the depth by the pixels before alone.
+    """
+    both = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (earlier_m != NO_RETURN)
+    of_pixels = _foretold_by_pixels(depth_m, earlier_m, noise, learned)
+    density, differs, sensor_m = (np.asarray(part)[both] for part in of_pixels)
+    return differs, (depth_m - earlier_m)[both] / sensor_m, sensor_m, density
+
+
+@jit_stored()
+def _foretold_by_pixels(
+    depth_m: jax.Array, earlier_m: jax.Array, noise: DepthNoise, learned: UnknownWeights
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Density (H, W) of an image given the pixels before, and whether these foretell another depth.
+
+    And the sensor's standard deviation at the depths of an earlier frame.
+    """
+    alone = UnknownSurfaces.of(depth_m, jnp.full_like(depth_m, NO_RETURN), noise, learned)
+    parts = [*alone.density_parts(depth_m), alone.weights[-1] * alone.new_density(depth_m)]
+    known = alone.weights[EITHER] > 0
+    seen_m, differs = told_otherwise(earlier_m, alone.means_m[EITHER], known, noise)
+    return jnp.asarray(sum(parts)), differs > 0, standard_deviation(noise, seen_m)
+
+
+def _mixed_in(
+    errors: NDArray[np.float32], sensor_m: NDArray[np.float32], other: NDArray[np.float32]
+) -> tuple[float, float]:
+    """Weight and scale of one more prediction beside a density (n,) of as many depths."""
+    weight, scale = 0.5, 1.0
+    if not len(errors):
+        return 0.0, scale
+    for _ in range(ITERATIONS):
+        told = weight * np.exp(-0.5 * (errors / scale) ** 2) / (np.sqrt(2 * np.pi) * scale * sensor_m)
+        share = told / (told + (1 - weight) * other)
+        weight = float(np.clip(share.mean(), LEAST_WEIGHT, 1 - LEAST_WEIGHT))
+        scale = float(np.sqrt((share * errors**2).sum() / share.sum().clip(1e-9)).clip(LEAST_SCALE))
+    return weight, scale

@@ -332,7 +332,7 @@ class PixelDensity:
         learned = self.learned
         sensor = self.noise, self.edge_reach, calm_and_astir(learned.weights), learned.scales
         noise, edge_reach, weights, scales = jax.tree.map(places.of_images, sensor)
-        of_earlier = map(places.of_images, (learned.earlier, learned.earlier_scales))
+        of_earlier = (places.of_images(part) for part in (learned.earlier, learned.earlier_scales))
         earlier_weights, earlier_scales = of_earlier
         image, observed_m, unknown = self.image, places.beside(self.image.observed_m), self.image.unknown
         means_m, sigmas_m, shares, columns = (

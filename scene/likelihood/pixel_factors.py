@@ -13,10 +13,10 @@ the surface is not where it should be. The scene's part
 foretells the residual z - d as u foretells the depth: errors of neighbouring pixels are alike, so that those
 before it that show the same surface foretell r_k, with the weights and scales of u. Where nothing is curved
 both are as sharp. Whether a neighbour shows the surface is told by its own measurement alone, and so are
-kappa and m: unknown things and errors come in pieces. So does an earlier frame that measured what is there,
-whose errors but for its noise are this one's, too: it foretells z itself, and tells of kappa, m and outlines,
-with the weight that `UnknownWeights` has of it (`scene.likelihood.earlier_frames`). Everything that a factor looks at is the scene or a
-pixel before, so that the product is a density of the image (docs/model.md).
+kappa and m: unknown things and errors come in pieces. An earlier frame that has measured what is there
+foretells z itself, and tells of kappa, m and outlines, for frames share errors; `UnknownWeights` has the
+weights. Everything that a factor looks at is the scene, a pixel before or an earlier frame, so that the
+product is a density of the images (docs/model.md).
 
 Pixels come in a list: an object covers a small part of an image, and a factor needs few pixels beside it.
 """

@@ -8,24 +8,24 @@ over predictions m_k from the measured pixels to the left and above: the plane t
 on one surface with the left one, with that above or with the first to its right that lies on another surface,
 without which outlines that lean to the left would be new in every row; the left one and that above alone; and
 their sum less the corner between them, which foretells errors that hang together. The remaining weight is
-that of a surface that begins here. Where an earlier frame of the same scene shows what is there, the depth
-that it measured has a weight and a scale of its own (`scene.likelihood.earlier_frames`). On a plane inverse depth is linear in the pixel's place, so that planes
-are fitted in inverse depth. Weights and the scales s_k are those of the sensor, at the distance from one
-compared pixel to the next: they come with its profile, or are learned from images by expectation maximisation
-(docs/model.md).
+that of a surface that begins here. Where an earlier frame of the same scene has measured what is there, its
+depth is one more prediction (`scene.likelihood.earlier_frames`). On a plane inverse depth is linear in the
+pixel's place, so that planes are fitted in inverse depth. Weights and the scales s_k are those of the sensor,
+at the distance from one compared pixel to the next: they come with its profile, or are learned from images by
+expectation maximisation (docs/model.md).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import erf
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from recordings.sensor_profile import UNKNOWN_KINDS, UNKNOWN_PARTS, UnknownTable
 from recordings.types import NO_RETURN, DepthNoise
@@ -80,8 +80,8 @@ class UnknownWeights:
     weights: jax.Array
     scales: jax.Array
     reach_m: jax.Array | float = REACH_M
-    earlier: ArrayLike = field(default_factory=lambda: np.zeros(2, np.float32))
-    earlier_scales: ArrayLike = field(default_factory=lambda: np.ones(2, np.float32))
+    earlier: jax.Array | NDArray[np.float32] = field(default_factory=lambda: np.zeros(2, np.float32))
+    earlier_scales: jax.Array | NDArray[np.float32] = field(default_factory=lambda: np.ones(2, np.float32))
 
     @classmethod
     def of(cls, table: UnknownTable, pitch_rad: float) -> UnknownWeights:
@@ -118,64 +118,6 @@ class UnknownWeights:
             squares = (shares[:-1] * errors**2).sum(axis=1) / shares[:-1].sum(axis=1).clip(1e-9)
             scales = np.sqrt(squares).clip(LEAST_SCALE)
         return cls(*(jax.device_put(part.astype(np.float32)) for part in (weights, scales)))
-
-    def with_earlier(
-        self,
-        images_m: Sequence[NDArray[np.float32]],
-        earlier_m: Sequence[NDArray[np.float32]],
-        noise: DepthNoise,
-    ) -> UnknownWeights:
-        """The same, with how well earlier frames foretell images, by expectation maximisation.
-
-        Args:
-            images_m: (H, W) each.
-            earlier_m: (H, W) what an earlier frame measured there, `NO_RETURN` where none did.
-            noise: of the sensor.
-        """
-        parts = [
-            _foretold_by_earlier(*images, noise, self) for images in zip(images_m, earlier_m, strict=True)
-        ]
-        fits = [
-            _mixed_in(
-                *(np.concatenate([part[place][part[0] == differs] for part in parts]) for place in (1, 2, 3))
-            )
-            for differs in (False, True)
-        ]
-        weights, scales = np.array(fits, np.float32).T
-        return replace(self, earlier=weights, earlier_scales=scales)
-
-
-def _foretold_by_earlier(
-    depth_m: NDArray[np.float32],
-    earlier_m: NDArray[np.float32],
-    noise: DepthNoise,
-    learned: UnknownWeights,
-) -> tuple[NDArray, ...]:
-    """How an earlier frame foretells the pixels (n,) of an image that it has seen.
-
-    Returns:
-        Whether the pixels before foretell otherwise; the errors in standard deviations of the sensor; these
-        in metres; the density of the depth by the pixels before alone.
-    """
-    both = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (earlier_m != NO_RETURN)
-    of_pixels = _foretold_by_pixels(depth_m, earlier_m, noise, learned)
-    density, differs, sensor_m = (np.asarray(part)[both] for part in of_pixels)
-    return differs, (depth_m - earlier_m)[both] / sensor_m, sensor_m, density
-
-
-def _mixed_in(
-    errors: NDArray[np.float64], sensor_m: NDArray[np.float64], other: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Weight and scale of one more prediction beside a density (n,), by expectation maximisation."""
-    weight, scale = 0.5, 1.0
-    if not len(errors):
-        return 0.0, scale
-    for _ in range(ITERATIONS):
-        told = weight * np.exp(-0.5 * (errors / scale) ** 2) / (np.sqrt(2 * np.pi) * scale * sensor_m)
-        share = told / (told + (1 - weight) * other)
-        weight = float(np.clip(share.mean(), LEAST_WEIGHT, 1 - LEAST_WEIGHT))
-        scale = float(np.sqrt((share * errors**2).sum() / share.sum().clip(1e-9)).clip(LEAST_SCALE))
-    return weight, scale
 
 
 def _foretold(images_m: Sequence[NDArray[np.float32]], noise: DepthNoise) -> tuple[NDArray[np.float64], ...]:
@@ -280,8 +222,7 @@ class UnknownSurfaces:
 
 
 def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array, earlier: jax.Array) -> list[jax.Array]:
-    """Five shares (...) that count of what both neighbours, the left, the upper, the upper right one and an
-    earlier frame foretell.
+    """Five shares (...) that count of what is foretold, in the order of `PREDICTIONS`.
 
     An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
     probability (...), is left out, and a surface that begins here gets its weight.
@@ -325,7 +266,7 @@ def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
 def told_otherwise(
     earlier_m: jax.Array, foretold_m: jax.Array, known: jax.Array | bool, noise: DepthNoise
 ) -> tuple[jax.Array, jax.Array]:
-    """Depths (...) of an earlier frame, 1 where it has none; 1 where pixels before foretell none near by, else 0.
+    """Depths (...) of an earlier frame, 1 where it has none; 1 where pixels before foretell another, else 0.
 
     Args:
         earlier_m: (...) `NO_RETURN` where the frame has none.
@@ -336,21 +277,6 @@ def told_otherwise(
     seen_m = jnp.where(earlier_m == NO_RETURN, 1.0, earlier_m)
     near = known & ~is_surprising(foretold_m - seen_m, standard_deviation(noise, seen_m))
     return seen_m, 1 - near.astype(jnp.int32)
-
-
-@jit_stored()
-def _foretold_by_pixels(
-    depth_m: jax.Array, earlier_m: jax.Array, noise: DepthNoise, learned: UnknownWeights
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Density (H, W) of an image given the pixels before; whether these foretell otherwise than an earlier frame.
-
-    And the sensor's standard deviation at its depths.
-    """
-    alone = UnknownSurfaces.of(depth_m, jnp.full_like(depth_m, NO_RETURN), noise, learned)
-    parts = [*alone.density_parts(depth_m), alone.weights[-1] * alone.new_density(depth_m)]
-    known = alone.weights[EITHER] > 0
-    seen_m, differs = told_otherwise(earlier_m, alone.means_m[EITHER], known, noise)
-    return jnp.asarray(sum(parts)), differs > 0, standard_deviation(noise, seen_m)
 
 
 @jit_stored()

@@ -212,7 +212,8 @@ def _drawn(
     sigma = float(np.hypot(SENSOR_M, SURFACE_M))
 
     def shows(value: float, at: float) -> float:
-        return norm.pdf(value, at, sigma) / (norm.pdf(value, at, sigma) + 1 / REACH_M)
+        agrees = float(norm.pdf(value, at, sigma))
+        return agrees / (agrees + 1 / REACH_M)
 
     shown_first, shown_earlier = shows(first, 0.5), shows(earlier_m, depth_m)
     near, apart = (0.0, 0.0) if earlier_m == NO_RETURN else np.asarray(LEARNED.earlier)  # all within 3 sigma

@@ -109,33 +109,9 @@ def test_outlines_that_lean_are_foretold(columns_a_row: int, seed: int) -> None:
     for lean in (1, columns_a_row):
         learned = UnknownWeights.learned([leaning(rng, lean)[0] for _ in range(2)], NOISE)
         depth_m, begins = leaning(rng, lean)
-        surfaces = UnknownSurfaces.of(jnp.asarray(depth_m), NOISE, learned)
+        nothing = jnp.full_like(depth_m, NO_RETURN)
+        surfaces = UnknownSurfaces.of(jnp.asarray(depth_m), nothing, NOISE, learned)
         new = surfaces.weights[-1] * surfaces.new_density(jnp.asarray(depth_m))
         density = sum(surfaces.density_parts(jnp.asarray(depth_m)), start=new)
         means.append(np.log(np.asarray(density)[begins]).mean())
     assert means[1] > means[0]
-
-
-def test_what_earlier_frames_foretell_is_learned(seed: int) -> None:
-    """Of 4,800 depths that no neighbour foretells three in five are where an earlier frame had them.
-
-    Weight and scale within 0.04 and 0.1: five of their standard errors (0.007, 0.02), a false alarm in 1e-6.
-    Where neighbours foretell the same by chance they count in part: there the weight is less.
-    """
-    rng = np.random.default_rng(seed)
-    depth_m = rng.uniform(0.5, 2.4, SIZE).astype(np.float32)
-    seen_again = rng.random(SIZE) < 0.6
-    error_m = 1.5 * standard_deviation(NOISE, depth_m) * rng.standard_normal(SIZE)
-    earlier_m = np.where(seen_again, depth_m - error_m, rng.uniform(0.5, 2.4, SIZE)).astype(np.float32)
-    weights = UnknownWeights.learned([depth_m], NOISE).with_earlier([depth_m], [earlier_m], NOISE)
-    assert abs(float(weights.earlier[1]) - 0.6) < 0.04
-    assert abs(float(weights.earlier_scales[1]) - 1.5) < 0.1
-
-
-def test_without_earlier_frames_nothing_is_learned_of_them(seed: int) -> None:
-    """The density is the same to the bit."""
-    depth_m = image(np.random.default_rng(seed), NOISE, 0.8)
-    weights = UnknownWeights.learned([depth_m], NOISE)
-    nothing = np.full_like(depth_m, NO_RETURN)
-    same = log_density(jnp.asarray(depth_m), weights.with_earlier([depth_m], [nothing], NOISE))
-    assert float(same) == float(log_density(jnp.asarray(depth_m), weights))
