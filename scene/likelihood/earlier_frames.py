@@ -34,10 +34,6 @@ from shapes.depth_noise import standard_deviation
 from shapes.geometry.poses import transform_points
 from shapes.stored_kernels import jit_stored
 
-NEAR_PX = 0.75, 1.5
-"""Pixels of the image about a compared one whose points foretell it: half the way to the next compared one
-within these; the first finds one where frames are as near as each other, the second averages noise."""
-
 
 def earlier_depths(
     views: Sequence[SceneData], camera_from_world: NDArray[np.float64], order: Sequence[int]
@@ -65,16 +61,15 @@ def _seen_from(
 ) -> NDArray[np.float32]:
     """Depth (H, W) at the compared pixels of a view of what another has measured, `NO_RETURN` where nothing.
 
-    Of the points about a pixel those of the nearest surface count, by their mean.
+    Of the points nearer to a pixel than to others those of the nearest surface count, by their mean: it has
+    less noise than one of them.
     """
     window, measured = view.window, other.depth_m != NO_RETURN
     points_m = transform_points(camera_from_other, unproject(other.depth_m, other.intrinsics)[measured])
     row, column, ahead = project(points_m, window.camera)
     rows, columns = np.rint(row), np.rint(column)
-    near = np.clip(0.5 * window.stride, *NEAR_PX) / window.stride
     height, width = window.depth_m.shape
-    use = ahead & (np.abs(row - rows) <= near) & (np.abs(column - columns) <= near)
-    use &= (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    use = ahead & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     pixels, depth_m = (rows * width + columns)[use].astype(np.intp), points_m[use, 2]
     first_m = np.full(height * width, np.inf)
     np.minimum.at(first_m, pixels, depth_m)
