@@ -34,6 +34,9 @@ from shapes.depth_noise import standard_deviation
 from shapes.geometry.poses import transform_points
 from shapes.stored_kernels import jit_stored
 
+STEPS = 64
+"""Points of a ray that are looked at: 2 cm apart, as surfaces are, where things are a metre away."""
+
 
 def earlier_depths(
     views: Sequence[SceneData], camera_from_world: NDArray[np.float64], order: Sequence[int]
@@ -62,7 +65,7 @@ def _seen_from(
     """Depth (H, W) at the compared pixels of a view of what another has measured, `NO_RETURN` where nothing.
 
     Of the points nearer to a pixel than to others those of the nearest surface count, by their mean: it has
-    less noise than one of them.
+    less noise than one of them. What is out of sight for all that the other has seen is left out.
     """
     window, measured = view.window, other.depth_m != NO_RETURN
     points_m = transform_points(camera_from_other, unproject(other.depth_m, other.intrinsics)[measured])
@@ -77,7 +80,32 @@ def _seen_from(
     count = np.bincount(pixels[joined], minlength=height * width)
     total_m = np.bincount(pixels[joined], depth_m[joined], minlength=height * width)
     seen_m = np.where(count > 0, total_m / np.maximum(count, 1), NO_RETURN)
-    return seen_m.reshape(height, width).astype(np.float32)
+    seen_m = seen_m.reshape(height, width).astype(np.float32)
+    return np.where(_is_hidden(view, seen_m, other, camera_from_other), np.float32(NO_RETURN), seen_m)
+
+
+def _is_hidden(
+    view: SceneData,
+    seen_m: NDArray[np.float32],
+    other: SceneData,
+    camera_from_other: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Where (H, W) a ray to what another view has seen (H, W) passes behind a surface that it has seen.
+
+    What is there it does not know: from the other side the table behind a thing is in its sight.
+    """
+    rays = unproject(np.ones_like(seen_m), view.window.camera)
+    lengths_m = np.maximum(seen_m - JOINED_M, 0.0)[..., None] * np.linspace(0.0, 1.0, STEPS)
+    points_m = transform_points(
+        np.asarray(np.linalg.inv(camera_from_other), np.float64), rays[:, :, None] * lengths_m[..., None]
+    )
+    *places, ahead = project(points_m, other.intrinsics)
+    row, column = (np.rint(place).astype(np.intp) for place in places)
+    height, width = other.depth_m.shape
+    inside = ahead & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    measured_m = other.depth_m[np.where(inside, row, 0), np.where(inside, column, 0)]
+    behind = points_m[..., 2] > measured_m + JOINED_M
+    return (inside & (measured_m != NO_RETURN) & behind).any(axis=-1)
 
 
 def with_earlier(
