@@ -67,7 +67,7 @@ def _drawn_image(
         outside = False if leaf.dtype == bool else jnp.inf
         return jnp.pad(leaf, ((0, 0), *sides), constant_values=outside)
 
-    pixels, no_frame = jax.tree.map(padded, pixels), jnp.full(rest_m.shape, NO_RETURN, rest_m.dtype)
+    pixels = jax.tree.map(padded, pixels)
     last = Places(*jnp.array([[0], [REACH_PX], [REACH_PX]], jnp.int32))
 
     def with_drawn(number: jax.Array, observed_m: jax.Array) -> jax.Array:
@@ -77,11 +77,12 @@ def _drawn_image(
             return jax.lax.dynamic_slice(image, (row, column), (REACH_PX + 1, 2 * REACH_PX + 1))
 
         density = PixelDensity.of_image(
-            patch(observed_m), patch(no_frame), patch(rest_m), noise, shape_sigma_m, edge_reach, learned
+            patch(observed_m), patch(rest_m), noise, shape_sigma_m, edge_reach, learned
         )
         mine = jax.tree.map(lambda leaf: patch(leaf[nearest[row, column]])[None], pixels)
         (drawn_m,) = density.drawn(jax.random.fold_in(key, number), mine, last)
         return observed_m.at[row + REACH_PX, column + REACH_PX].set(drawn_m)
 
-    drawn_m = jax.lax.fori_loop(0, height * width, with_drawn, no_frame)
+    blank = jnp.full(rest_m.shape, NO_RETURN, rest_m.dtype)
+    drawn_m = jax.lax.fori_loop(0, height * width, with_drawn, blank)
     return drawn_m[REACH_PX:, REACH_PX:-REACH_PX]

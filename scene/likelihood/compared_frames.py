@@ -128,9 +128,11 @@ def frame_densities(
         learned: how well pixels foretell each other.
         shape_sigma_m: error of objects' surfaces.
     """
-    windows, order = [view.window for view in views], sorted(range(len(views)), key=lambda one: one != first)
-    earlier_m = earlier_depths(views, camera_from_world, order)
-    learned = with_earlier(learned, [window.depth_m for window in windows], earlier_m, noise)
+    windows, earlier_m = [view.window for view in views], [None] * len(views)
+    if len(views) > 1:
+        order = sorted(range(len(views)), key=lambda one: one != first)
+        earlier_m = earlier_depths(views, camera_from_world, order)
+        learned = with_earlier(learned, [window.depth_m for window in windows], earlier_m, noise)
     return [
         PixelDensity.of(window.depth_m, view.support_m, noise, shape_sigma_m, window.stride, learned, told_m)
         for view, window, told_m in zip(views, windows, earlier_m, strict=True)

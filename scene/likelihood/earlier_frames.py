@@ -24,6 +24,7 @@ from scene.likelihood.unknown_surfaces import (
     LEAST_SCALE,
     LEAST_WEIGHT,
     REACH_M,
+    EarlierWeights,
     UnknownSurfaces,
     UnknownWeights,
     told_otherwise,
@@ -126,7 +127,7 @@ def with_earlier(
     differs, errors, sensor_m, density = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
     fits = [_mixed_in(errors[mine], sensor_m[mine], density[mine]) for mine in (~differs, differs)]
     weights, scales = np.array(fits, np.float32).T
-    return replace(learned, earlier=weights, earlier_scales=scales)
+    return replace(learned, earlier=EarlierWeights(weights, scales))
 
 
 def _foretold(
@@ -155,7 +156,7 @@ def _foretold_by_pixels(
 
     And the sensor's standard deviation at the depths of an earlier frame.
     """
-    alone = UnknownSurfaces.of(depth_m, jnp.full_like(depth_m, NO_RETURN), noise, learned)
+    alone = UnknownSurfaces.of(depth_m, noise, learned)
     parts = [*alone.density_parts(depth_m), alone.weights[-1] * alone.new_density(depth_m)]
     known = alone.weights[EITHER] > 0
     seen_m, differs = told_otherwise(earlier_m, alone.means_m[EITHER], known, noise)

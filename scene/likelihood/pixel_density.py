@@ -19,6 +19,7 @@ from scene.execution import FAST_COMPILE
 from scene.likelihood.object_pixels import ObjectPixels, all_beside
 from scene.likelihood.pixel_factors import (
     UNKNOWN,
+    EarlierPixels,
     PixelFactors,
     Shown,
     Surface,
@@ -43,6 +44,20 @@ _ONLY = ImageParts(np.zeros(1, np.int32))
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class EarlierImage:
+    """What an earlier frame has measured at the pixels of an image; leaves (..., H, W).
+
+    Attributes:
+        depth_m: `NO_RETURN` where nothing.
+        behind: probability that it shows the supports there.
+    """
+
+    depth_m: jax.Array
+    behind: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class ImageTerms:
     """What the density of every scene takes from an image and its supports; leaves (..., H, W).
 
@@ -50,24 +65,22 @@ class ImageTerms:
         observed_m: `NO_RETURN` where nothing was measured.
         rest_m: depth of the supports, +inf where none is.
         unknown: what else the pixels may show.
-        earlier_m: what an earlier frame has measured there, `NO_RETURN` where none has.
-        parts: (6, H, W) density at the observed depth of what both neighbours, the left, the upper, the upper
-            right one and an earlier frame foretell of unknown things, and of one that begins here.
-        shares: (5, H, W) weights of the first five.
+        parts: (L + 1, H, W) density at the observed depth of what is foretold of unknown things, L ways as
+            `PREDICTIONS` has them, and of one that begins here.
+        shares: (L, H, W) weights of what is foretold.
         behind: probability that a pixel shows the supports.
-        behind_earlier: that an earlier frame does.
         rest: what pixels show of the supports.
+        earlier: what an earlier frame has measured; None where there is none.
     """
 
     observed_m: jax.Array
-    earlier_m: jax.Array
     rest_m: jax.Array
     unknown: UnknownSurfaces
     parts: jax.Array
     shares: jax.Array
     behind: jax.Array
-    behind_earlier: jax.Array
     rest: Shown
+    earlier: EarlierImage | None
 
 
 @jax.tree_util.register_dataclass
@@ -119,7 +132,8 @@ class ObjectImages:
         """Probability (P,) of the objects' side of their outlines at listed pixels."""
         inner, outer = places.beside(self.pixels.inner), places.beside(self.pixels.outer)
         earlier = factors.shows_earlier(surface)
-        within = 1 - factors.shifted(inner, lambda *by: 1 - before.shows(*by), 1 - earlier)
+        not_earlier = None if earlier is None else 1 - earlier
+        within = 1 - factors.shifted(inner, lambda *by: 1 - before.shows(*by), not_earlier)
         beside = factors.shifted(outer, before.shows, earlier)
         return jnp.where(places.of(self.pixels.covers), within, beside)
 
@@ -165,50 +179,52 @@ class PixelDensity:
             shape_sigma_m: error of objects' surfaces.
             stride: pixels of the image from one of these to the next.
             learned: how well they foretell each other; None learns it from these pixels.
-            earlier_m: (H, W) what an earlier frame has measured there, `NO_RETURN` where none has; None has
-                no such frame.
+            earlier_m: (H, W) what an earlier frame has measured there, `NO_RETURN` where nothing; None where
+                there is none.
         """
         learned = learned or UnknownWeights.learned([depth_m], noise)
-        if earlier_m is None:
-            earlier_m = np.full_like(depth_m, NO_RETURN)
         numbers = noise, shape_sigma_m, min(1.0, EDGE_PX / stride), learned
         with jax.enable_x64(False):
-            return _of_image(depth_m, earlier_m, rest_m, *jax.tree.map(np.float32, numbers))
+            return _of_image(depth_m, rest_m, *jax.tree.map(np.float32, numbers), earlier_m)
 
     @classmethod
     def of_image(
         cls,
         observed_m: jax.Array,
-        earlier_m: jax.Array,
         rest_m: jax.Array,
         noise: DepthNoise,
         shape_sigma_m: jax.Array,
         edge_reach: jax.Array,
         learned: UnknownWeights,
+        earlier_m: jax.Array | None = None,
     ) -> PixelDensity:
         """The density of an image (H, W) before supports (H, W) with all that is learned of its sensor.
 
-        Given what an earlier frame has measured (H, W).
+        Given what an earlier frame has measured (H, W), if there is one.
         """
-        unknown = UnknownSurfaces.of(observed_m, earlier_m, noise, learned)
+        unknown = UnknownSurfaces.of(observed_m, noise, learned, earlier_m)
         parts = [*unknown.density_parts(observed_m), unknown.new_density(observed_m)]
         blank = jnp.zeros_like(observed_m)
         nothing = Shown(blank, blank, blank, blank, [blank] * len(parts))
         foretold = jnp.stack(parts), jnp.stack(unknown.shares())
-        terms = ImageTerms(observed_m, earlier_m, rest_m, unknown, *foretold, blank, blank, nothing)
+        earlier = None if earlier_m is None else EarlierImage(earlier_m, blank)
+        terms = ImageTerms(observed_m, rest_m, unknown, *foretold, blank, nothing, earlier)
         density = cls(noise, shape_sigma_m, edge_reach, learned, terms, blank)
         one, everywhere = density.stacked(), Places.everywhere(blank.shape)
         supports = one.support_images()
         surface, before = supports.at(everywhere)
         factors = one.factors(everywhere)
-        shown, earlier = factors.shown(surface, before), factors.shows_earlier(surface)
-        no_object = everywhere.beside(blank[None])
-        unknown = factors.unknown_beside(before.shows, no_object, earlier, no_object(0, 0))
+        shown = factors.shown(surface, before)
+        shows_earlier, no_object = factors.shows_earlier(surface), everywhere.beside(blank[None])
+        seen = None if shows_earlier is None else (shows_earlier, no_object(0, 0))
+        unknown = factors.unknown_beside(before.shows, no_object, seen)
         log_rest = jnp.log(factors.density(shown, unknown))
-        behind, behind_earlier, rest = jax.tree.map(
-            lambda leaf: leaf.reshape(*leaf.shape[:-1], *blank.shape), (before.shows(0, 0), earlier, shown)
+        behind, rest = jax.tree.map(
+            lambda leaf: leaf.reshape(*leaf.shape[:-1], *blank.shape), (before.shows(0, 0), shown)
         )
-        terms = replace(terms, behind=behind, behind_earlier=behind_earlier, rest=rest)
+        if earlier is not None and shows_earlier is not None:
+            earlier = replace(earlier, behind=shows_earlier.reshape(blank.shape))
+        terms = replace(terms, behind=behind, rest=rest, earlier=earlier)
         return replace(density, image=terms, log_rest=log_rest.reshape(blank.shape))
 
     def stacked(self) -> PixelDensity:
@@ -300,12 +316,13 @@ class PixelDensity:
         self, factors: PixelFactors, surface: Surface, before: SurfaceBefore, places: Places
     ) -> Unknown:
         """What listed pixels (P,) of the F images may show beside an object and the supports."""
-        behind, earlier = places.beside(self.image.behind), factors.shows_earlier(surface)
+        behind, seen = places.beside(self.image.behind), None
+        shows_earlier = factors.shows_earlier(surface)
+        if self.image.earlier is not None and shows_earlier is not None:
+            scene = jnp.maximum(shows_earlier, places.of(self.image.earlier.behind))
+            seen = scene, shows_earlier
         return factors.unknown_beside(
-            lambda *by: jnp.maximum(before.shows(*by), behind(*by)),
-            before.shows,
-            jnp.maximum(earlier, places.of(self.image.behind_earlier)),
-            earlier,
+            lambda *by: jnp.maximum(before.shows(*by), behind(*by)), before.shows, seen
         )
 
     def shown_by(self, layer_m: jax.Array) -> jax.Array:
@@ -329,11 +346,8 @@ class PixelDensity:
 
     def factors(self, places: Places) -> PixelFactors:
         """The factors of listed pixels (P,) of the F images."""
-        learned = self.learned
-        sensor = self.noise, self.edge_reach, calm_and_astir(learned.weights), learned.scales
+        sensor = self.noise, self.edge_reach, calm_and_astir(self.learned.weights), self.learned.scales
         noise, edge_reach, weights, scales = jax.tree.map(places.of_images, sensor)
-        of_earlier = (places.of_images(part) for part in (learned.earlier, learned.earlier_scales))
-        earlier_weights, earlier_scales = of_earlier
         image, observed_m, unknown = self.image, places.beside(self.image.observed_m), self.image.unknown
         means_m, sigmas_m, shares, columns = (
             places.of(part) for part in (unknown.means_m, unknown.sigmas_m, unknown.weights, unknown.columns)
@@ -344,14 +358,22 @@ class PixelDensity:
             weights=weights,
             scales=scales,
             observed_m=observed_m(0, 0),
-            earlier_m=places.of(image.earlier_m),
-            earlier_weights=earlier_weights,
-            earlier_scales=earlier_scales,
-            unknown=UnknownSurfaces(means_m, sigmas_m, shares, columns, places.of_images(learned.reach_m)),
+            unknown=UnknownSurfaces(
+                means_m, sigmas_m, shares, columns, places.of_images(self.learned.reach_m)
+            ),
             parts=places.of(image.parts),
             shares=places.of(image.shares),
             measured=lambda *by: observed_m(*by) != NO_RETURN,
+            earlier=self._earlier_at(places),
         )
+
+    def _earlier_at(self, places: Places) -> EarlierPixels | None:
+        """What an earlier frame has measured at listed pixels (P,)."""
+        image, learned = self.image.earlier, self.learned.earlier
+        if image is None or learned is None:
+            return None
+        weights, scales = (places.of_images(part) for part in (learned.weights, learned.scales))
+        return EarlierPixels(places.of(image.depth_m), weights, scales)
 
     def _surface_images(self, depth_m: jax.Array, sigma_m: jax.Array, parts: ImageParts) -> SurfaceImages:
         """Surfaces (n, h, w) with errors likewise in parts (n,); what is badly foretold is left open."""

@@ -14,9 +14,9 @@ foretells the residual z - d as u foretells the depth: errors of neighbouring pi
 before it that show the same surface foretell r_k, with the weights and scales of u. Where nothing is curved
 both are as sharp. Whether a neighbour shows the surface is told by its own measurement alone, and so are
 kappa and m: unknown things and errors come in pieces. An earlier frame that has measured what is there
-foretells z itself, and tells of kappa, m and outlines, for frames share errors; `UnknownWeights` has the
-weights. Everything that a factor looks at is the scene, a pixel before or an earlier frame, so that the
-product is a density of the images (docs/model.md).
+foretells z itself, and tells of kappa, m and outlines, for frames share errors. Everything that a factor
+looks at is the scene, a pixel before or an earlier frame, so that the product is a density of the images
+(docs/model.md).
 
 Pixels come in a list: an object covers a small part of an image, and a factor needs few pixels beside it.
 """
@@ -101,8 +101,8 @@ class Shown:
         scene: (...) the scene's part a.
         missing: (...) probability that the surface is not where it should be.
         in_front: (...) Phi((d - z) / sigma).
-        before: six (...) of what both neighbours, the left, the upper, the upper right one and an earlier
-            frame foretell, and of what begins here, the probability that it is nearer.
+        before: (...) each of what is foretold, as `PREDICTIONS` has it, and of what begins here, the
+            probability that it is nearer.
     """
 
     there: jax.Array
@@ -143,13 +143,46 @@ class Unknown:
 
     Attributes:
         kappa: (P,) probability of something unknown.
-        weights: six (P,) of what it may be.
+        weights: (P,) each of what it may be, as `Shown.before` has it.
         density: (P,) u, at the observed depth.
     """
 
     kappa: jax.Array
     weights: list[jax.Array]
     density: jax.Array
+
+
+@dataclass(frozen=True)
+class EarlierPixels:
+    """What an earlier frame has measured at listed pixels.
+
+    Attributes:
+        depth_m: (P,) `NO_RETURN` where nothing.
+        weights, scales: (2, P) as `EarlierWeights` has them.
+    """
+
+    depth_m: jax.Array
+    weights: jax.Array
+    scales: jax.Array
+
+    def of_surface(
+        self, foretold_m: jax.Array, shows: jax.Array, noise: DepthNoise
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Weight, mean and deviation (P,) of what the frame foretells of a surface.
+
+        Args:
+            foretold_m: (P,) its depth by the pixels before.
+            shows: (P,) probability that the frame shows it.
+            noise: of the sensor.
+        """
+        depth_m, differs = told_otherwise(self.depth_m, foretold_m, True, noise)
+        weight, scale = (jnp.where(differs > 0, far, near) for near, far in (self.weights, self.scales))
+        return weight * shows, depth_m, scale * standard_deviation(noise, depth_m)
+
+    def mixed(self, by_pixels: jax.Array, by_frame: jax.Array) -> jax.Array:
+        """A probability (P,) by the pixels before and by the frame, which counts as where these differ."""
+        weight = jnp.where(self.depth_m == NO_RETURN, 0.0, self.weights[1])
+        return by_pixels + weight * (by_frame - by_pixels)
 
 
 @dataclass(frozen=True)
@@ -163,13 +196,11 @@ class PixelFactors:
             and where one was not.
         scales: (K, P) of these, over the sensor's standard deviation.
         observed_m: (P,).
-        earlier_m: (P,) what an earlier frame has measured there, `NO_RETURN` where none has.
-        earlier_weights: (2, P) as `UnknownWeights` has them.
-        earlier_scales: (2, P) likewise.
         unknown: what else the pixels may show, leaves (..., P).
-        parts: (6, P) as `ImageTerms` has them.
-        shares: (5, P) likewise.
+        parts: (L + 1, P) as `ImageTerms` has them.
+        shares: (L, P) likewise.
         measured: whether anything was measured beside them.
+        earlier: what an earlier frame has measured; None where there is none.
     """
 
     noise: DepthNoise
@@ -177,29 +208,32 @@ class PixelFactors:
     weights: jax.Array
     scales: jax.Array
     observed_m: jax.Array
-    earlier_m: jax.Array
-    earlier_weights: jax.Array
-    earlier_scales: jax.Array
     unknown: UnknownSurfaces
     parts: jax.Array
     shares: jax.Array
     measured: Near
+    earlier: EarlierPixels | None
 
-    def shows_earlier(self, surface: Surface) -> jax.Array:
-        """Probability (P,) that an earlier frame shows a surface (P,) there, by its own measurement."""
-        return surface.shows(self.earlier_m, self.noise, self.unknown.reach_m)
+    def shows_earlier(self, surface: Surface) -> jax.Array | None:
+        """Probability (P,) that an earlier frame shows a surface (P,); None where there is none."""
+        if self.earlier is None:
+            return None
+        return surface.shows(self.earlier.depth_m, self.noise, self.unknown.reach_m)
 
     def unknown_beside(
-        self, scene: Near, objects: Near, scene_earlier: jax.Array, objects_earlier: jax.Array
+        self, scene: Near, objects: Near, earlier: tuple[jax.Array, jax.Array] | None
     ) -> Unknown:
         """What is unknown, where pixels beside show the scene, and its objects, with such probabilities.
 
-        So does an earlier frame (P,).
+        So does an earlier frame, two (P,), if there is one.
         """
-        right = objects(1, -self.unknown.columns)
-        kept = kept_parts(objects(0, 1), objects(1, 0), right, objects_earlier)
+        kept = kept_parts(objects(0, 1), objects(1, 0), objects(1, -self.unknown.columns))
+        kappa = self._kappa(scene)
+        if self.earlier is not None and earlier is not None:
+            scene_earlier, objects_earlier = earlier
+            kept.append(1 - objects_earlier)
+            kappa = self.earlier.mixed(kappa, APPEARS + (1 - 2 * APPEARS) * (1 - scene_earlier))
         weights = [*kept, 1 - _weighted(kept, self.shares)]
-        kappa = self._pooled(self._kappa(scene), APPEARS + (1 - 2 * APPEARS) * (1 - scene_earlier))
         return Unknown(kappa, weights, _weighted(weights, self.parts))
 
     def shown(self, surface: Surface, before: SurfaceBefore) -> Shown:
@@ -247,7 +281,7 @@ class PixelFactors:
         none = jnp.where(surface.there | is_thing, none_hit, none_miss)
         return jnp.where(chance[4] < none, NO_RETURN, jnp.where(surface.there, hit, miss))
 
-    def shifted(self, outline: Near, other: Near, other_earlier: jax.Array) -> jax.Array:
+    def shifted(self, outline: Near, other: Near, other_earlier: jax.Array | None) -> jax.Array:
         """Probability (P,) that pixels at one side of an outline show its other side; 0 elsewhere.
 
         An outline is shifted with probability 1/2, as it was one pixel before but for `CHANGES`; where it is,
@@ -256,7 +290,7 @@ class PixelFactors:
         Args:
             outline: these pixels.
             other: probability that they show the other side, by their own measurement.
-            other_earlier: (P,) that an earlier frame does.
+            other_earlier: (P,) that an earlier frame does, if there is one.
         """
         told, seen = [], []
         for by in ((0, 1), (1, 0)):
@@ -266,8 +300,10 @@ class PixelFactors:
         unseen = 0.5 * (1 - self.edge_reach) / (1 - 0.5 * self.edge_reach)
         before = unseen + (1 - unseen) * seen_other / jnp.maximum(count, 1.0)
         shifted = jnp.where(count > 0, CHANGES + (1 - 2 * CHANGES) * before, 0.5)
-        shares = self._pooled(self.edge_reach * shifted, CHANGES + (1 - 2 * CHANGES) * other_earlier)
-        return jnp.where(outline(0, 0), shares, 0.0)
+        share = self.edge_reach * shifted
+        if self.earlier is not None and other_earlier is not None:
+            share = self.earlier.mixed(share, CHANGES + (1 - 2 * CHANGES) * other_earlier)
+        return jnp.where(outline(0, 0), share, 0.0)
 
     def _scene(self, surface: Surface, before: SurfaceBefore) -> jax.Array:
         """The scene's part a (P,)."""
@@ -298,30 +334,18 @@ class PixelFactors:
             (by_right_plane, plane_m, 5, right),
             (by_three, left_m + above_m - corner_m, 6, left * above * corner),
         )
-        earlier, earlier_m, spread_m = self._by_earlier(surface, depth_m + plane_m)
-        weights = [*((1 - earlier) * weight * share for weight, _, _, share in parts), earlier]
-        means_m = [*(depth_m + foretold_m for _, foretold_m, _, _ in parts), earlier_m]
-        spreads_m = [*(self.scales[scale] * sensor_m for _, _, scale, _ in parts), spread_m]
+        weights = [weight * share for weight, _, _, share in parts]
+        means_m = [depth_m + foretold_m for _, foretold_m, _, _ in parts]
+        spreads_m = [self.scales[scale] * sensor_m for _, _, scale, _ in parts]
+        shows = self.shows_earlier(surface)
+        if self.earlier is not None and shows is not None:
+            weight, earlier_m, spread_m = self.earlier.of_surface(depth_m + plane_m, shows, self.noise)
+            weights = [*((1 - weight) * other for other in weights), weight]
+            means_m.append(earlier_m)
+            spreads_m.append(spread_m)
         told = sum(weights, start=jnp.zeros_like(depth_m))
         spreads_m.append(surface.measured_sigma_m(self.noise))
         return [*weights, 1 - told], [*means_m, depth_m], spreads_m
-
-    def _by_earlier(self, surface: Surface, foretold_m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Weight, mean and deviation (P,) of a surface's depth by an earlier frame.
-
-        Pixels before foretell the depth `foretold_m` (P,).
-        """
-        earlier_m, differs = told_otherwise(self.earlier_m, foretold_m, True, self.noise)
-        weight, scale = (
-            jnp.where(differs > 0, apart, near) for near, apart in (self.earlier_weights, self.earlier_scales)
-        )
-        spread_m = scale * standard_deviation(self.noise, earlier_m)
-        return weight * self.shows_earlier(surface), earlier_m, spread_m
-
-    def _pooled(self, by_pixels: jax.Array, by_earlier: jax.Array) -> jax.Array:
-        """A probability (P,) by the pixels before and by an earlier frame, where these may differ."""
-        weight = jnp.where(self.earlier_m == NO_RETURN, 0.0, self.earlier_weights[1])
-        return by_pixels + weight * (by_earlier - by_pixels)
 
     def _missing(self, surface: Surface, before: SurfaceBefore) -> jax.Array:
         """Probability (P,) that a surface is not where it should be: what is behind it is seen there.
@@ -331,9 +355,12 @@ class PixelFactors:
         left, above = (
             jnp.where(before.residual_m(*by) > 0, 1 - before.shows(*by), 0.0) for by in ((0, 1), (1, 0))
         )
-        ended = jnp.where(self.earlier_m > surface.finite_m, 1 - self.shows_earlier(surface), 0.0)
-        by_pixels = MISSING + (MISSING_ON - MISSING) * (left + above) / 2
-        return self._pooled(by_pixels, MISSING + (1 - 2 * MISSING) * ended)
+        missing = MISSING + (MISSING_ON - MISSING) * (left + above) / 2
+        shows = self.shows_earlier(surface)
+        if self.earlier is None or shows is None:
+            return missing
+        ended = jnp.where(self.earlier.depth_m > surface.finite_m, 1 - shows, 0.0)
+        return self.earlier.mixed(missing, MISSING + (1 - 2 * MISSING) * ended)
 
     def _kappa(self, scene: Near) -> jax.Array:
         """Probability (P,) of something unknown, by what the pixels before show of the scene.

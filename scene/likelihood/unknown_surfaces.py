@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -57,10 +57,26 @@ LIKE_ALL = 20.0
 """Pixels' worth of what is learned of all pixels in what is learned of those with an edge of one kind."""
 PREDICTIONS = (0, 1, 4, 6), (2,), (3,), (5,), (len(FIRST_SCALES),)
 """Those that look at the pixels to the left and above, at the left one alone, at that above alone, at the one
-to the right of that, at an earlier frame."""
+to the right of that; where there is one, at an earlier frame."""
 EITHER = 4
 """The one that is there wherever one of both neighbours is, and tells of surprises."""
 assert (KINDS, len(FIRST_SCALES) + 1) == (UNKNOWN_KINDS, UNKNOWN_PARTS)  # of sensor profiles
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EarlierWeights:
+    """How well earlier frames foretell the frames of a scene.
+
+    Where the pixels before foretell about the same depth, and where they do not.
+
+    Attributes:
+        weights: (2,).
+        scales: (2,) standard deviations over that of the sensor.
+    """
+
+    weights: jax.Array | NDArray[np.float32]
+    scales: jax.Array | NDArray[np.float32]
 
 
 @jax.tree_util.register_dataclass
@@ -72,16 +88,13 @@ class UnknownWeights:
         weights: (KINDS, K + 1) that sum to 1; the last is w_0.
         scales: (K,) standard deviations of predictions over that of the sensor there.
         reach_m: R.
-        earlier: (2,) weights of what an earlier frame foretells, where the pixels before foretell about the
-            same and where they do not, and
-        earlier_scales: (2,) standard deviations of it over that of the sensor; of a set of frames.
+        earlier: of the frames at hand; None where there is but one.
     """
 
     weights: jax.Array
     scales: jax.Array
     reach_m: jax.Array | float = REACH_M
-    earlier: jax.Array | NDArray[np.float32] = field(default_factory=lambda: np.zeros(2, np.float32))
-    earlier_scales: jax.Array | NDArray[np.float32] = field(default_factory=lambda: np.ones(2, np.float32))
+    earlier: EarlierWeights | None = None
 
     @classmethod
     def of(cls, table: UnknownTable, pitch_rad: float) -> UnknownWeights:
@@ -147,9 +160,9 @@ class UnknownSurfaces:
     """The mixtures of all pixels of an image.
 
     Attributes:
-        means_m: (K + 1, H, W) predicted depths, the last by an earlier frame.
-        sigmas_m: (K + 1, H, W).
-        weights: (K + 2, H, W) that sum to 1; the last is w_0.
+        means_m: (K, H, W) predicted depths, with one more, the last, where an earlier frame predicts.
+        sigmas_m: (K, H, W).
+        weights: (K + 1, H, W) that sum to 1; the last is w_0.
         columns: (H, W) int32, how far to the right in the row above the upper right neighbour is.
         reach_m: R.
     """
@@ -162,30 +175,53 @@ class UnknownSurfaces:
 
     @classmethod
     def of(
-        cls, depth_m: jax.Array, earlier_m: jax.Array, noise: DepthNoise, learned: UnknownWeights
+        cls,
+        depth_m: jax.Array,
+        noise: DepthNoise,
+        learned: UnknownWeights,
+        earlier_m: jax.Array | None = None,
     ) -> UnknownSurfaces:
-        """The mixtures of an image (H, W), of which an earlier frame has measured (H, W)."""
+        """The mixtures of an image (H, W), given what an earlier frame, if any, has measured (H, W)."""
         means_m, known = _predictions(depth_m, noise)
         weights = jnp.moveaxis(learned.weights[_kinds(depth_m, means_m, known, noise)], -1, 0)
         shares = weights * jnp.concatenate([known, jnp.ones_like(known[:1])])
         sigmas_m = learned.scales[:, None, None] * standard_deviation(noise, means_m)
         shares = shares / jnp.sum(shares, axis=0, keepdims=True)
-        foretold_m, differs = told_otherwise(earlier_m, means_m[EITHER], known[EITHER] > 0, noise)
-        told = (jnp.asarray(learned.earlier)[differs] * (earlier_m != NO_RETURN))[None]
-        shares = (1 - told) * shares
-        shares = jnp.concatenate([shares[:-1], told, shares[-1:]])
-        means_m = jnp.concatenate([means_m, foretold_m[None]])
-        spread_m = jnp.asarray(learned.earlier_scales)[differs] * standard_deviation(noise, foretold_m)
-        sigmas_m = jnp.concatenate([sigmas_m, spread_m[None]])
-        return cls(means_m, sigmas_m, shares, _upper_right(depth_m)[1], learned.reach_m)
+        alone = cls(means_m, sigmas_m, shares, _upper_right(depth_m)[1], learned.reach_m)
+        if earlier_m is None or learned.earlier is None:
+            return alone
+        return alone._given(earlier_m, known[EITHER] > 0, noise, learned.earlier)
+
+    def _given(
+        self, earlier_m: jax.Array, known: jax.Array, noise: DepthNoise, learned: EarlierWeights
+    ) -> UnknownSurfaces:
+        """The same given what an earlier frame has measured (H, W).
+
+        Args:
+            earlier_m: `NO_RETURN` where it has nothing.
+            known: (H, W) where pixels before foretell anything.
+            noise: of the sensor.
+            learned: how well the frame foretells this one.
+        """
+        foretold_m, differs = told_otherwise(earlier_m, self.means_m[EITHER], known, noise)
+        weight, scale = (jnp.asarray(part)[differs] for part in (learned.weights, learned.scales))
+        told = (weight * (earlier_m != NO_RETURN))[None]
+        shares = (1 - told) * self.weights
+        spread_m = scale * standard_deviation(noise, foretold_m)
+        return replace(
+            self,
+            means_m=jnp.concatenate([self.means_m, foretold_m[None]]),
+            sigmas_m=jnp.concatenate([self.sigmas_m, spread_m[None]]),
+            weights=jnp.concatenate([shares[:-1], told, shares[-1:]]),
+        )
 
     def density_parts(self, observed_m: jax.Array) -> list[jax.Array]:
-        """Five densities (...) at observed depths of what is foretold, as `kept_parts` has them."""
+        """Densities (...) at observed depths of what is foretold, as `PREDICTIONS` has it."""
         foretold = zip(self.means_m, self.sigmas_m, strict=True)
         return self._by_neighbours([normal_density(observed_m, *of_mean) for of_mean in foretold])
 
     def shares(self) -> list[jax.Array]:
-        """Five weights (...) of what is foretold, likewise."""
+        """Weights (...) of what is foretold, likewise."""
         return self._by_neighbours([1.0] * len(self.means_m))
 
     def new_density(self, observed_m: jax.Array) -> jax.Array:
@@ -193,7 +229,7 @@ class UnknownSurfaces:
         return ((observed_m >= 0) & (observed_m <= self.reach_m)) / self.reach_m
 
     def drawn(self, key: jax.Array, weights: Sequence[jax.Array]) -> jax.Array:
-        """Depths (...) drawn with six weights (...) of what is foretold and of what begins here."""
+        """Depths (...) drawn with weights (...) of what is foretold and, last, of what begins here."""
         new_key, kind_key, key = jax.random.split(key, 3)
         of_parts = {one: group for group, members in enumerate(PREDICTIONS) for one in members}
         kept = jnp.stack([weights[of_parts[one]] for one in range(len(self.means_m))])
@@ -202,7 +238,7 @@ class UnknownSurfaces:
         return jnp.where(is_new, self.reach_m * jax.random.uniform(new_key, foretold.shape), foretold)
 
     def parts_before(self, depth_m: jax.Array, sigma_m: jax.Array) -> list[jax.Array]:
-        """Five probabilities (...) that what is foretold is nearer than a surface so well known."""
+        """Probabilities (...) that what is foretold is nearer than a surface so well known, likewise."""
         foretold = zip(self.means_m, self.sigmas_m, strict=True)
         distances = [(depth_m - mean_m) / jnp.hypot(of_mean_m, sigma_m) for mean_m, of_mean_m in foretold]
         return self._by_neighbours(list(map(normal_distribution, distances)))
@@ -213,21 +249,22 @@ class UnknownSurfaces:
         return sigma_m / self.reach_m * (low - high)
 
     def _by_neighbours(self, parts: Sequence[jax.Array | float]) -> list[jax.Array]:
-        """Five weighted sums (...) of K + 1 predictions (...), as `kept_parts` has them.
+        """Weighted sums (...) of predictions (...), as `PREDICTIONS` has them.
 
         A list, for kernels that write to one array of several parts are scalar, and slow.
         """
         weighted = [weight * part for weight, part in zip(self.weights[:-1], parts, strict=True)]
-        return [jnp.asarray(sum(weighted[part] for part in group)) for group in PREDICTIONS]
+        groups = (group for group in PREDICTIONS if group[-1] < len(weighted))
+        return [jnp.asarray(sum(weighted[part] for part in group)) for group in groups]
 
 
-def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array, earlier: jax.Array) -> list[jax.Array]:
-    """Five shares (...) that count of what is foretold, in the order of `PREDICTIONS`.
+def kept_parts(left: jax.Array, above: jax.Array, right: jax.Array) -> list[jax.Array]:
+    """Four shares (...) that count of what both neighbours, the left, the upper, the upper right foretell.
 
     An unknown surface does not continue an object's: what a neighbour foretells that shows an object, with
     probability (...), is left out, and a surface that begins here gets its weight.
     """
-    return [(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right, 1 - earlier]
+    return [(1 - left) * (1 - above), 1 - left, 1 - above, 1 - right]
 
 
 def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: DepthNoise) -> jax.Array:
@@ -247,22 +284,6 @@ def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: Dept
     return edge + EDGES * _surprised(error_m, standard_deviation(noise, means_m[EITHER])).astype(jnp.int32)
 
 
-def _surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
-    """Whether the pixel to the left of each (H, W) or that above was badly foretold.
-
-    Args:
-        error_m: (H, W) depth less its prediction, 0 where there is none.
-        sensor_m: (H, W) the sensor's standard deviation.
-    """
-    large = is_surprising(error_m, sensor_m).astype(error_m.dtype)
-    return (shifted(large, 0, 1) > 0) | (shifted(large, 1, 0) > 0)
-
-
-def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
-    """Whether predictions erred by far more than a sensor of this standard deviation does; any shape."""
-    return jnp.abs(error_m) > SURPRISE * sensor_m
-
-
 def told_otherwise(
     earlier_m: jax.Array, foretold_m: jax.Array, known: jax.Array | bool, noise: DepthNoise
 ) -> tuple[jax.Array, jax.Array]:
@@ -277,6 +298,22 @@ def told_otherwise(
     seen_m = jnp.where(earlier_m == NO_RETURN, 1.0, earlier_m)
     near = known & ~is_surprising(foretold_m - seen_m, standard_deviation(noise, seen_m))
     return seen_m, 1 - near.astype(jnp.int32)
+
+
+def _surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
+    """Whether the pixel to the left of each (H, W) or that above was badly foretold.
+
+    Args:
+        error_m: (H, W) depth less its prediction, 0 where there is none.
+        sensor_m: (H, W) the sensor's standard deviation.
+    """
+    large = is_surprising(error_m, sensor_m).astype(error_m.dtype)
+    return (shifted(large, 0, 1) > 0) | (shifted(large, 1, 0) > 0)
+
+
+def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
+    """Whether predictions erred by far more than a sensor of this standard deviation does; any shape."""
+    return jnp.abs(error_m) > SURPRISE * sensor_m
 
 
 @jit_stored()

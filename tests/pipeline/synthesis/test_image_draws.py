@@ -39,8 +39,7 @@ def log_image(
 ) -> jax.Array:
     """Log density of an image (H, W) of objects (L, H, W)."""
     numbers = noise, jnp.float32(SURFACE_M), jnp.float32(EDGE_REACH), LEARNED
-    no_frame = jnp.full_like(observed_m, NO_RETURN)
-    density = PixelDensity.of_image(observed_m, no_frame, jnp.asarray(rest_m), *numbers)
+    density = PixelDensity.of_image(observed_m, jnp.asarray(rest_m), *numbers)
     shown, depth_m = jax.lax.map(density.of_object, jnp.asarray(layers_m))
     nearest = jnp.argmin(depth_m, axis=0)[None]
     mine, there = (jnp.take_along_axis(part, nearest, axis=0)[0] for part in (shown, depth_m))

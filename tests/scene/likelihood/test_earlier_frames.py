@@ -152,8 +152,9 @@ def test_what_earlier_frames_foretell_is_learned(seed: int) -> None:
     error_m = 1.5 * NOISE.sigma_base_m * rng.standard_normal(SIZE)
     earlier_m = np.where(seen_again, depth_m - error_m, rng.uniform(0.5, 2.4, SIZE)).astype(np.float32)
     weights = with_earlier(UnknownWeights.learned([depth_m], NOISE), [depth_m], [earlier_m], NOISE)
-    assert abs(weights.earlier[1] - 0.6) < 0.04
-    assert abs(weights.earlier_scales[1] - 1.5) < 0.1
+    assert weights.earlier is not None
+    assert abs(weights.earlier.weights[1] - 0.6) < 0.04
+    assert abs(weights.earlier.scales[1] - 1.5) < 0.1
 
 
 def test_without_earlier_frames_nothing_is_foretold(seed: int) -> None:
@@ -161,7 +162,9 @@ def test_without_earlier_frames_nothing_is_foretold(seed: int) -> None:
     depth_m = measured(np.random.default_rng(seed), np.ones(SIZE, np.float32))
     weights = UnknownWeights.learned([depth_m], NOISE)
     nothing = np.full_like(depth_m, NO_RETURN)
-    assert not np.any(with_earlier(weights, [depth_m], [nothing], NOISE).earlier)
+    earlier = with_earlier(weights, [depth_m], [nothing], NOISE).earlier
+    assert earlier is not None
+    assert not np.any(earlier.weights)
 
 
 def measured(rng: np.random.Generator, true_m: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from scene.likelihood.object_density import layer_densities, object_densities
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.pixel_factors import MISSING, MISSING_ON, OUTLIERS
 from scene.likelihood.pixel_places import ImageParts
-from scene.likelihood.unknown_surfaces import EDGES, UnknownWeights
+from scene.likelihood.unknown_surfaces import EDGES, EarlierWeights, UnknownWeights
 
 STEP_M, SENSOR_M, SURFACE_M = 0.07, 0.08, 0.05
 DEPTHS_M = STEP_M * (np.arange(30) - 6.5)
@@ -29,22 +29,21 @@ NOISE = DepthNoise(
     max_range_m=REACH_M,
 )
 WEIGHTS, ASTIR = [0.2, 0.1, 0.1, 0.1, 0.15, 0.1, 0.1, 0.15], [0.1, 0.1, 0.15, 0.05, 0.2, 0.1, 0.15, 0.15]
+WEIGHTS_EARLIER, SCALES_EARLIER = [0.4, 0.7], [0.9, 1.1]
 LEARNED = UnknownWeights(
     weights=jnp.array([WEIGHTS] * EDGES + [ASTIR] * EDGES),
     scales=jnp.array([1.0, 1.05, 1.1, 1.15, 1.2, 1.1, 1.05]),
     reach_m=REACH_M,
-    earlier=jnp.array([0.4, 0.7]),
-    earlier_scales=jnp.array([0.9, 1.1]),
+    earlier=EarlierWeights(weights=jnp.array(WEIGHTS_EARLIER), scales=jnp.array(SCALES_EARLIER)),
 )
 INF = np.inf
-NO_FRAME = [[NO_RETURN, NO_RETURN], [NO_RETURN, NO_RETURN]]
 SCENES = {
     "an object that ends between the columns": (
         [[0.5, INF], [0.52, INF]],
         [[0.8, 0.8], [0.7, 0.7]],
-        NO_FRAME,
+        None,
     ),
-    "one in the corner, a support that ends": ([[INF, INF], [INF, 0.6]], [[0.8, INF], [0.7, 0.7]], NO_FRAME),
+    "one in the corner, a support that ends": ([[INF, INF], [INF, 0.6]], [[0.8, INF], [0.7, 0.7]], None),
     "an earlier frame saw the object, the support, nothing, what is before it": (
         [[0.5, INF], [0.52, 0.6]],
         [[0.8, 0.8], [0.7, 0.7]],
@@ -63,11 +62,11 @@ def near_predictions() -> Iterator[None]:
 
 @jax.jit
 def log_factors(
-    observed_m: jax.Array, layer_m: jax.Array, rest_m: jax.Array, earlier_m: jax.Array
+    observed_m: jax.Array, layer_m: jax.Array, rest_m: jax.Array, earlier_m: jax.Array | None
 ) -> jax.Array:
     """Log density (2, 2) of the pixels of an image under a scene of one object, given an earlier frame."""
-    numbers = jnp.float32(SURFACE_M), jnp.float32(0.6)
-    density = PixelDensity.of_image(observed_m, earlier_m, rest_m, NOISE, *numbers, LEARNED)
+    numbers = NOISE, jnp.float32(SURFACE_M), jnp.float32(0.6), LEARNED
+    density = PixelDensity.of_image(observed_m, rest_m, *numbers, earlier_m)
     shown, depth_m = density.of_object(layer_m)
     return jnp.where(jnp.isfinite(depth_m), shown, density.log_rest)
 
@@ -88,7 +87,7 @@ def images() -> np.ndarray:
 def test_all_images_sum_to_one(scene: str) -> None:
     """Outlines, labels, correlated residuals, the atom and earlier frames included, within 1e-6."""
     with jax.enable_x64(True):
-        layer_m, rest_m, earlier_m = (jnp.asarray(part) for part in SCENES[scene])
+        layer_m, rest_m, earlier_m = (None if part is None else jnp.asarray(part) for part in SCENES[scene])
         factors: Callable = jax.jit(jax.vmap(lambda image: log_factors(image, layer_m, rest_m, earlier_m)))
         total = 0.0
         for part in np.array_split(images(), 16):
@@ -216,13 +215,13 @@ def _drawn(
         return agrees / (agrees + 1 / REACH_M)
 
     shown_first, shown_earlier = shows(first, 0.5), shows(earlier_m, depth_m)
-    near, apart = (0.0, 0.0) if earlier_m == NO_RETURN else np.asarray(LEARNED.earlier)  # all within 3 sigma
+    near, apart = (0.0, 0.0) if earlier_m == NO_RETURN else np.asarray(WEIGHTS_EARLIER)  # all within 3 sigma
 
     def by_earlier(size: float | np.ndarray) -> np.ndarray:
         return rng.random(count) < size
 
     def seen_again() -> np.ndarray:
-        return rng.normal(earlier_m, SENSOR_M * LEARNED.earlier_scales[0], count)
+        return rng.normal(earlier_m, SENSOR_M * SCALES_EARLIER[0], count)
 
     def unknown() -> np.ndarray:
         kinds = np.array([0, 2, 4, 5])  # the plane, the pixel to the left, either plane, and what begins

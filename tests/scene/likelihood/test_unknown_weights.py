@@ -42,7 +42,7 @@ def image(rng: np.random.Generator, noise: DepthNoise, correlation: float) -> ND
 def log_density(depth_m: jax.Array, weights: UnknownWeights) -> jax.Array:
     """Mean over the measured pixels of an image."""
     measured = depth_m != NO_RETURN
-    surfaces = UnknownSurfaces.of(depth_m, jnp.full_like(depth_m, NO_RETURN), NOISE, weights)
+    surfaces = UnknownSurfaces.of(depth_m, NOISE, weights)
     new = surfaces.weights[-1] * surfaces.new_density(depth_m)
     density = sum(surfaces.density_parts(depth_m), start=new)
     return jnp.sum(jnp.where(measured, jnp.log(jnp.maximum(density, 1e-8)), 0.0)) / jnp.sum(measured)
@@ -109,8 +109,7 @@ def test_outlines_that_lean_are_foretold(columns_a_row: int, seed: int) -> None:
     for lean in (1, columns_a_row):
         learned = UnknownWeights.learned([leaning(rng, lean)[0] for _ in range(2)], NOISE)
         depth_m, begins = leaning(rng, lean)
-        nothing = jnp.full_like(depth_m, NO_RETURN)
-        surfaces = UnknownSurfaces.of(jnp.asarray(depth_m), nothing, NOISE, learned)
+        surfaces = UnknownSurfaces.of(jnp.asarray(depth_m), NOISE, learned)
         new = surfaces.weights[-1] * surfaces.new_density(jnp.asarray(depth_m))
         density = sum(surfaces.density_parts(jnp.asarray(depth_m)), start=new)
         means.append(np.log(np.asarray(density)[begins]).mean())
