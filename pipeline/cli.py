@@ -61,6 +61,12 @@ class Misuse(Failure):
     exit_code = 2
 
 
+class Interrupted(Failure):
+    """One clear line on stderr and the exit code that shells give to what Ctrl-C ended."""
+
+    exit_code = 128 + signal.SIGINT
+
+
 class LazyGroup(click.Group):
     """A group that imports a subcommand only when it is named or listed, and tells mistakes in one line.
 
@@ -116,7 +122,7 @@ class LazyGroup(click.Group):
         except KeyboardInterrupt as error:
             resumed = _named(ctx) in RESUMED or GOES_ON in ctx.meta
             how = "the same command goes on where it stopped" if resumed else "nothing half-written is left"
-            raise Failure(f"interrupted; {how}") from error
+            raise Interrupted(f"interrupted; {how}") from error
         except Exception as error:  # one line for the user, the traceback for us
             raise Failure(_one_line(unforeseen(error))) from error
 

@@ -27,9 +27,12 @@ def command(common: Common, runs: tuple[Path, ...], output: Path) -> None:
     opens without a network. Of a project, every recording's run is told.
     """
     from pipeline.atomic import check_output, write_text
+    from pipeline.errors import ConfigError
     from pipeline.report.run_report import report
 
     check_output(output)
+    if output.suffix.lower() not in (".html", ".htm", ""):
+        raise ConfigError(f"--output {output}: a report is an HTML page, name a file that ends with .html")
     with common.progress("report", "runs") as progress:
         page = report(runs, progress)
     write_text(output, page.html())

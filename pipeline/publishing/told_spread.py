@@ -85,7 +85,8 @@ def modes_text(one: Mapping[str, Any]) -> str:
 
 def shares_text(one: Mapping[str, Any]) -> str:
     """Shares of the modes of an object's pose; a question mark where chains do not agree on them."""
-    shares = ", ".join(f"{100 * mode['probability']:.0f}" for mode in one["modes"])
+    percent = (100 * mode["probability"] for mode in one["modes"])
+    shares = ", ".join("<1" if 0 < share < 1 else f"{share:.0f}" for share in percent)
     return f"{shares}%{'' if one['modes_converged'] else '?'}"
 
 

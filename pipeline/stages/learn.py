@@ -18,6 +18,7 @@ from pipeline.session import Session
 from pipeline.stages.slam import slam_stage
 from shapes.geometry.poses import matrices_of
 from shapes.learning.config import LearnConfig
+from shapes.learning.region import place_of_pixel
 
 if TYPE_CHECKING:
     from recordings.options import ReadOptions
@@ -55,10 +56,10 @@ def learn_stage(
         recorded_poses: take the recording's own poses instead of running slam.
 
     Raises:
-        PipelineError: there is no object to learn, there are no recorded poses, or the run holds a stage of
-            other frames.
+        PipelineError: there is no object to learn, or it is pointed at outside the images; there are no
+            recorded poses, or the run holds a stage of other frames.
     """
-    config = session.common.settings.section("learn", LearnConfig, options)
+    config = learn_config(session, options)
     config = config.with_noise(session.recording.sensor and session.recording.sensor.noise)
     if recorded_poses:
         session.begin(f"learn/{name}")
@@ -82,6 +83,21 @@ def learn_stage(
         uses=[trajectory],
         sources=SOURCES,
     )
+
+
+def learn_config(session: Session, options: Mapping[str, Any] | None) -> LearnConfig:
+    """The settings of learning, compared with the images before slam takes minutes.
+
+    Raises:
+        PipelineError: the pixel that is pointed at is outside the images.
+    """
+    config = session.common.settings.section("learn", LearnConfig, options)
+    if config.pixel is not None:
+        try:
+            place_of_pixel(config.pixel, session.recording.intrinsics)
+        except ValueError as error:
+            raise PipelineError(f"learn.pixel: {error}") from error
+    return config
 
 
 def posed_frames(session: Session, *, recorded_poses: bool) -> PosedFrames:

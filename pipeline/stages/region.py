@@ -15,10 +15,9 @@ from pipeline.atomic import atomic_path
 from pipeline.errors import PipelineError
 from pipeline.report.pictures import depth_pixels
 from pipeline.session import Session
-from pipeline.stages.learn import posed_frames
+from pipeline.stages.learn import learn_config, posed_frames
 from recordings.types import CameraIntrinsics, Frame
 from shapes.geometry.poses import transform_points
-from shapes.learning.config import LearnConfig
 from shapes.learning.distillation import select_views
 from shapes.learning.region import object_grid
 from shapes.voxel_grid import VoxelGrid
@@ -50,7 +49,7 @@ def preview_region(
     Raises:
         PipelineError: there is no object to learn; the message says why.
     """
-    config = session.common.settings.section("learn", LearnConfig, options)
+    config = learn_config(session, options)
     posed = posed_frames(session, recorded_poses=recorded_poses)
     chosen = select_views(len(posed.times_ns), config)
     stamps = set(posed.times_ns[chosen].tolist())

@@ -140,6 +140,20 @@ def observed_region(
     )
 
 
+def place_of_pixel(pixel: tuple[float, float], intrinsics: CameraIntrinsics) -> tuple[int, int]:
+    """Column and row of a pixel, whole numbers.
+
+    Raises:
+        ValueError: the pixel is outside the image.
+    """
+    column, row = (round(value) for value in pixel)
+    if not (0 <= column < intrinsics.width and 0 <= row < intrinsics.height):
+        raise ValueError(
+            f"pixel {column},{row} is outside the image of {intrinsics.width}x{intrinsics.height}"
+        )
+    return column, row
+
+
 def point_at_pixel(
     depth_m: NDArray[np.float32],
     intrinsics: CameraIntrinsics,
@@ -151,11 +165,7 @@ def point_at_pixel(
     Raises:
         ValueError: the pixel is outside the image, or nothing returned near it.
     """
-    column, row = (round(value) for value in pixel)
-    if not (0 <= column < intrinsics.width and 0 <= row < intrinsics.height):
-        raise ValueError(
-            f"pixel {column},{row} is outside the image of {intrinsics.width}x{intrinsics.height}"
-        )
+    column, row = place_of_pixel(pixel, intrinsics)
     rows, columns = (slice(max(n - PIXEL_REACH, 0), n + PIXEL_REACH + 1) for n in (row, column))
     returns = depth_m[rows, columns][depth_m[rows, columns] != NO_RETURN]
     if not len(returns):

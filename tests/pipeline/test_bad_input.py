@@ -277,6 +277,14 @@ def test_a_recording_is_not_replaced(arguments: list[str], tmp_path: Path) -> No
     assert recording.read_bytes() == content
 
 
+def test_a_pixel_beside_the_image_is_refused_before_slam(tmp_path: Path) -> None:
+    """In one line, and the camera has not been looked for."""
+    recording, out = write(tmp_path / "r.mcap", depth()), tmp_path / "r.run"
+    told = run("learn", recording, "-o", out, "--name", "mug", "--pixel", "40,7")
+    assert_one_line(told, "pixel 40,7 is outside the image of 40x30")
+    assert not (out / "slam.npz").exists()
+
+
 def test_the_first_frame_that_is_wanted_tells_the_size(tmp_path: Path) -> None:
     """A driver that begins with an image of another mode, or another frame's name."""
     stamps = [SECOND_NS + one * SECOND_NS // 10 for one in range(4)]

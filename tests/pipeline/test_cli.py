@@ -103,7 +103,7 @@ def test_mistakes_end_in_one_line(error: BaseException, line: str) -> None:
 
     result = CliRunner().invoke(Failing("voxscene", package="", members=["fail"]), ["fail"])
 
-    code = 2 if isinstance(error, ConfigError) else 1
+    code = {ConfigError: 2, KeyboardInterrupt: 130}.get(type(error), 1)
     assert (result.exit_code, result.stdout, result.stderr) == (code, "", line)
 
 
@@ -132,7 +132,7 @@ def test_an_interrupted_command_says_whether_it_goes_on(
     monkeypatch.setattr(interrupted, interrupt)
     told = CliRunner().invoke(voxscene, arguments.split())
     how = "the same command goes on where it stopped" if goes_on else "nothing half-written is left"
-    assert (told.exit_code, told.stderr.splitlines()[-1]) == (1, f"voxscene: interrupted; {how}")
+    assert (told.exit_code, told.stderr.splitlines()[-1]) == (130, f"voxscene: interrupted; {how}")
 
 
 def test_a_reader_that_stops_is_no_mistake(mug_file: Path) -> None:

@@ -69,6 +69,12 @@ def test_what_is_not_sure_is_said_with_its_doubt() -> None:
     assert agreement_text(TURNED | {"r_hat": None}) == "not converged, R-hat infinite"
 
 
+def test_shares_of_less_than_a_percent_are_not_told_as_none() -> None:
+    """A mode that is there has a share."""
+    modes = [{"probability": share, "middle_std_m": 0.001} for share in (0.796, 0.2, 0.004)]
+    assert modes_text(SURE | {"modes": modes}).startswith("3 modes, 80, 20, <1%")
+
+
 def test_the_verdict_says_what_to_do() -> None:
     """With the sweeps that would do."""
     parse = {

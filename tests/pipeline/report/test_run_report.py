@@ -119,6 +119,14 @@ def test_what_is_no_run_is_told(tmp_path: Path) -> None:
     assert not (tmp_path / "r.html").exists()
 
 
+def test_a_report_is_a_page_and_nothing_else(run: Path, tmp_path: Path) -> None:
+    """A name that ends as another kind of file is refused before any work."""
+    result = CliRunner().invoke(voxscene, ["report", str(run), "-o", str(tmp_path / "r.pdf")])
+    assert result.exit_code == 2
+    assert "HTML" in result.stderr
+    assert not (tmp_path / "r.pdf").exists()
+
+
 def test_warnings_name_what_is_wrong_and_nothing_else(parsed_run: RunValues) -> None:
     """A sound run has none; each fault adds its own."""
     assert parsed_run.slam is not None
