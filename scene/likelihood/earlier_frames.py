@@ -101,10 +101,11 @@ def _is_hidden(
         np.asarray(np.linalg.inv(camera_from_other), np.float64), rays[:, :, None] * lengths_m[..., None]
     )
     *places, ahead = project(points_m, other.intrinsics)
-    row, column = (np.rint(place).astype(np.intp) for place in places)
+    row, column = map(np.rint, places)
     height, width = other.depth_m.shape
     inside = ahead & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    measured_m = other.depth_m[np.where(inside, row, 0), np.where(inside, column, 0)]
+    seen_at = (np.where(inside, place, 0).astype(np.intp) for place in (row, column))
+    measured_m = other.depth_m[tuple(seen_at)]
     behind = points_m[..., 2] > measured_m + JOINED_M
     return (inside & (measured_m != NO_RETURN) & behind).any(axis=-1)
 
