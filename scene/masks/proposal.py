@@ -121,11 +121,11 @@ def _detector_for(one: SceneObject, seen: SeenSpace | None, *, standing: bool) -
 
 def best_atoms(grid: EvidenceGrid, shape: Detector) -> Atoms:
     """The best cells of all orientations: found in coarse cells, told apart in fine ones."""
-    turns, cells, _ = best_places(FlatGrid.of(grid.coarser(), shape.coarse.reach), shape.coarse, PAIRS)
+    coarse = best_places(grid.coarser(), shape.coarse, PAIRS)
+    turns, inner = coarse.turns, 2 * coarse.cells[:, None] + _CHILDREN
     if not len(turns):
         return Atoms.none()
-    inner = 2 * cells[:, None] + _CHILDREN
-    scores = scores_in(FlatGrid.of(grid, shape.fine.reach), shape.fine, turns, inner)
+    scores = scores_in(FlatGrid.of(grid.evidence, shape.fine.reach), shape.fine, turns, inner)
     best = scores.argmax(axis=1)
     cells, scores = inner[np.arange(len(best)), best], scores[np.arange(len(best)), best]
     order = np.argsort(-scores, kind="stable")

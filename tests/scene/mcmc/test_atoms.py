@@ -52,7 +52,8 @@ def test_boltzmann_agrees_with_enumeration(seed: int) -> None:
         weights=rng.choice(np.array([2, -1], np.int8), (24, MOST_CELLS)),
     )
     cells = np.stack(np.meshgrid(*3 * [np.arange(8)], indexing="ij"), axis=-1).reshape(1, -1, 3)
-    scores = scores_in(FlatGrid.of(grid, 2), masks, np.arange(24), np.repeat(cells, 24, axis=0)).ravel()
+    flat = FlatGrid.of(grid.evidence, 2)
+    scores = scores_in(flat, masks, np.arange(24), np.repeat(cells, 24, axis=0)).ravel()
 
     log_p = log_boltzmann(scores, 64.0)
 
