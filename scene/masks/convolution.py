@@ -135,7 +135,7 @@ def best_places(grid: EvidenceGrid, masks: ShapeMasks, count: int) -> MaskScores
         Those of a score above 0, the highest first; fewer than `count` where few blocks have one.
     """
     flat, blocks = FlatGrid.of(grid.evidence, masks.reach), _Blocks.of(grid.evidence, masks)
-    found, least = MaskScores.none(), blocks.highest
+    found, least = MaskScores.none(), blocks.unreached
     while least >= LEAST_SCORE and not found.has(count, least):
         above, least = least, least * LOWER
         found = found.and_those(_best_in_blocks(flat, masks, *blocks.between(least, above))).best(count)
@@ -195,9 +195,10 @@ class _Blocks:
         )
 
     @property
-    def highest(self) -> float:
-        """The bound of all scores."""
-        return float((self.totals.max(axis=1, initial=0) / self.full).max(initial=0))
+    def unreached(self) -> float:
+        """A score that no bound reaches; 0 where no bound is above 0."""
+        greatest = self.totals.max(axis=1, initial=0)
+        return float(np.where(greatest > 0, (greatest + 1) / self.full, 0).max(initial=0))
 
     def between(self, low: float, high: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Orientations (n,) and blocks (n, 3) of bounds over one score and not over another."""

@@ -59,6 +59,14 @@ def test_gathers_agree_with_a_triple_loop(problem: tuple[EvidenceGrid, ShapeMask
     assert np.isneginf(scores[:, -3:]).all()
 
 
+def looked_up(grid: EvidenceGrid, masks: ShapeMasks) -> np.ndarray:
+    """Scores (k, X, Y, Z) in every cell, gathered."""
+    size, turns = grid.evidence.shape, np.arange(len(masks.weights))
+    cells = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, 3)
+    flat = FlatGrid.of(grid.evidence, masks.reach)
+    return scores_in(flat, masks, turns, np.tile(cells, (len(turns), 1, 1))).reshape(-1, *size)
+
+
 def best_in_blocks(scores: np.ndarray) -> np.ndarray:
     """The best positive scores of orientations (TURNS, X, Y, Z) in blocks, the highest first."""
     padded = np.pad(scores, [(0, 0), *((0, -size % EDGE) for size in scores.shape[1:])], constant_values=-1)
@@ -89,6 +97,21 @@ def test_the_best_few_are_those_of_all(problem: tuple[EvidenceGrid, ShapeMasks],
     np.testing.assert_allclose(found.scores, expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("surface", range(1, 65))
+def test_the_highest_bound_is_scored(surface: int) -> None:
+    """However it is rounded: masks of so many cells, apart, over a single one with evidence."""
+    offsets, weights = np.zeros((1, MOST_CELLS, 3), np.int8), np.zeros((1, MOST_CELLS), np.int8)
+    offsets[0, :surface] = 3 * np.stack(np.unravel_index(np.arange(surface), (4, 4, 4)), axis=1)
+    weights[0, :surface] = SURFACE
+    masks = ShapeMasks(rotations=np.eye(3, dtype=np.float32)[None], offsets=offsets, weights=weights)
+    evidence = np.zeros((4, 4, 4), np.int8)
+    evidence[3, 3, 3] = 1
+
+    found = best_places(EvidenceGrid(evidence=evidence, pitch_m=0.01, camera_from_grid=np.eye(4)), masks, 1)
+
+    np.testing.assert_allclose(found.scores, [1 / (STEPS * surface)], rtol=1e-6)
+
+
 def test_blocks_are_scored_in_several_batches(seed: int) -> None:
     """A grid of more blocks than one batch holds."""
     rng = np.random.default_rng(seed)
@@ -98,10 +121,7 @@ def test_blocks_are_scored_in_several_batches(seed: int) -> None:
 
     found = best_places(grid, masks, 10**6)
 
-    flat = FlatGrid.of(evidence, masks.reach)
-    cells = np.stack(np.meshgrid(*map(np.arange, evidence.shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    scores = scores_in(flat, masks, np.arange(TURNS), np.tile(cells, (TURNS, 1, 1)))
-    expected = best_in_blocks(scores.reshape(TURNS, *evidence.shape))
+    expected = best_in_blocks(looked_up(grid, masks))
     assert len(expected) > BATCH
     np.testing.assert_allclose(found.scores, expected, rtol=0, atol=1e-6)
 
