@@ -115,11 +115,12 @@ def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **
 
     Raises:
         ValueError: there is no object to learn, or a setting cannot be used.
-        PipelineError: every frame is lost.
+        PipelineError: every frame is lost, or the trajectory is of other frames.
     """
     from pipeline.stages.learn import tracked_frames
     from shapes.learning.distillation import learn_shape
 
+    _check_is_of(recording, trajectory)
     _prepare()
     config = LearnConfig(**settings).with_noise(recording.sensor and recording.sensor.noise)
     posed = tracked_frames(trajectory)
@@ -152,7 +153,8 @@ def parse(
         settings: fields of `ParseConfig`, such as objects and frames.
 
     Raises:
-        PipelineError: a shape or frame is missing, or has no colours where they are compared.
+        PipelineError: a shape or frame is missing, has no colours where they are compared, or, where several
+            are named, is lost or not of the trajectory.
         ValueError: the frames show nothing to parse, or a setting cannot be used.
     """
     import numpy as np
@@ -170,11 +172,20 @@ def parse(
         raise ValueError("several frames need a trajectory: give that of `track`")
     poses = np.eye(4)[None]
     if len(config.frames) > 1 and trajectory is not None:
-        poses = relative_poses(trajectory.mean, config.frames)
+        _check_is_of(recording, trajectory)
+        poses = relative_poses(trajectory, config.frames)
     surfaces = Surfaces(chosen(load_surfaces(Path(shapes)), config.objects))
     sensor = profile_of(recording, recording.statistics().frames)
     keys = stage_key(seed, "parse"), stage_key(seed, "draws")
     return parse_recording(keys, recording, Path(shapes), surfaces, poses, sensor, config, warnings.warn)
+
+
+def _check_is_of(recording: McapRecording, trajectory: SlamResult) -> None:
+    """Refuse the trajectory of another recording, or of other frames."""
+    if not set(trajectory.times_ns.tolist()).issubset(recording.stamps_ns()):
+        raise PipelineError(
+            "the trajectory is of other frames: open the recording with the options that `track` had"
+        )
 
 
 def _prepare() -> None:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from scene.execution import Progress
     from scene.objects.scene_object import SceneObject
     from scene.result import SceneResult
+    from slam.result import SlamResult
 
 SOURCES = (
     "pipeline.stages.parse",
@@ -89,7 +90,7 @@ def parse_stage(
             return parse_colour_frame(session, once, config)
         poses = np.eye(4)[None]
         if trajectory is not None:
-            poses = relative_poses(trajectory.value.mean, config.frames)
+            poses = relative_poses(trajectory.value, config.frames)
         assert sensor is not None
         return _parse(session, shapes, surfaces.value, poses, sensor.value.profile, config)
 
@@ -294,13 +295,16 @@ def frames_to_parse(recording: McapRecording, numbers: tuple[int, ...]) -> list[
     return frames
 
 
-def relative_poses(
-    reference_from_camera: NDArray[np.float64], numbers: tuple[int, ...]
-) -> NDArray[np.float64]:
-    """Poses (F, 4, 4) of the frames' cameras in that of the first of them."""
-    if max(numbers) >= len(reference_from_camera):
-        raise PipelineError(
-            f"there is no frame {max(numbers)}; the recording has {len(reference_from_camera)}"
-        )
-    poses = reference_from_camera[list(numbers)]
+def relative_poses(trajectory: SlamResult, numbers: Sequence[int]) -> NDArray[np.float64]:
+    """Poses (F, 4, 4) of the frames' cameras in that of the first of them.
+
+    Raises:
+        PipelineError: a frame is missing, or is lost.
+    """
+    for number in numbers:
+        if number >= len(trajectory):
+            raise PipelineError(f"there is no frame {number}; the recording has {len(trajectory)}")
+        if trajectory.lost[number]:
+            raise PipelineError(f"slam lost frame {number}: choose others with --frames")
+    poses = trajectory.mean[list(numbers)]
     return np.linalg.inv(poses[0]) @ poses

@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from click.testing import CliRunner
 
 from pipeline import interface
 from pipeline.cli import voxscene
+from slam.result import SlamResult
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,6 +54,31 @@ def test_several_frames_need_a_trajectory(mug_file: Path, tmp_path: Path) -> Non
     """Nobody else knows where the camera was."""
     with pytest.raises(ValueError, match="trajectory"):
         interface.parse(interface.open_recording(mug_file), tmp_path, frames=(0, 1))
+
+
+def test_lost_frames_and_missing_ones_are_refused(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Their poses mean nothing."""
+    recording = interface.open_recording(mug_file)
+    lost = replace(true_trajectory, lost=np.arange(6) == 3)
+    with pytest.raises(interface.PipelineError, match="slam lost frame 3"):
+        interface.parse(recording, tmp_path, trajectory=lost, frames=(2, 3))
+    with pytest.raises(interface.PipelineError, match="no frame 6; the recording has 6"):
+        interface.parse(recording, tmp_path, trajectory=true_trajectory, frames=(0, 6))
+
+
+def test_another_recordings_trajectory_is_refused(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """So is that of frames which this one leaves out."""
+    other = replace(true_trajectory, times_ns=true_trajectory.times_ns + 1)
+    for options, trajectory in ({}, other), ({"every": 2}, true_trajectory):
+        recording = interface.open_recording(mug_file, **options)
+        with pytest.raises(interface.PipelineError, match="of other frames"):
+            interface.learn(recording, trajectory)
+        with pytest.raises(interface.PipelineError, match="of other frames"):
+            interface.parse(recording, tmp_path, trajectory=trajectory, frames=(0, 1))
 
 
 def test_the_package_gives_the_interface_and_is_typed() -> None:
