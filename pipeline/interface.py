@@ -120,7 +120,7 @@ def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **
     from pipeline.stages.learn import tracked_frames
     from shapes.learning.distillation import learn_shape
 
-    _check_is_of(recording, trajectory)
+    _check_trajectory(trajectory, recording)
     _prepare()
     config = LearnConfig(**settings).with_noise(recording.sensor and recording.sensor.noise)
     posed = tracked_frames(trajectory)
@@ -172,7 +172,7 @@ def parse(
         raise ValueError("several frames need a trajectory: give that of `track`")
     poses = np.eye(4)[None]
     if len(config.frames) > 1 and trajectory is not None:
-        _check_is_of(recording, trajectory)
+        _check_trajectory(trajectory, recording)
         poses = relative_poses(trajectory, config.frames)
     surfaces = Surfaces(chosen(load_surfaces(Path(shapes)), config.objects))
     sensor = profile_of(recording, recording.statistics().frames)
@@ -180,7 +180,7 @@ def parse(
     return parse_recording(keys, recording, Path(shapes), surfaces, poses, sensor, config, warnings.warn)
 
 
-def _check_is_of(recording: McapRecording, trajectory: SlamResult) -> None:
+def _check_trajectory(trajectory: SlamResult, recording: McapRecording) -> None:
     """Refuse the trajectory of another recording, or of other frames."""
     if not set(trajectory.times_ns.tolist()).issubset(recording.stamps_ns()):
         raise PipelineError(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from scene.execution import map_parallel
+from scene.execution import map_parallel, score_on_all_cores
 from scene.masks.grid import STEPS, EvidenceGrid
 from scene.masks.shape_masks import MOST_CELLS, SURFACE, ShapeMasks
 
@@ -28,13 +29,13 @@ EDGE = 2
 """Cells along each edge of a block: its bound takes an eighth of the time of its scores."""
 
 LOWER = 0.8
-"""From one bound down to which blocks are scored to the next. Speed."""
+"""Ratio of successive thresholds: blocks are scored whose bounds exceed the first, then the next. Speed."""
 
 LEAST_SCORE = 1 / (STEPS * SURFACE * MOST_CELLS)
 """Any score above 0 is as high."""
 
 BATCH = 2048
-"""Blocks scored together."""
+"""Orientations that are scored together, each in its cells."""
 
 PIECE = 1024
 """Blocks whose bounds are computed together."""
@@ -114,7 +115,7 @@ class MaskScores:
         order = np.argsort(-self.scores, kind="stable")[:count]
         return MaskScores(turns=self.turns[order], cells=self.cells[order], scores=self.scores[order])
 
-    def and_those(self, others: MaskScores) -> MaskScores:
+    def with_others(self, others: MaskScores) -> MaskScores:
         """These, and others behind them."""
         return MaskScores(
             turns=np.concatenate([self.turns, others.turns]),
@@ -135,10 +136,10 @@ def best_places(grid: EvidenceGrid, masks: ShapeMasks, count: int) -> MaskScores
         Those of a score above 0, the highest first; fewer than `count` where few blocks have one.
     """
     flat, blocks = FlatGrid.of(grid.evidence, masks.reach), _Blocks.of(grid.evidence, masks)
-    found, least = MaskScores.none(), blocks.unreached
+    found, least = MaskScores.none(), blocks.score_limit
     while least >= LEAST_SCORE and not found.has(count, least):
         above, least = least, least * LOWER
-        found = found.and_those(_best_in_blocks(flat, masks, *blocks.between(least, above))).best(count)
+        found = found.with_others(_best_in_blocks(flat, masks, *blocks.between(least, above))).best(count)
     return found.best(int((found.scores > 0).sum()))
 
 
@@ -195,7 +196,7 @@ class _Blocks:
         )
 
     @property
-    def unreached(self) -> float:
+    def score_limit(self) -> float:
         """A score that no bound reaches; 0 where no bound is above 0."""
         greatest = self.totals.max(axis=1, initial=0)
         return float(np.where(greatest > 0, (greatest + 1) / self.full, 0).max(initial=0))
@@ -248,14 +249,10 @@ def _best_in_blocks(
     flat: FlatGrid, masks: ShapeMasks, turns: NDArray[np.integer], blocks: NDArray[np.integer]
 ) -> MaskScores:
     """The best cells of n orientations (n,), each in a block of (n, 3)."""
+    if not len(turns):
+        return MaskScores.none()
     cells = EDGE * blocks[:, None] + _CORNERS
-
-    def score(first: int) -> NDArray[np.float32]:
-        mine = np.minimum(np.arange(first, first + BATCH), len(turns) - 1)
-        return scores_in(flat, masks, turns[mine], cells[mine])
-
-    batches = map_parallel(score, range(0, len(turns), BATCH))
-    scores = np.concatenate([np.zeros((0, len(_CORNERS)), np.float32), *batches])[: len(turns)]
+    scores = scores_in(flat, masks, turns, cells)
     rows, best = np.arange(len(turns)), scores.argmax(axis=1)
     return MaskScores(turns=turns, cells=cells[rows, best], scores=scores[rows, best])
 
@@ -263,7 +260,7 @@ def _best_in_blocks(
 def scores_in(
     flat: FlatGrid, masks: ShapeMasks, turns: NDArray[np.integer], cells: NDArray[np.integer]
 ) -> NDArray[np.float32]:
-    """Scores (n, c) of n orientations, each in cells (n, c, 3); -inf in cells beside the grid.
+    """Scores (n, c) of n orientations, one or more, each in cells (n, c, 3); -inf in cells beside the grid.
 
     Args:
         flat: the grid.
@@ -273,23 +270,22 @@ def scores_in(
     """
     inside = ((cells >= 0) & (cells < flat.size)).all(axis=-1)
     places = flat.first + np.where(inside, cells @ flat.strides, 0)
-    shifts = (masks.offsets @ flat.strides).astype(np.int32)[turns]
-    totals = _gathered(flat.evidence, places.astype(np.int32), shifts, masks.weights[turns])
-    return np.where(inside, _scores(np.asarray(totals), masks.most[turns, None]), -np.inf).astype(np.float32)
-
-
-def _scores(totals: NDArray[np.integer], most: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Sums of evidence as shares of what masks of so much surface can have."""
-    return (totals.astype(np.float32) / (STEPS * most)).astype(np.float32)
+    shifts = (masks.offsets @ flat.strides).astype(np.int32)
+    gather = partial(_gathered, *jax.device_put((flat.evidence, shifts, masks.weights)))
+    totals = score_on_all_cores(gather, (turns.astype(np.int32), places.astype(np.int32)), BATCH)
+    return np.where(inside, totals / (STEPS * masks.most[turns, None]), -np.inf).astype(np.float32)
 
 
 @jax.jit
-def _gathered(evidence: jax.Array, places: jax.Array, shifts: jax.Array, weights: jax.Array) -> jax.Array:
-    """Sums (n, c) of evidence over masks (n, m) put down in places (n, c)."""
+def _gathered(
+    evidence: jax.Array, shifts: jax.Array, weights: jax.Array, pairs: tuple[jax.Array, jax.Array]
+) -> jax.Array:
+    """Sums (n, c) of evidence over masks (k, m), of which pairs name (n,), put down in places (n, c)."""
 
-    def one(mask: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        place, shift, weight = mask
-        met = evidence.at[place[:, None] + shift[None]].get(mode="promise_in_bounds")
-        return jnp.sum(met.astype(jnp.int16) * weight[None].astype(jnp.int16), axis=1, dtype=jnp.int32)
+    def one(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+        turn, place = pair
+        met = evidence.at[place[:, None] + shifts[turn][None]].get(mode="promise_in_bounds")
+        weighted = met.astype(jnp.int16) * weights[turn][None].astype(jnp.int16)
+        return jnp.sum(weighted, axis=1, dtype=jnp.int32).astype(jnp.float32)
 
-    return jax.lax.map(one, (places, shifts, weights), batch_size=64)
+    return jax.lax.map(one, pairs, batch_size=64)

@@ -61,10 +61,11 @@ def test_gathers_agree_with_a_triple_loop(problem: tuple[EvidenceGrid, ShapeMask
 
 def looked_up(grid: EvidenceGrid, masks: ShapeMasks) -> np.ndarray:
     """Scores (k, X, Y, Z) in every cell, gathered."""
-    size, turns = grid.evidence.shape, np.arange(len(masks.weights))
-    cells = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, 3)
+    size, count = grid.evidence.shape, len(masks.weights)
+    cells = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    turns = np.repeat(np.arange(count), len(cells))
     flat = FlatGrid.of(grid.evidence, masks.reach)
-    return scores_in(flat, masks, turns, np.tile(cells, (len(turns), 1, 1))).reshape(-1, *size)
+    return scores_in(flat, masks, turns, np.tile(cells, (count, 1, 1))).reshape(count, *size)
 
 
 def best_in_blocks(scores: np.ndarray) -> np.ndarray:
