@@ -89,7 +89,7 @@ def test_the_mean_ratio_is_that_of_plain_draws(seed: int) -> None:
 
     rng = np.random.default_rng(seed)
     draws_of = partial(draws_through_points, rng)
-    found = mean_ratio(rng, [brick()], PRIOR, images(), draws=2**17, keep=256, draws_of=draws_of)
+    found = mean_ratio(rng, [brick()], PRIOR, images(), draws=2**15, keep=256, draws_of=draws_of)
 
     error = np.hypot(ratios.std() / np.sqrt(len(ratios)), found.standard_error)
     assert ratios[ratios > 2].sum() / len(ratios) > 4 * error

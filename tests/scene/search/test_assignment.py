@@ -48,10 +48,11 @@ def _rest(rng: np.random.Generator, pixels: int) -> np.ndarray:
 
 def test_pixels_show_what_is_nearest() -> None:
     """One pixel after the other by comparison, also where no object and no background is."""
-    layers = _layers(3, 4, 40)
-    depth_m, log_density = np.asarray(layers.depth_m), np.asarray(layers.log_density)
+    given = _layers(3, 4, 40)
+    layers = jax.device_get(given)  # pixels of device arrays are slow to read
+    depth_m, log_density = layers.depth_m, layers.log_density
     for choice in itertools.product(range(4), repeat=3):
-        expected = sum(np.asarray(layers.log_alone)[one, pose] for one, pose in enumerate(choice))
+        expected = sum(layers.log_alone[one, pose] for one, pose in enumerate(choice))
         expected += sum(
             max(
                 float(layers.rests.log_alone[one, pose]),
@@ -65,7 +66,7 @@ def test_pixels_show_what_is_nearest() -> None:
                 if depth_m[one, pose, pixel] < nearest:
                     nearest, shown = depth_m[one, pose, pixel], log_density[one, pose, pixel]
             expected += shown
-        np.testing.assert_allclose(log_density_of_choice(layers, jnp.array(choice)), expected, atol=1e-4)
+        np.testing.assert_allclose(log_density_of_choice(given, jnp.array(choice)), expected, atol=1e-4)
 
 
 def test_conditionals_are_slices_of_the_joint() -> None:
