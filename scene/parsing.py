@@ -50,7 +50,8 @@ def parse_scene(
 ) -> SceneResult:
     """Parse the scene that the frames show: it is judged by all of them.
 
-    Where moves put an object where chains have not been, these run again over the scene that moves tell.
+    Where moves put an object where chains have not been, or leave out one that chains held, these run again
+    over the scene that moves tell.
 
     Args:
         key: random key.
@@ -95,10 +96,10 @@ def parse_scene(
         rng, compared, joint.searched, objects, start, sampled.found, sampled.chains, hidden, config
     )
     moved = _stand_elsewhere(presence, sampled, objects)
-    if moved.any():
+    if moved.any() or (start.found & ~presence.seen).any():
         in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera, moved)
-        tell("sampling the scene with what was moved")
+        tell("sampling the scene that moves tell")
         sampled = sampler.sampled(jax.random.key(int(rng.integers(2**31))), start)
     numbers = np.asarray(frame_indices)
     scene = summarise(

@@ -16,6 +16,7 @@ from scene.config import ParseConfig
 from scene.joint_search import JointStart
 from scene.objects.scene_object import scene_object
 from scene.parsing import parse_scene
+from scene.presence.posterior import Presence
 from scene.result import SceneResult
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
@@ -128,6 +129,25 @@ def test_what_moves_put_in_has_a_pose(key: jax.Array, seed: int, monkeypatch: py
 
     monkeypatch.setattr(parsing, "search_frames", without_block)
     assert_places(parsed(key, films(seed)[2:], CAMERAS[2:]), CAMERAS[2], PLACES_M)
+
+
+@pytest.mark.slow
+def test_nothing_rests_on_what_moves_leave_out(
+    key: jax.Array, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A block on a wall that the search finds and moves do not: the wall carries nothing."""
+    presence_in_scene = parsing.presence_in_scene
+
+    def without_wall(*given: Any) -> Presence:
+        return replace(presence_in_scene(*given), seen=np.array([False, True]))
+
+    on_wall = PLACES_M | {"block": (0.02, 0.0, 0.23)}
+    _, frames = filmed(seed, on_wall, CAMERAS[1:2], 1.0)
+    assert parsed(key, frames, CAMERAS[1:2]).edge_probabilities[1, 0] > 0.5
+
+    monkeypatch.setattr(parsing, "presence_in_scene", without_wall)
+    again = jax.random.clone(key)
+    assert parsed(again, frames, CAMERAS[1:2]).edge_probabilities[1, 0] == 0
 
 
 @pytest.mark.slow
