@@ -60,7 +60,7 @@ def track(
         intrinsics: of the recording; frames of another size are taken as resized.
         config: settings.
         on_frame: called after every frame.
-        on_phase: called with what is done next, after the last frame.
+        on_phase: called with what is done next: loops that are closed, and what follows the last frame.
         sensor: what is known of it: its noise, and the distortion by which the frames have been corrected, of
             which only what it leaves open is unknown then.
         pages: where keyframes and frames go that are not asked for, so that memory hardly grows; None keeps
@@ -74,7 +74,7 @@ def track(
     pages = pages or PageFile()
     if sensor is not None and config.noise is None:
         config = replace(config, noise=sensor.noise)
-    tracker = _Tracker(key, config, pages, checkpoint)
+    tracker = _Tracker(key, config, pages, checkpoint, on_phase or (lambda _: None))
     known = len(tracker.history)
     for info in tracker.history.infos():
         _tell(on_frame, info)
@@ -87,7 +87,7 @@ def track(
             _tell(on_frame, info)
         if on_checkpoint is not None and tracker.state is not None:
             on_checkpoint(Checkpoint(state=tracker.state, history=tracker.history, details=tracker.details))
-    return tracker.result(intrinsics, sensor, on_phase or (lambda _: None))
+    return tracker.result(intrinsics, sensor)
 
 
 def _tell(on_frame: OnFrame | None, info: FrameInfo) -> None:
@@ -99,9 +99,14 @@ class _Tracker:
     """What the frames so far have left behind."""
 
     def __init__(
-        self, key: jax.Array, config: SlamConfig, pages: PageFile, checkpoint: Checkpoint | None
+        self,
+        key: jax.Array,
+        config: SlamConfig,
+        pages: PageFile,
+        checkpoint: Checkpoint | None,
+        on_phase: OnPhase,
     ) -> None:
-        self.key, self.config, self.pages = key, config, pages
+        self.key, self.config, self.pages, self.on_phase = key, config, pages, on_phase
         self.state: FilterState | None = checkpoint.state if checkpoint else None
         self.history = checkpoint.history if checkpoint else History(pages=pages)
         self.details: list[Paged[KeyframeDetail]] = list(checkpoint.details) if checkpoint else []
@@ -134,7 +139,7 @@ class _Tracker:
             detailed = view_of_frame(frame, intrinsics, FINE_CANVAS)
             self.details.append(self.pages.hold(keyframe_detail(detailed, self.noise)))
             if is_due(state):
-                state = refined_so_far(state, self._images(state))
+                state = refined_so_far(state, self._images(state), self.on_phase)
         self.state = state
         return [*told, info]
 
@@ -146,9 +151,7 @@ class _Tracker:
             first_new=state.refined_keyframes,
         )
 
-    def result(
-        self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None, on_phase: OnPhase
-    ) -> SlamResult:
+    def result(self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None) -> SlamResult:
         """After the last frame.
 
         Raises:
@@ -165,14 +168,14 @@ class _Tracker:
         keys = jax.random.split(jax.random.fold_in(self.key, len(history)), 3)
         prior: TrajectoryPrior | None = None
         if are_sparse_views(state, len(history), history.in_doubt):
-            on_phase("searching for maps of few views")
+            self.on_phase("searching for maps of few views")
             prior = TrajectoryPrior.of(state, config)
             self.details = [
                 self.pages.hold(detail.value.with_plane_segments(self.noise)) for detail in self.details
             ]
         images = self._images(state)
         maps = choose_map(keys[0], state, config, images, prior)
-        on_phase("refining the map")
+        self.on_phase("refining the map")
         sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES
         field = sensor.distortion if sensor else None
         if field is not None:

@@ -7,6 +7,8 @@ Where the camera comes back to a place with a drift wider than that, the loop is
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,12 +39,14 @@ def optimise_coarse_to_fine(
     poses: NDArray[np.float32],
     motion: TrajectoryPrior | None = None,
     fixed: int = 1,
+    on_phase: Callable[[str], None] = lambda _: None,
 ) -> tuple[Keyframes, GraphOptimum | None, Loops]:
     """The optimum near poses (N, 7), or beyond where a keyframe is far from it, and the overlaps there.
 
     So many keyframes, the first ones, are fixed, unless a loop is to be closed, for its way concerns all.
     With `motion` keyframes are few, and have been placed by search. Gauss-Newton steps may slide off along
     what little is seen: where no optimum that they find is denser than the start, it is climbed from there.
+    `on_phase` is told of loops that are closed, for with a thousand keyframes that takes minutes.
     """
     keyframes = images.at(poses, fixed)
     if motion is not None:
@@ -53,6 +57,7 @@ def optimise_coarse_to_fine(
     chain = agreement(keyframes, start)
     loops = NO_LOOPS if chain is None else find_loops(images, chain, start)
     if chain is not None and loops.are_open(start):
+        on_phase(f"closing a loop over {len(poses)} keyframes")
         if fixed > 1:
             fixed, chain = 1, agreement(images.at(start), start)
         start = start if chain is None else closed(chain, start, loops)

@@ -8,6 +8,7 @@ the earlier ones staying where they were left; the last frames move along with t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -36,9 +37,14 @@ def is_due(state: FilterState) -> bool:
     return added >= (LEAST_HOPS if state.contradicted else REFINED_EVERY)
 
 
-def refined_so_far(state: FilterState, images: KeyframeImages) -> FilterState:
-    """The state after a frame that became a keyframe, the latest ones of each hypothesis refined."""
-    histories = tuple(_refined(one, images) for one in state.population.histories)
+def refined_so_far(
+    state: FilterState, images: KeyframeImages, on_phase: Callable[[str], None] = lambda _: None
+) -> FilterState:
+    """The state after a frame that became a keyframe, the latest ones of each hypothesis refined.
+
+    `on_phase` is told of loops that are closed.
+    """
+    histories = tuple(_refined(one, images, on_phase) for one in state.population.histories)
     heaviest = int(np.argmax(state.population.log_weights))
     before, after = state.population.histories[heaviest].pose, histories[heaviest].pose
     return replace(
@@ -50,10 +56,10 @@ def refined_so_far(state: FilterState, images: KeyframeImages) -> FilterState:
     )
 
 
-def _refined(hypothesis: Hypothesis, images: KeyframeImages) -> Hypothesis:
+def _refined(hypothesis: Hypothesis, images: KeyframeImages, on_phase: Callable[[str], None]) -> Hypothesis:
     before, images = hypothesis.keyframe_poses, replace(images, known=hypothesis.overlaps)
     fixed = max(1, len(before) - FREE_KEYFRAMES)
-    _, found, loops = optimise_coarse_to_fine(images, before, fixed=fixed)
+    _, found, loops = optimise_coarse_to_fine(images, before, fixed=fixed, on_phase=on_phase)
     if found is None or not np.isfinite(found.poses).all():
         return hypothesis
     known = images.with_known(loops.pairs).known

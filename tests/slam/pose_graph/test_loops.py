@@ -11,6 +11,7 @@ from shapes.geometry.poses import matrices_of, single_precision_poses
 from slam.keyframes.depth_view import FINE_CANVAS, view_of_frame
 from slam.keyframes.keyframe_map import KeyframeMap, place_distances
 from slam.keyframes.surfels import surfel_image
+from slam.pose_graph.coarse_to_fine import optimise_coarse_to_fine
 from slam.pose_graph.gauss_newton import GraphOptimum, agreement, optimise
 from slam.pose_graph.loops import Loops, closed, find_loops, way_lengths
 from slam.pose_graph.overlaps import KeyframeImages, keyframe_detail
@@ -74,6 +75,19 @@ def test_a_loop_is_found_and_closed(images):
     assert len(loops) > 0
     assert loops.pairs[:, 0].min() >= VIEWS - 3
     assert abs(_turn(closed(alone.graph, alone.poses, loops), 0, VIEWS - 1) - true) < np.radians(2)
+
+
+def test_the_whole_map_is_drawn_together(images):
+    """A drift of 17 degrees is gone after it, and whoever waits is told why."""
+    told: list[str] = []
+    drifted = _chained(images, YAWS, DRIFTED).poses
+
+    _, found, loops = optimise_coarse_to_fine(images, drifted, on_phase=told.append)
+
+    assert found is not None
+    assert abs(_turn(found.poses, 0, VIEWS - 1) - (YAWS[-1] - YAWS[0] - 2 * np.pi)) < np.radians(0.2)
+    assert len(loops) > 0
+    assert told == [f"closing a loop over {VIEWS} keyframes"]
 
 
 def test_keyframes_are_asked_once(images):
