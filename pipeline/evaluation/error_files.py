@@ -26,6 +26,7 @@ def write_comparison(
 
     reference.tum and estimate.tum have one line for each frame compared, others' estimates stand in
     estimate.NAME.tum; errors.csv is after the best rigid alignment, as are error.png, path.png, errors.rrd.
+    Its position_error_m is after that of the positions, its rotation_error_rad after that of the rotations.
 
     Returns:
         The files.
@@ -58,7 +59,7 @@ def _table(result: SlamResult, ours: ComparedTrajectory) -> str:
         np.flatnonzero(np.isin(result.times_ns, ours.times_ns)).tolist(),
         ours.times_ns.tolist(),
         ours.position_errors_m.tolist(),
-        rotation_errors_rad(ours.aligned, ours.reference).tolist(),
+        rotation_errors_rad(ours.estimate, ours.reference).tolist(),
         strict=True,
     )
     std_m = np.sqrt(np.trace(result.covariance[:, :3, :3], axis1=1, axis2=2))

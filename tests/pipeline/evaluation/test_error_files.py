@@ -1,12 +1,14 @@
 """A comparison's files hold the same errors as the figures that are printed."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
@@ -27,7 +29,6 @@ def positions(path: Path) -> np.ndarray:
 def aligned_error_m(estimate: np.ndarray, reference: np.ndarray) -> float:
     """Root mean square distance after the best rigid motion, found by search over many (no closed form)."""
     from scipy.optimize import least_squares
-    from scipy.spatial.transform import Rotation
 
     def apart(motion: np.ndarray) -> np.ndarray:
         return (Rotation.from_rotvec(motion[:3]).apply(estimate) + motion[3:] - reference).ravel()
@@ -73,6 +74,30 @@ def test_files_and_figures_agree(true_trajectory: SlamResult, reference: Traject
     for name in ("error.png", "path.png"):
         with Image.open(out / name) as picture:
             assert picture.width > 300
+
+
+def test_rotation_errors_along_a_straight_path_are_those_of_rotations(
+    true_trajectory: SlamResult, seed: int, tmp_path: Path
+) -> None:
+    """Tenths of a millimetre across the path would turn the aligned estimate about it by any angle."""
+    rng = np.random.default_rng(seed)
+    count = len(true_trajectory)
+    truth = np.tile(np.eye(4), (count, 1, 1))
+    truth[:, 0, 3] = 0.1 * np.arange(count)
+    estimate = truth.copy()
+    estimate[:, :3, 3] += rng.normal(0, 1e-4, (count, 3))
+    elsewhere = np.eye(4)
+    elsewhere[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    estimate[2, :3, :3] = Rotation.from_rotvec([0, 0, 0.06]).as_matrix()
+    result = replace(true_trajectory, mean=elsewhere @ estimate)
+    reference = Trajectory(times_ns=result.times_ns, reference_from_camera=truth)
+    write_comparison(tmp_path, result, compared_run(result, reference), [])
+    with (tmp_path / "errors.csv").open() as file:
+        found = [float(row["rotation_error_rad"]) for row in csv.DictReader(file)]
+
+    expected = np.full(count, 0.06 / count)
+    expected[2] = 0.06 - 0.06 / count
+    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 def test_views_of_errors_are_whole_or_not_at_all(
