@@ -134,9 +134,10 @@ def _poses(
     values: RunValues, models: Sequence[ExportModel], formats: Sequence[str], options: ExportOptions
 ) -> dict[str, bytes]:
     """The poses of the models of BOP, by the same ids and in the same frames."""
-    if "bop" not in formats or values.scene is None:
+    if "bop" not in formats or values.scene is None or values.surfaces is None:
         return {}
-    own_from_model = {model.name: model.own_from_model("middle") for model in models}
+    by_shape = {model.name: model.own_from_model("middle") for model in models}
+    own_from_model = {name: by_shape[shape] for name, shape in values.surfaces.shape_names.items()}
     ids = _numbered(options, values).ids
     return {POSES: bop_lines(values, own_from_model, ids).encode()}
 
