@@ -140,6 +140,33 @@ def test_copies_of_a_shape_are_one_model_with_several_poses(two_mugs: Path, tmp_
     assert sorted(manifest["shapes"]) == ["can", "mug"]
 
 
+@pytest.mark.parametrize(
+    ("ids", "numbers"), [({"mug": 1}, {"mug": 1, "can": 2}), ({"can": 7}, {"mug": 2, "can": 7})]
+)
+def test_ids_of_some_objects_leave_the_others_theirs(
+    two_mugs: Path, tmp_path: Path, ids: dict[str, int], numbers: dict[str, int]
+) -> None:
+    """The run's, or one that is left where another object was given it."""
+    export_run(two_mugs, ["bop"], tmp_path / "out", ExportOptions(ids=ids))
+    assert json.loads((tmp_path / "out/bop/ids.json").read_text()) == numbers
+    assert [number for number, _ in read_rows(tmp_path / "out/bop/poses.csv")] == [numbers["mug"]] * 2
+
+
+def test_poses_have_the_ids_that_the_folder_holds(two_mugs: Path, tmp_path: Path) -> None:
+    """Not the run's own; others that are asked for are refused, and nothing is written."""
+    (tmp_path / "out/bop").mkdir(parents=True)
+    held = {"mug": 5, "cup": 2}
+    (tmp_path / "out/bop/ids.json").write_text(json.dumps(held))
+    for number, line in ((2, "id 2 of mug is that of cup"), (9, "mug has id 5 there, and not 9")):
+        with pytest.raises(PipelineError, match=line):
+            export_run(two_mugs, ["bop"], tmp_path / "out", ExportOptions(ids={"mug": number}))
+    assert not (tmp_path / "out/bop/models").exists()
+    export_run(two_mugs, ["bop"], tmp_path / "out", ExportOptions())
+    assert json.loads((tmp_path / "out/bop/ids.json").read_text()) == {"can": 1, **held}
+    assert sorted(read_models(tmp_path / "out/bop/models")) == [1, 5]
+    assert [number for number, _ in read_rows(tmp_path / "out/bop/poses.csv")] == [5, 5]
+
+
 def test_an_open_mesh_is_written_where_no_volume_is_needed(parsed_run: RunValues, tmp_path: Path) -> None:
     """As stl and for BOP; simulators, which need one, say so and write nothing, scene.glb neither."""
     sheet = SceneSurface(vertices_m=np.eye(3), faces=np.array([[0, 1, 2]], np.int64), learned=False)
