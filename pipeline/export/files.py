@@ -45,13 +45,29 @@ def write_files(
             something else, or the folder cannot be written; nothing is written then.
     """
     entries = manifest_entries(out)
+    for name, entry in manifest.items():
+        entries[kind][name] = _joined(out, entries[kind].get(name), entry, force=force)
+    paths = write_contents(out, contents, grows=grows, force=force)
+    write_json(out / MANIFEST, {"format_version": FORMAT_VERSION, **entries})
+    return [*paths, out / MANIFEST]
+
+
+def write_contents(
+    out: Path, contents: Mapping[str, bytes], *, grows: Collection[str] = (), force: bool = False
+) -> list[Path]:
+    """Write files into a folder of which its manifest says nothing; arguments as of `write_files`.
+
+    Returns:
+        The files.
+
+    Raises:
+        PipelineError: a file is there and differs, or the folder cannot be written; nothing is written then.
+    """
     for name, content in contents.items():
         if name not in grows and not force and _differs(out / name, content):
             raise PipelineError(
                 f"{out / name} is there and differs: name another folder with -o, or replace it with --force"
             )
-    for name, entry in manifest.items():
-        entries[kind][name] = _joined(out, entries[kind].get(name), entry, force=force)
     for name, content in contents.items():
         path = out / name
         try:
@@ -60,8 +76,7 @@ def write_files(
             raise PipelineError(f"cannot make the folder {path.parent}: {error.strerror}") from error
         with atomic_path(path) as partial:
             partial.write_bytes(content)
-    write_json(out / MANIFEST, {"format_version": FORMAT_VERSION, **entries})
-    return [*(out / name for name in contents), out / MANIFEST]
+    return [out / name for name in contents]
 
 
 def _joined(
