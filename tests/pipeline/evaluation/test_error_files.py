@@ -14,6 +14,7 @@ from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
 from pipeline.evaluation.error_files import write_comparison
 from pipeline.evaluation.trajectories import compared_file, compared_run
+from pipeline.fingerprints import file_hash
 from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.run_access import open_run_folder
 from pipeline.views.error_view import write_error_rrd
@@ -137,3 +138,20 @@ def test_two_trajectories_of_one_name_are_refused(
 
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
     assert "two trajectories are named" in result.stderr
+
+
+def test_another_table_is_not_replaced(mug_file: Path, true_trajectory: SlamResult, tmp_path: Path) -> None:
+    """An errors.csv of somebody else stays, told in one line; one of an earlier comparison does not."""
+    with open_run_folder(tmp_path / "run", {mug_file.name: file_hash(mug_file)}) as run:
+        run.stage("slam", SlamResult.load, lambda: true_trajectory, settings={}, inputs={})
+    out = tmp_path / "out"
+    command = ["eval", "slam", str(tmp_path / "run"), "--reference", str(mug_file), "-o", str(out)]
+    for _ in range(2):
+        result = CliRunner().invoke(voxscene, command)
+        assert result.exit_code == 0, result.output
+    (out / "errors.csv").write_text("name,error\n")
+    result = CliRunner().invoke(voxscene, command)
+
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+    assert "errors.csv: it is there and is no table of eval slam" in result.stderr
+    assert (out / "errors.csv").read_text() == "name,error\n"
