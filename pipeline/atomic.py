@@ -7,7 +7,7 @@ import io
 import json
 import os
 import secrets
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -31,6 +31,21 @@ def check_output(path: Path) -> None:
         with path.open("rb") as file:
             if file.read(16).startswith(RECORDINGS):
                 raise PipelineError(f"cannot write {path}: it is a recording, name another file")
+
+
+def check_replaced(path: Path, kind: str, is_one: Callable[[Path], bool]) -> None:
+    """Refuse to take the place of a file of another kind, before any work; an empty one is of any kind.
+
+    Args:
+        path: of the output, there or not.
+        kind: of file that is to be written, in words.
+        is_one: whether the file there is of that kind.
+
+    Raises:
+        PipelineError: it is not.
+    """
+    if path.is_file() and path.stat().st_size and not is_one(path):
+        raise PipelineError(f"cannot write {path}: it is there and is no {kind}, name another file")
 
 
 @contextmanager

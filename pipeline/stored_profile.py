@@ -46,3 +46,12 @@ class StoredProfile:
             return cls(load_sensor_profile(path))
         except RecordingError as error:
             raise ValueError(str(error)) from error
+
+
+def is_profile(path: Path) -> bool:
+    """Whether a file is a sensor profile that can be read."""
+    try:
+        load_sensor_profile(path)
+    except RecordingError:
+        return False
+    return True

@@ -51,7 +51,8 @@ class Surfaces:
 
     Attributes:
         by_name: in the order of the search.
-        numbers: of every surface, and of the recording's scene and images where it brings them.
+        numbers: of surfaces, alike of copies of one shape, and of the recording's scene and images where it
+            brings them.
     """
 
     by_name: Mapping[str, SceneSurface]
@@ -59,12 +60,20 @@ class Surfaces:
 
     @property
     def object_ids(self) -> dict[str, int]:
-        """An id for every surface, those of `numbers` where it has them."""
-        return numbered(self.by_name, self.numbers.object_ids)
+        """An id for every surface, those of `numbers` where it has them; copies of a shape have one."""
+        known = {name: one for name, one in self.numbers.object_ids.items() if name in self.by_name}
+        ids = numbered(self.by_name, known) | known
+        return {name: ids[name] for name in self.by_name}
+
+    @property
+    def shape_names(self) -> dict[str, str]:
+        """By name of each surface that of its shape: the first with the same id, its own if it is no copy."""
+        first: dict[int, str] = {}
+        return {name: first.setdefault(number, name) for name, number in self.object_ids.items()}
 
     def save(self, path: Path) -> None:
         """Write an npz file, whole or not at all; equal surfaces give equal bytes."""
-        each = list(self.by_name.values())
+        each, ids = list(self.by_name.values()), self.object_ids
         coloured = [one.rgb for one in each if one.rgb is not None]
         colours = {
             "coloured": np.array([one.rgb is not None for one in each], np.bool_),
@@ -78,7 +87,7 @@ class Surfaces:
                 "face_counts": np.array([len(one.faces) for one in each], np.int64),
                 "vertices_m": np.concatenate([one.vertices_m for one in each]).astype(np.float64),
                 "faces": np.concatenate([one.faces for one in each]).astype(np.int64),
-                "object_ids": np.array([self.object_ids[name] for name in self.by_name], np.int64),
+                "object_ids": np.array(list(ids.values()), np.int64),
                 "learned": np.array([one.learned for one in each], np.bool_),
                 "scene_id": np.int64(self.numbers.scene_id),
                 "image_ids": np.array(list(self.numbers.image_ids.items()), np.int64).reshape(-1, 2),

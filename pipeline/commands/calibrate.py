@@ -52,16 +52,18 @@ def command(
     """Learn the sensor from its recordings, without any truth.
 
     Noise over depth, missing returns, how far errors are alike, how well pixels foretell each other, and,
-    where the camera moves, the static distortion. Objects in view do no harm if there are smooth parts.
+    where the camera moves, the static distortion. Objects in view do no harm if there are smooth parts. An
+    earlier profile is replaced, and no other file.
     """
-    from pipeline.atomic import check_output
+    from pipeline.atomic import check_output, check_replaced
     from pipeline.calibration.calibrate import calibrate
     from pipeline.calibration.told import document_of, lines_of, warnings_of
     from pipeline.quiet_stdout import stdout_to_stderr
-    from pipeline.stored_profile import StoredProfile
+    from pipeline.stored_profile import StoredProfile, is_profile
     from recordings.reading import open_recording
 
     check_output(sensor_path)
+    check_replaced(sensor_path, "sensor profile", is_profile)
     options = [one.read_options(common.settings) for one in sources]
     if any(one.sensor is not None for one in options):
         raise ConfigError("calibrate learns a sensor from depths as they were recorded; leave out --sensor")

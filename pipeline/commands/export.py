@@ -149,7 +149,7 @@ def command(
     if OVERLAY in wanted:
         from pipeline.figures.run_overlay import export_overlay
 
-        paths += export_overlay(source, output, recording, truth)
+        paths += export_overlay(source, output, recording, truth, force=force)
     lines = [str(path) for path in paths]
     lines += _seen_shares(output) if models else []
     if room is not None:

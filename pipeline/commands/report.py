@@ -24,15 +24,17 @@ def command(common: Common, runs: tuple[Path, ...], output: Path) -> None:
     """One HTML page about runs, to keep or send.
 
     Figures side by side, what calls for care, pictures, tables and settings. It holds everything itself and
-    opens without a network. Of a project, every recording's run is told.
+    opens without a network. Of a project, every recording's run is told. It takes the place of an earlier
+    report, and of no other file.
     """
-    from pipeline.atomic import check_output, write_text
+    from pipeline.atomic import check_output, check_replaced, write_text
     from pipeline.errors import ConfigError
-    from pipeline.report.run_report import report
+    from pipeline.report.run_report import is_report, report
 
     check_output(output)
     if output.suffix.lower() not in (".html", ".htm", ""):
         raise ConfigError(f"--output {output}: a report is an HTML page, name a file that ends with .html")
+    check_replaced(output, "report of voxscene", is_report)
     with common.progress("report", "runs") as progress:
         page = report(runs, progress)
     write_text(output, page.html())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.atomic import atomic_path, write_text
+from pipeline.atomic import atomic_path, check_replaced, write_text
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectories import ComparedTrajectory
 from pipeline.evaluation.trajectory_errors import rotation_errors_rad
@@ -16,7 +16,22 @@ from pipeline.report import charts
 from pipeline.views.error_view import write_error_rrd
 from slam.result import SlamResult
 
+ERRORS = "errors.csv"
 HEADER = "frame,time_s,position_error_m,rotation_error_rad,position_std_m,lost"
+
+
+def check_comparison(out: Path) -> None:
+    """Refuse a folder whose errors.csv is another table, before any work.
+
+    Raises:
+        PipelineError: it is.
+    """
+
+    def is_one(path: Path) -> bool:
+        with path.open("rb") as file:
+            return file.readline().rstrip() == HEADER.encode()
+
+    check_replaced(out / ERRORS, "table of eval slam", is_one)
 
 
 def write_comparison(
@@ -26,6 +41,7 @@ def write_comparison(
 
     reference.tum and estimate.tum have one line for each frame compared, others' estimates stand in
     estimate.NAME.tum; errors.csv is after the best rigid alignment, as are error.png, path.png, errors.rrd.
+    Its position_error_m is after that of the positions, its rotation_error_rad after that of the rotations.
 
     Returns:
         The files.
@@ -40,7 +56,7 @@ def write_comparison(
     texts = {
         "reference.tum": tum_lines(ours.times_ns, ours.reference),
         "estimate.tum": tum_lines(ours.times_ns, ours.estimate),
-        "errors.csv": _table(result, ours),
+        ERRORS: _table(result, ours),
     }
     for one in others:
         texts[f"estimate.{one.name.replace(' ', '_')}.tum"] = tum_lines(one.times_ns, one.estimate)
@@ -58,7 +74,7 @@ def _table(result: SlamResult, ours: ComparedTrajectory) -> str:
         np.flatnonzero(np.isin(result.times_ns, ours.times_ns)).tolist(),
         ours.times_ns.tolist(),
         ours.position_errors_m.tolist(),
-        rotation_errors_rad(ours.aligned, ours.reference).tolist(),
+        rotation_errors_rad(ours.estimate, ours.reference).tolist(),
         strict=True,
     )
     std_m = np.sqrt(np.trace(result.covariance[:, :3, :3], axis1=1, axis2=2))

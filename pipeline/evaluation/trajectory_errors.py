@@ -69,9 +69,13 @@ def trajectory_errors(estimate: NDArray[np.float64], reference: NDArray[np.float
 
 
 def rotation_errors_rad(estimate: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles (T,) between the orientations of poses (T, 4, 4)."""
-    apart = np.swapaxes(reference[:, :3, :3], 1, 2) @ estimate[:, :3, :3]
-    return np.linalg.norm(Rotation.from_matrix(apart).as_rotvec(), axis=1)
+    """Angles (T,) between the orientations of poses (T, 4, 4) after the turn that aligns them best.
+
+    That turn is the mean of the relative rotations: positions do not fix it about a straight path.
+    """
+    true, found = (Rotation.from_matrix(poses[:, :3, :3]) for poses in (reference, estimate))
+    turn = (true * found.inv()).mean()
+    return (true.inv() * turn * found).magnitude()
 
 
 def rigid_alignment(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,31 @@ FEW_VERTICES = 1000
 """All pairs of so many are compared within milliseconds."""
 
 
+def bop_numbers(
+    names: Collection[str], out: Path, ids: Mapping[str, int], own: Mapping[str, int] | None = None
+) -> dict[str, int]:
+    """Ids by name of the models of a folder, of those to be written and of those that it holds already.
+
+    Args:
+        names: of the models to be written.
+        out: folder of the export; what it holds of earlier ones keeps its ids.
+        ids: that were asked for, by name.
+        own: of the run, by name, for the others; models with neither get the lowest ids that are left.
+
+    Raises:
+        PipelineError: an id belongs to another model of the folder, or a model has another id there.
+    """
+    held, own = _read(out / IDS_FILE), own or {}
+    for name in sorted(names):
+        number = ids.get(name, held.get(name, own.get(name)))
+        taken = [other for other, one in held.items() if one == number and other != name]
+        if taken:
+            raise PipelineError(f"{out}: id {number} of {name} is that of {taken[0]} there")
+        if name in held and held[name] != number:
+            raise PipelineError(f"{out}: {name} has id {held[name]} there, and not {number}")
+    return numbered({*held, *names}, held, ids, own)
+
+
 def bop_models(
     models: Sequence[ExportModel], out: Path, ids: Mapping[str, int]
 ) -> tuple[dict[str, bytes], dict[str, dict[str, Any]]]:
@@ -37,22 +62,17 @@ def bop_models(
 
     Args:
         models: the shapes.
-        out: folder of the export; what it holds of earlier ones keeps its ids.
-        ids: of shapes by name; others get the lowest ids that are left.
+        out: folder of the export.
+        ids: that were asked for, by name.
 
     Returns:
         Contents by path inside the folder, and for every shape its manifest entry: id, file and
         `object_from_bop`, which maps the model's coordinates in metres to the shape's own.
 
     Raises:
-        PipelineError: an id belongs to another shape of the folder.
+        PipelineError: as `bop_numbers`.
     """
-    held = _read(out / IDS_FILE)
-    for model in models:
-        taken = [name for name, number in held.items() if number == ids.get(model.name)]
-        if taken and taken[0] != model.name:
-            raise PipelineError(f"{out}: id {ids[model.name]} of {model.name} is that of {taken[0]} there")
-    numbers = numbered({*held, *(model.name for model in models)}, held, ids)
+    numbers = bop_numbers([model.name for model in models], out, ids)
     files: dict[str, bytes] = {}
     info, entries = _read(out / MODELS / "models_info.json"), {}
     for model in models:

@@ -32,7 +32,8 @@ def write_files(
         out: the folder, made if it is not there.
         contents: by path inside the folder.
         kind: of what was exported.
-        manifest: by what was exported, what its entry says; entries of earlier exports stay.
+        manifest: by what was exported, what its entry says; entries of earlier exports stay, their files too
+            where the entry says the same of them.
         grows: of `contents`, files that hold what the folder had and more.
         force: replace files that say something else.
 
@@ -40,9 +41,28 @@ def write_files(
         The files, the manifest last.
 
     Raises:
-        PipelineError: a file is there and differs, or the folder cannot be written; nothing is written then.
+        PipelineError: a file is there and differs, or an entry that would be joined with this one's says
+            something else, or the folder cannot be written; nothing is written then.
     """
     entries = manifest_entries(out)
+    for name, entry in manifest.items():
+        entries[kind][name] = _joined(out, entries[kind].get(name), entry, force=force)
+    paths = write_contents(out, contents, grows=grows, force=force)
+    write_json(out / MANIFEST, {"format_version": FORMAT_VERSION, **entries})
+    return [*paths, out / MANIFEST]
+
+
+def write_contents(
+    out: Path, contents: Mapping[str, bytes], *, grows: Collection[str] = (), force: bool = False
+) -> list[Path]:
+    """Write files into a folder of which its manifest says nothing; arguments as of `write_files`.
+
+    Returns:
+        The files.
+
+    Raises:
+        PipelineError: a file is there and differs, or the folder cannot be written; nothing is written then.
+    """
     for name, content in contents.items():
         if name not in grows and not force and _differs(out / name, content):
             raise PipelineError(
@@ -56,17 +76,31 @@ def write_files(
             raise PipelineError(f"cannot make the folder {path.parent}: {error.strerror}") from error
         with atomic_path(path) as partial:
             partial.write_bytes(content)
-    for name, entry in manifest.items():
-        entries[kind][name] = _joined(entries[kind].get(name, {}), entry)
-    write_json(out / MANIFEST, {"format_version": FORMAT_VERSION, **entries})
-    return [*(out / name for name in contents), out / MANIFEST]
+    return [out / name for name in contents]
 
 
-def _joined(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """An entry with the files of an earlier export that this one did not write again."""
+def _joined(
+    out: Path, old: Mapping[str, Any] | None, new: Mapping[str, Any], *, force: bool
+) -> dict[str, Any]:
+    """An entry with the files of an earlier export that this one does not write again.
+
+    What an entry says holds for all of its files: where this export says something else, the earlier ones
+    are left out if `force` is given.
+
+    Raises:
+        PipelineError: it says something else, and `force` is not given.
+    """
     written = {file["file"] for file in new["files"]}
-    kept = [file for file in old.get("files", []) if file["file"] not in written]
-    return {**old, **new, "files": [*kept, *new["files"]]}
+    kept = [file for file in (old or {}).get("files", []) if file["file"] not in written]
+    if not old or not kept:
+        return dict(new)
+    other = [key for key in {**old, **new} if key != "files" and old.get(key) != new.get(key)]
+    if other and not force:
+        raise PipelineError(
+            f"{out / kept[0]['file']} is there with another {other[0]}, see {MANIFEST}: name another folder"
+            " with -o, or leave it out of the manifest with --force"
+        )
+    return {**new, "files": [*([] if other else kept), *new["files"]]}
 
 
 def _differs(path: Path, content: bytes) -> bool:

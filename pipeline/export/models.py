@@ -95,7 +95,7 @@ def learned_model(path: Path, *, shells: bool = False, unseen: Unseen = "fill") 
 
 
 def looked_for_models(values: RunValues, *, closed: bool) -> list[ExportModel]:
-    """The surfaces that a run's parse looked for, in their own frames.
+    """The shapes that a run's parse looked for, in their own frames; copies of one shape are one model.
 
     Args:
         values: of the run.
@@ -106,9 +106,11 @@ def looked_for_models(values: RunValues, *, closed: bool) -> list[ExportModel]:
     """
     if values.surfaces is None:
         return []
+    originals = set(values.surfaces.shape_names.values())
+    shapes = {name: one for name, one in values.surfaces.by_name.items() if name in originals}
     meshes = {
         name: trimesh.Trimesh(one.vertices_m, one.faces, vertex_colors=one.rgb, process=False)
-        for name, one in values.surfaces.by_name.items()
+        for name, one in shapes.items()
     }
     return [
         ExportModel(
@@ -117,5 +119,5 @@ def looked_for_models(values: RunValues, *, closed: bool) -> list[ExportModel]:
             learned=one.learned,
             facts={"frame": GRID_FRAME if one.learned else OWN_FRAME},
         )
-        for name, one in values.surfaces.by_name.items()
+        for name, one in shapes.items()
     ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from pipeline.errors import PipelineError
+from pipeline.export.bop import bop_numbers
 from pipeline.export.files import write_files
 from pipeline.export.meshes import Geometry, Unseen, glb_bytes, mesh_bytes, moved, shape_mesh
 from pipeline.export.model_export import SIMULATORS, ExportOptions, export_models
@@ -83,9 +85,11 @@ def export_run(
     paths = write_files(out, contents, "runs", entry, force=options.force) if contents else []
     if not one_by_one:
         return paths
-    written = export_models(
-        models, one_by_one, out, _numbered(options, values), _poses(values, models, one_by_one, options)
-    )
+    poses: dict[str, bytes] = {}
+    if "bop" in one_by_one:
+        ids = bop_numbers([model.name for model in models], out, options.ids, _own_ids(values))
+        options, poses = replace(options, ids=ids), _poses(values, models, ids)
+    written = export_models(models, one_by_one, out, options, poses)
     return list(dict.fromkeys([*paths[:-1], *written]))
 
 
@@ -123,22 +127,20 @@ def _models(run: Path, values: RunValues, options: ExportOptions, *, closed: boo
     return learned + [model for model in looked_for_models(values, closed=closed) if model.name not in names]
 
 
-def _numbered(options: ExportOptions, values: RunValues) -> ExportOptions:
-    """The options with the run's own ids where the user gives none."""
-    if options.ids or values.surfaces is None:
-        return options
-    return ExportOptions(**{**vars(options), "ids": values.surfaces.object_ids})
+def _own_ids(values: RunValues) -> dict[str, int]:
+    """Ids of the shapes that the run's parse looked for."""
+    return values.surfaces.object_ids if values.surfaces is not None else {}
 
 
-def _poses(
-    values: RunValues, models: Sequence[ExportModel], formats: Sequence[str], options: ExportOptions
-) -> dict[str, bytes]:
+def _poses(values: RunValues, models: Sequence[ExportModel], ids: Mapping[str, int]) -> dict[str, bytes]:
     """The poses of the models of BOP, by the same ids and in the same frames."""
-    if "bop" not in formats or values.scene is None:
+    if values.scene is None or values.surfaces is None:
         return {}
-    own_from_model = {model.name: model.own_from_model("middle") for model in models}
-    ids = _numbered(options, values).ids
-    return {POSES: bop_lines(values, own_from_model, ids).encode()}
+    by_shape = {model.name: model.own_from_model("middle") for model in models}
+    shapes = values.surfaces.shape_names
+    own_from_model = {name: by_shape[shape] for name, shape in shapes.items()}
+    numbers = {name: ids[shape] for name, shape in shapes.items()}
+    return {POSES: bop_lines(values, own_from_model, numbers).encode()}
 
 
 def _points(values: RunValues) -> trimesh.PointCloud | None:

@@ -79,7 +79,7 @@ def shape_names(source: Path) -> set[str]:
         return {path.stem for path in (source / "shapes").glob("*.npz")}.union(*map(shape_names, runs))
     if is_run(source):
         values = RunValues.load(RunFolder(source, force=False))
-        return {*values.shapes, *(values.surfaces.by_name if values.surfaces else ())}
+        return {*values.shapes, *(values.surfaces.shape_names.values() if values.surfaces else ())}
     return {path.stem for path in source.glob("*.npz")} if source.is_dir() else {source.stem}
 
 

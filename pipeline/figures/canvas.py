@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -47,4 +48,11 @@ def write_figure(figure: Any, paths: Sequence[Path]) -> None:
             raise PipelineError(f"{path}: figures are written as {', '.join(FORMATS)}")
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as partial:
-            figure.savefig(partial, metadata=METADATA[suffix])
+            partial.write_bytes(figure_bytes(figure, suffix))
+
+
+def figure_bytes(figure: Any, suffix: str) -> bytes:
+    """A figure as the content of a file with one of the suffixes of `FORMATS`."""
+    content = io.BytesIO()
+    figure.savefig(content, format=suffix[1:], metadata=METADATA[suffix])
+    return content.getvalue()

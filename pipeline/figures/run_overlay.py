@@ -10,8 +10,9 @@ import trimesh
 from pipeline.errors import PipelineError
 from pipeline.evaluation.same_recording import check_truth
 from pipeline.evaluation.truth import RecordedTruth, true_mesh
+from pipeline.export.files import write_contents
 from pipeline.export.run_room import open_parsed
-from pipeline.figures.canvas import panels, write_figure
+from pipeline.figures.canvas import figure_bytes, panels
 from pipeline.figures.overlays import Outline, draw_overlay
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
@@ -23,7 +24,9 @@ INCHES = 6.4
 FILES = ("overlay.png", "overlay.svg")
 
 
-def export_overlay(run: Path, out: Path, recording: Path | None, truth: Path | None) -> list[Path]:
+def export_overlay(
+    run: Path, out: Path, recording: Path | None, truth: Path | None, *, force: bool = False
+) -> list[Path]:
     """Write overlay.png and overlay.svg.
 
     Args:
@@ -31,9 +34,11 @@ def export_overlay(run: Path, out: Path, recording: Path | None, truth: Path | N
         out: folder.
         recording: that the run was made from; None looks for it near the run.
         truth: recording that holds the true poses, outlined in white; None leaves them out.
+        force: replace pictures that differ.
 
     Raises:
-        PipelineError: the run has no parse, its recording is not found, or the truth is that of another one.
+        PipelineError: the run has no parse, its recording is not found, the truth is that of another one, or
+            a picture is there and differs.
     """
     folder = RunFolder(run)
     values = RunValues.load(folder)
@@ -61,9 +66,7 @@ def export_overlay(run: Path, out: Path, recording: Path | None, truth: Path | N
     figure, axes = panels(1, 1, INCHES, INCHES * film.intrinsics.height / film.intrinsics.width + 0.5)
     draw_overlay(axes[0][0], frame, film.intrinsics, outlines, crop=False)
     axes[0][0].set_title("presence: " + (", ".join(captions) or "nothing was found"), fontsize=7)
-    paths = [out / name for name in FILES]
-    write_figure(figure, paths)
-    return paths
+    return write_contents(out, {name: figure_bytes(figure, Path(name).suffix) for name in FILES}, force=force)
 
 
 def _frame(film: McapRecording, number: int) -> Frame:

@@ -26,7 +26,7 @@ def bop_lines(
     Args:
         values: of a run with a finished parse.
         object_from_model: (4, 4) by name, where the models are in frames of their own.
-        ids: of the objects by name, over those of the run.
+        ids: of all objects by name, in place of those of the run.
     """
     scene, surfaces = values.scene, values.surfaces
     assert scene is not None

@@ -31,6 +31,12 @@ pre { background: #f5f7f9; padding: .8rem; overflow-x: auto; font-size: .85rem; 
 @media print { body { padding: 0; max-width: none; } figure, table { break-inside: avoid; } }
 """
 
+HEAD = (
+    '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+    '<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>'
+)
+"""What comes before a page's title."""
+
 
 class Page:
     """A page that grows from the top; every text is escaped."""
@@ -95,9 +101,7 @@ class Page:
         first, *rest = self._parts
         body = "\n".join([first, f"<nav>{links}</nav>", *rest] if len(self._chapters) > 1 else self._parts)
         return (
-            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{html.escape(self._title)}</title>\n<style>{STYLE}</style>\n</head>\n"
+            f"{HEAD}{html.escape(self._title)}</title>\n<style>{STYLE}</style>\n</head>\n"
             f"<body>\n{body}\n</body>\n</html>\n"
         )
 

@@ -22,12 +22,14 @@ from pipeline.publishing.told_spread import (
 )
 from pipeline.publishing.values import RunValues
 from pipeline.report import charts
-from pipeline.report.page import Page
+from pipeline.report.page import HEAD, Page
 from pipeline.report.pictures import depth_pixels, png, scene_picture, shape_picture
 from pipeline.report.warnings import warnings_of
 from pipeline.run_folder import RunFolder
 from recordings.types import Damage
 
+TITLE = "voxscene: "
+"""How every report's title begins."""
 VIEWS = 4
 """Pictures of what the camera saw, of each run."""
 CLOUD_POINTS = 60_000
@@ -67,7 +69,7 @@ def report(paths: Sequence[Path], progress: Callable[[int, int], None] | None = 
     """
     runs = [reported(path, name) for name, path in _named(_runs(paths))]
     title = runs[0].name if len(runs) == 1 else f"{len(runs)} runs"
-    page = Page(f"voxscene: {title}", "Centres of objects in the camera of each run's first parsed frame.")
+    page = Page(f"{TITLE}{title}", "Centres of objects in the camera of each run's first parsed frame.")
     page.chapter("Summary")
     _summary_table(page, runs)
     _all_warnings(page, runs)
@@ -80,6 +82,13 @@ def report(paths: Sequence[Path], progress: Callable[[int, int], None] | None = 
         if progress:
             progress(number, len(runs))
     return page
+
+
+def is_report(path: Path) -> bool:
+    """Whether a file begins as reports do."""
+    beginning = (HEAD + TITLE).encode()
+    with path.open("rb") as file:
+        return file.read(len(beginning)) == beginning
 
 
 def reported(path: Path, name: str) -> ReportedRun:

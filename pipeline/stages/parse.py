@@ -231,7 +231,8 @@ def _surfaces(
 ) -> Committed[Surfaces]:
     """What is looked for, kept in the run as the stage `objects`.
 
-    Every shape of the folder is numbered, asked for or not, so that ids do not depend on the question.
+    Every shape of the folder is numbered, asked for or not, so that ids do not depend on the question;
+    copies have the id of their shape.
     """
     from pipeline.shape_folder import surface_hashes
 
@@ -244,12 +245,14 @@ def _surfaces(
         from pipeline.bop_numbers import ids_of_models, ids_of_names, numbered
         from pipeline.shape_folder import chosen, load_surfaces
         from recordings.dataset_numbers import recorded_dataset_numbers
+        from scene.copies import shape_of
 
         surfaces = load_surfaces(shapes, units)
         recorded = recorded_dataset_numbers(session.source.path)
         known = (ids, ids_of_models(shapes), ids_of_names(surfaces), recorded.object_ids)
-        each = chosen(surfaces, names, copies)
-        return Surfaces(each, replace(recorded, object_ids=numbered({**surfaces, **each}, *known)))
+        numbers, each = numbered(surfaces, *known), chosen(surfaces, names, copies)
+        own = {name: numbers[shape_of(name, surfaces)] for name in each}
+        return Surfaces(each, replace(recorded, object_ids=own))
 
     return session.stage("objects", Surfaces.load, compute, {}, inputs, sources=SURFACE_SOURCES)
 

@@ -12,9 +12,10 @@ from click.testing import CliRunner, Result
 from pipeline.calibration.field import stands_still
 from pipeline.calibration.images import RUN_FRAMES, profile_of, spread_evenly
 from pipeline.cli import voxscene
+from pipeline.stored_profile import StoredProfile, is_profile
 from recordings.options import ReadOptions
 from recordings.reading import open_recording
-from recordings.sensor_profile import load_sensor_profile
+from recordings.sensor_profile import SensorProfile, load_sensor_profile
 from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from recordings.writer import RecordingWriter
 from shapes.depth_noise import standard_deviation
@@ -135,6 +136,19 @@ def test_mistakes_are_told_in_one_line(profile: Path, tmp_path: Path) -> None:
         assert told in result.output
         assert len(result.stderr.strip().splitlines()) == 1
         assert not (tmp_path / "sensor.toml").exists()
+
+
+def test_a_profile_takes_the_place_of_a_profile_alone(tmp_path: Path) -> None:
+    """A file of settings named by mistake stays as it is."""
+    film, settings = wall(tmp_path / "a.mcap"), tmp_path / "project.toml"
+    settings.write_text("[run]\nseed = 3\n")
+    told = run("calibrate", film, "-o", settings, "-q")
+    assert (told.exit_code, told.stderr.count("\n")) == (1, 1)
+    assert "project.toml: it is there and is no sensor profile, name another file" in told.stderr
+    assert settings.read_text() == "[run]\nseed = 3\n"
+    profile = StoredProfile(SensorProfile(intrinsics=CAMERA))
+    profile.save(tmp_path / "sensor.toml")
+    assert is_profile(tmp_path / "sensor.toml")
 
 
 def test_what_is_calibrated_is_read_as_it_was_recorded(profile: Path, tmp_path: Path) -> None:

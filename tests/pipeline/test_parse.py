@@ -14,8 +14,11 @@ from scipy.special import expit
 
 from pipeline import interface
 from pipeline.cli import voxscene
+from pipeline.config import Settings
 from pipeline.evaluation.object_poses import add_s_m, model_points
-from pipeline.stages.parse import drawn_shapes
+from pipeline.options import Common, RecordingSource
+from pipeline.session import open_session
+from pipeline.stages.parse import _surfaces, drawn_shapes
 from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.synthesis.filming import film_table
 from pipeline.synthesis.objects import built_in_object
@@ -288,6 +291,24 @@ def test_copies_of_learned_shapes_are_drawn_from_their_shape(tmp_path: Path) -> 
     assert len(first) == len(second) > 1
     assert not np.array_equal(first[0][0], second[0][0])
     assert drawn_shapes(tmp_path, surfaces, key, ParseConfig()) == [[], []]
+
+
+def test_copies_have_the_id_of_their_shape(mug_file: Path, tmp_path: Path) -> None:
+    """Ids of shapes are the same whether copies are asked for or not, also those named like copies."""
+    (tmp_path / "meshes").mkdir()
+    for name in ("box", "box_2", "mug"):
+        built_in_object("box").export(tmp_path / "meshes" / f"{name}.ply")
+    common = Common(as_json=False, quiet=True, settings=Settings.read(None, ()))
+    source = RecordingSource(path=mug_file, said={})
+    found = []
+    for names in (("mug:3", "box_2"), ("mug",)):
+        with open_session(common, source, tmp_path / "run") as session:
+            found.append(_surfaces(session, tmp_path / "meshes", None, names, {}, 1).value)
+    copies, alone = found
+
+    assert copies.object_ids == {"mug": 3, "mug_2": 3, "mug_3": 3, "box_2": 2}
+    assert copies.shape_names == {"mug": "mug", "mug_2": "mug", "mug_3": "mug", "box_2": "box_2"}
+    assert alone.object_ids == {"mug": 3}
 
 
 def test_meshes_have_no_shape_samples(parsed: Path, meshes: Path, tmp_path: Path) -> None:

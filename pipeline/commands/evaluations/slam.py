@@ -64,7 +64,7 @@ def command(
     its best result counts. With -o, evo and other programs can go on from what is written.
     """
     from pipeline.config import build
-    from pipeline.evaluation.error_files import write_comparison
+    from pipeline.evaluation.error_files import check_comparison, write_comparison
     from pipeline.evaluation.same_recording import check_truth
     from pipeline.evaluation.trajectories import (
         ComparedTrajectory,
@@ -77,6 +77,8 @@ def command(
     from recordings.options import ReadOptions
     from slam.result import SlamResult
 
+    if output:
+        check_comparison(output)
     run = RunFolder(run_path, force=False)
     record = run.record("slam")
     if record is None:

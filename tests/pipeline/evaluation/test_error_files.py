@@ -1,17 +1,20 @@
 """A comparison's files hold the same errors as the figures that are printed."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
 from pipeline.evaluation.error_files import write_comparison
 from pipeline.evaluation.trajectories import compared_file, compared_run
+from pipeline.fingerprints import file_hash
 from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.run_access import open_run_folder
 from pipeline.views.error_view import write_error_rrd
@@ -27,7 +30,6 @@ def positions(path: Path) -> np.ndarray:
 def aligned_error_m(estimate: np.ndarray, reference: np.ndarray) -> float:
     """Root mean square distance after the best rigid motion, found by search over many (no closed form)."""
     from scipy.optimize import least_squares
-    from scipy.spatial.transform import Rotation
 
     def apart(motion: np.ndarray) -> np.ndarray:
         return (Rotation.from_rotvec(motion[:3]).apply(estimate) + motion[3:] - reference).ravel()
@@ -75,6 +77,30 @@ def test_files_and_figures_agree(true_trajectory: SlamResult, reference: Traject
             assert picture.width > 300
 
 
+def test_rotation_errors_along_a_straight_path_are_those_of_rotations(
+    true_trajectory: SlamResult, seed: int, tmp_path: Path
+) -> None:
+    """Tenths of a millimetre across the path would turn the aligned estimate about it by any angle."""
+    rng = np.random.default_rng(seed)
+    count = len(true_trajectory)
+    truth = np.tile(np.eye(4), (count, 1, 1))
+    truth[:, 0, 3] = 0.1 * np.arange(count)
+    estimate = truth.copy()
+    estimate[:, :3, 3] += rng.normal(0, 1e-4, (count, 3))
+    elsewhere = np.eye(4)
+    elsewhere[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    estimate[2, :3, :3] = Rotation.from_rotvec([0, 0, 0.06]).as_matrix()
+    result = replace(true_trajectory, mean=elsewhere @ estimate)
+    reference = Trajectory(times_ns=result.times_ns, reference_from_camera=truth)
+    write_comparison(tmp_path, result, compared_run(result, reference), [])
+    with (tmp_path / "errors.csv").open() as file:
+        found = [float(row["rotation_error_rad"]) for row in csv.DictReader(file)]
+
+    expected = np.full(count, 0.06 / count)
+    expected[2] = 0.06 - 0.06 / count
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
 def test_views_of_errors_are_whole_or_not_at_all(
     true_trajectory: SlamResult, reference: Trajectory, tmp_path: Path, limited_files
 ) -> None:
@@ -112,3 +138,20 @@ def test_two_trajectories_of_one_name_are_refused(
 
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
     assert "two trajectories are named" in result.stderr
+
+
+def test_another_table_is_not_replaced(mug_file: Path, true_trajectory: SlamResult, tmp_path: Path) -> None:
+    """An errors.csv of somebody else stays, told in one line; one of an earlier comparison does not."""
+    with open_run_folder(tmp_path / "run", {mug_file.name: file_hash(mug_file)}) as run:
+        run.stage("slam", SlamResult.load, lambda: true_trajectory, settings={}, inputs={})
+    out = tmp_path / "out"
+    command = ["eval", "slam", str(tmp_path / "run"), "--reference", str(mug_file), "-o", str(out)]
+    for _ in range(2):
+        result = CliRunner().invoke(voxscene, command)
+        assert result.exit_code == 0, result.output
+    (out / "errors.csv").write_text("name,error\n")
+    result = CliRunner().invoke(voxscene, command)
+
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+    assert "errors.csv: it is there and is no table of eval slam" in result.stderr
+    assert (out / "errors.csv").read_text() == "name,error\n"

@@ -46,6 +46,15 @@ def read_poses(path: Path) -> dict[tuple[int, int, int], np.ndarray]:
     return poses
 
 
+def write_run(path: Path, values: RunValues) -> Path:
+    """A run with the trajectory, surfaces and scene of some values."""
+    with open_run_folder(path, {"rec": "hash"}) as folder:
+        for name, value in {"slam": values.slam, "objects": values.surfaces, "parse": values.scene}.items():
+            assert value is not None
+            folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
+    return path
+
+
 @pytest.fixture(params=[True, False], ids=["learned", "mesh"])
 def run(request, parsed_run: RunValues, tmp_path: Path) -> Path:
     """A run in which a mug was found; its surface is off the origin of its frame."""
@@ -66,12 +75,7 @@ def run(request, parsed_run: RunValues, tmp_path: Path) -> Path:
         surfaces=Surfaces(dict.fromkeys(names, surface), numbers),
         scene=replace(parsed_run.scene, camera_from_object=poses),
     )
-    committed = {"slam": parsed_run.slam, "objects": values.surfaces, "parse": values.scene}
-    with open_run_folder(tmp_path / "run", {"rec": "hash"}) as folder:
-        for name, value in committed.items():
-            assert value is not None
-            folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
-    return tmp_path / "run"
+    return write_run(tmp_path / "run", values)
 
 
 def test_the_error_of_what_bop_reads_is_that_of_what_we_found(run: Path, tmp_path: Path) -> None:
@@ -97,15 +101,78 @@ def test_the_error_of_what_bop_reads_is_that_of_what_we_found(run: Path, tmp_pat
     np.testing.assert_allclose(models[14].bounds.mean(axis=0), middle, atol=1e-6)
 
 
+@pytest.fixture
+def two_mugs(parsed_run: RunValues, tmp_path: Path) -> Path:
+    """A run in which two mugs were found, learned ones off the origin of their grid; a can was not."""
+    body = trimesh.creation.box((0.1, 0.06, 0.08)).apply_translation([0.2, 0.1, 0.04])
+    surface = SceneSurface(
+        vertices_m=np.asarray(body.vertices), faces=np.asarray(body.faces, np.int64), learned=True
+    )
+    assert parsed_run.scene is not None
+    names = ("mug", "mug_2", "can")
+    numbers = DatasetNumbers(object_ids={"mug": 2, "mug_2": 2, "can": 1})
+    values = replace(
+        parsed_run,
+        surfaces=Surfaces(dict.fromkeys(names, surface), numbers),
+        scene=replace(parsed_run.scene, names=np.array(names)),
+    )
+    return write_run(tmp_path / "run", values)
+
+
+def read_rows(path: Path) -> list[tuple[int, list[float]]]:
+    """obj_id and t in metres of every row of poses.csv."""
+    with path.open() as file:
+        return [
+            (int(row["obj_id"]), [float(value) / 1000 for value in row["t"].split()])
+            for row in csv.DictReader(file)
+        ]
+
+
+def test_copies_of_a_shape_are_one_model_with_several_poses(two_mugs: Path, tmp_path: Path) -> None:
+    """Each of the model's own frame, whose origin is in the middle."""
+    export_run(two_mugs, ["bop"], tmp_path / "out", ExportOptions())
+    assert sorted(read_models(tmp_path / "out/bop/models")) == [1, 2]
+    assert json.loads((tmp_path / "out/bop/ids.json").read_text()) == {"can": 1, "mug": 2}
+    rows = read_rows(tmp_path / "out/bop/poses.csv")
+    assert [number for number, _ in rows] == [2, 2]
+    np.testing.assert_allclose([place for _, place in rows], [[0.2, 0.1, 0.64], [0.2, 0.1, 0.74]], atol=1e-6)
+    manifest = json.loads((tmp_path / "out/manifest.json").read_text())
+    assert sorted(manifest["shapes"]) == ["can", "mug"]
+
+
+@pytest.mark.parametrize(
+    ("ids", "numbers"), [({"mug": 1}, {"mug": 1, "can": 2}), ({"can": 7}, {"mug": 2, "can": 7})]
+)
+def test_ids_of_some_objects_leave_the_others_theirs(
+    two_mugs: Path, tmp_path: Path, ids: dict[str, int], numbers: dict[str, int]
+) -> None:
+    """The run's, or one that is left where another object was given it."""
+    export_run(two_mugs, ["bop"], tmp_path / "out", ExportOptions(ids=ids))
+    assert json.loads((tmp_path / "out/bop/ids.json").read_text()) == numbers
+    assert [number for number, _ in read_rows(tmp_path / "out/bop/poses.csv")] == [numbers["mug"]] * 2
+
+
+def test_poses_have_the_ids_that_the_folder_holds(two_mugs: Path, tmp_path: Path) -> None:
+    """Not the run's own; others that are asked for are refused, and nothing is written."""
+    (tmp_path / "out/bop").mkdir(parents=True)
+    held = {"mug": 5, "cup": 2}
+    (tmp_path / "out/bop/ids.json").write_text(json.dumps(held))
+    for number, line in ((2, "id 2 of mug is that of cup"), (9, "mug has id 5 there, and not 9")):
+        with pytest.raises(PipelineError, match=line):
+            export_run(two_mugs, ["bop"], tmp_path / "out", ExportOptions(ids={"mug": number}))
+    assert not (tmp_path / "out/bop/models").exists()
+    export_run(two_mugs, ["bop"], tmp_path / "out", ExportOptions())
+    assert json.loads((tmp_path / "out/bop/ids.json").read_text()) == {"can": 1, **held}
+    assert sorted(read_models(tmp_path / "out/bop/models")) == [1, 5]
+    assert [number for number, _ in read_rows(tmp_path / "out/bop/poses.csv")] == [5, 5]
+
+
 def test_an_open_mesh_is_written_where_no_volume_is_needed(parsed_run: RunValues, tmp_path: Path) -> None:
     """As stl and for BOP; simulators, which need one, say so and write nothing, scene.glb neither."""
     sheet = SceneSurface(vertices_m=np.eye(3), faces=np.array([[0, 1, 2]], np.int64), learned=False)
-    assert parsed_run.slam is not None
     assert parsed_run.scene is not None
     surfaces = Surfaces(dict.fromkeys(parsed_run.scene.names, sheet))
-    with open_run_folder(tmp_path / "run", {"rec": "hash"}) as folder:
-        for name, value in {"slam": parsed_run.slam, "objects": surfaces, "parse": parsed_run.scene}.items():
-            folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
+    write_run(tmp_path / "run", replace(parsed_run, surfaces=surfaces))
 
     with pytest.raises(PipelineError, match="bounds no volume"):
         export_run(tmp_path / "run", ["glb", "urdf"], tmp_path / "out", ExportOptions())

@@ -197,6 +197,22 @@ def test_another_shape_of_the_same_name_is_refused(shape_path: Path, tmp_path: P
     assert trimesh.load_mesh(tmp_path / "out" / "block.ply").extents[2] == pytest.approx(0.015)
 
 
+def test_the_manifest_tells_the_truth_of_files_from_earlier_exports(shape_path: Path, tmp_path: Path) -> None:
+    """What is said of another origin is refused, and with --force the earlier files are left out."""
+    exported(shape_path, ["ply"], tmp_path / "out")
+    before = (tmp_path / "out/manifest.json").read_bytes()
+    with pytest.raises(PipelineError, match=r"block\.ply is there with another object_from_model.*--force"):
+        exported(shape_path, ["obj"], tmp_path / "out", origin="grid")
+    assert (tmp_path / "out/manifest.json").read_bytes() == before
+    assert not (tmp_path / "out/block.obj").exists()
+    exported(shape_path, ["stl"], tmp_path / "out", units="mm")
+    exported(shape_path, ["obj"], tmp_path / "out", origin="grid", force=True)
+    entry = json.loads((tmp_path / "out/manifest.json").read_text())["shapes"]["block"]
+    assert [file["file"] for file in entry["files"]] == ["block.obj"]
+    assert entry["object_from_model"] == np.eye(4).tolist()
+    assert (tmp_path / "out/block.ply").is_file()
+
+
 def test_a_folder_of_shapes_is_one_data_set_with_the_ids_asked_for(shape_path: Path, tmp_path: Path) -> None:
     """--ids names some, the others get the lowest that are left; an id taken by another is refused."""
     block(3).save(tmp_path / "flat.npz")

@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from pipeline.cli import voxscene
+from pipeline.fingerprints import file_hash
 from pipeline.publishing.values import RunValues
 from pipeline.room import RoomView
 from pipeline.run_access import open_run_folder
@@ -95,3 +96,24 @@ def test_ids_are_of_shapes_that_are_there(values: RunValues, tmp_path: Path, sou
     ids.write_text('{"mug": 14}')
     told = export(tmp_path / source, "bop", tmp_path / "out", "--ids", str(ids))
     assert told.exit_code == 0, told.output
+
+
+def test_another_overlay_is_replaced_with_force_alone(
+    parsed_run: RunValues, mug_file: Path, tmp_path: Path
+) -> None:
+    """As files of the other formats; the same again is no conflict."""
+    with open_run_folder(tmp_path / "run", {mug_file.name: file_hash(mug_file)}) as folder:
+        for name, value in {"objects": parsed_run.surfaces, "parse": parsed_run.scene}.items():
+            assert value is not None
+            folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
+    command = (tmp_path / "run", "overlay", tmp_path / "out", "--recording", str(mug_file))
+    for _ in range(2):
+        assert export(*command).exit_code == 0
+    other = tmp_path / "out" / "overlay.svg"
+    other.write_text("another")
+    told = export(*command)
+    assert told.exit_code == 1
+    assert "overlay.svg is there and differs" in told.stderr
+    assert other.read_text() == "another"
+    assert export(*command, "--force").exit_code == 0
+    assert "<svg" in other.read_text()

@@ -127,6 +127,19 @@ def test_a_report_is_a_page_and_nothing_else(run: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "r.pdf").exists()
 
 
+def test_a_report_takes_the_place_of_a_report_alone(run: Path, tmp_path: Path) -> None:
+    """Or of an empty file; another page stays as it is, told in one line."""
+    command = ["report", str(run), "-o", str(tmp_path / "r.html")]
+    (tmp_path / "r.html").touch()
+    for _ in range(2):
+        assert CliRunner().invoke(voxscene, command).exit_code == 0
+    (tmp_path / "r.html").write_text("<!doctype html>\n<title>thesis</title>\n")
+    told = CliRunner().invoke(voxscene, command)
+    assert (told.exit_code, told.stderr.count("\n")) == (1, 1)
+    assert "r.html: it is there and is no report of voxscene, name another file" in told.stderr
+    assert "thesis" in (tmp_path / "r.html").read_text()
+
+
 def test_warnings_name_what_is_wrong_and_nothing_else(parsed_run: RunValues) -> None:
     """A sound run has none; each fault adds its own."""
     assert parsed_run.slam is not None
