@@ -115,14 +115,14 @@ def _log_density_beside(
     frames: PresenceFrames,
     priors: PosePriors,
     one: int,
-    poses: NDArray[np.float64],
+    best: NDArray[np.float64],
     found: NDArray[np.bool_],
 ) -> LogDensity:
-    """That of one object over the scene without it, beside all others `found` (N,) at poses (N, 7)."""
+    """That of one object over the scene without it, beside all others `found` (N,) at poses `best` (N, 7)."""
     front = np.full(frames.pixels, np.inf, np.float32), np.zeros(frames.pixels, np.float32)
     others = np.flatnonzero(found & (np.arange(len(found)) != one))
     if len(others):
-        states = np.concatenate([poses[others], frames.log_half[others]], axis=1)
+        states = np.concatenate([best[others], frames.log_half[others]], axis=1)
         front = nearest_shown(*frames.shown(others, states))
 
     def log_density(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -132,6 +132,8 @@ def _log_density_beside(
         half_m = np.tile(np.exp(log_half), (1, len(poses), 1))
         log_prior = priors.log_alone(poses[None], half_m)[0]
         log_prior += priors.log_not_buried(np.array([one]), poses[None])[0]
+        for other in others.tolist():
+            log_prior += priors.log_apart(one, poses, other, best[other][None])
         return gain_before(shown, front), log_prior
 
     return log_density

@@ -28,6 +28,8 @@ class ForestPrior:
         log_trees: (N + 1,) log of the sum of the weights of all trees over so many objects.
         log_sets: (A + 1,) log probability of one given set of slots that are asked for, by its size.
         asked: A, the first of the slots; the others' rates are part of their weights.
+        log_apart: of a slot and its candidate log factors (A, K) of how deep all others reach into that one,
+            or it into them, 0 within the slot; None where things may.
     """
 
     on_root: NDArray[np.float64]
@@ -35,19 +37,21 @@ class ForestPrior:
     log_trees: NDArray[np.float64]
     log_sets: NDArray[np.float64]
     asked: int
+    log_apart: Callable[[int, int], NDArray[np.float64]] | None = None
 
     def log_density(self, taken: Sequence[tuple[int, int]], hidden: int) -> float:
         """Of slots at candidates (slot, place), and so many others somewhere out of sight."""
         place = tuple(taken), None
         if place not in self._kept:
-            self._kept[place] = self._log_forests(*self._weights(taken))
+            self._kept[place] = self._log_forests(*self._weights(taken)) + self._log_all_apart(taken)
         return float(self._kept[place]) + self._log_number([slot for slot, _ in taken], hidden)
 
     def log_densities(self, taken: Sequence[tuple[int, int]], slot: int, hidden: int) -> NDArray[np.float64]:
         """(K,) the same with one slot more, at each of its candidates."""
         place = tuple(taken), slot
         if place not in self._kept:
-            self._kept[place] = self._log_forests_with(taken, slot)
+            log_apart = self._log_all_apart(taken) + self._log_apart_with(taken, slot)
+            self._kept[place] = self._log_forests_with(taken, slot) + log_apart
         return self._kept[place] + self._log_number([slot, *(one for one, _ in taken)], hidden)
 
     @cached_property
@@ -68,6 +72,22 @@ class ForestPrior:
             beside = np.stack([self.weights_beside(*one)[:, slot] for one in taken])
             every[:, count, :count], every[:, :count, count] = beside[:, 0].T, beside[:, 1].T
         return self._log_forests(roots, every)
+
+    def _log_all_apart(self, taken: Sequence[tuple[int, int]]) -> float:
+        """Log factor of all pairs of what is taken."""
+        pairs = [
+            self._log_apart_with(taken[:after], slot)[place] for after, (slot, place) in enumerate(taken)
+        ]
+        return float(np.sum(pairs))
+
+    def _log_apart_with(self, taken: Sequence[tuple[int, int]], slot: int) -> NDArray[np.float64]:
+        """Log factor (K,) of a slot's candidates beside what is taken."""
+        total = np.zeros(self.on_root.shape[1])
+        if self.log_apart is not None and slot < self.asked:
+            for one in taken:
+                if one[0] < self.asked:
+                    total += self.log_apart(*one)[slot]
+        return total
 
     def _weights(self, taken: Sequence[tuple[int, int]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """On the root (n,), and of each on each (n, n)."""

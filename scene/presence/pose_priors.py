@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, cached_property, partial
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from scene.model.contact import TOP_FACE
 from scene.model.number_prior import UncertainBinomialNumber
 from scene.model.prior import PosePrior, densities_on, log_floating
 from scene.model.scene_graph import Bodies
+from scene.objects.interior import Interior, penetrations_m
 from scene.objects.scene_object import SceneObject
 from scene.observation.detection import SupportPlane
 from scene.presence.forests import ForestPrior, log_weighted_trees
@@ -50,7 +51,7 @@ class PosePriors:
         grafts: whether things rest on others; else all float.
         table: below which objects reach by no more than it may be wrong, in the world; None without one.
             Solids may go on there, as parts of things.
-        table_sigma_m: by which it and poses may be wrong.
+        contact_sigma_m: by which it, shapes and poses may be wrong.
         objects: all N.
     """
 
@@ -62,7 +63,7 @@ class PosePriors:
     log_sets: NDArray[np.float64]
     grafts: bool
     table: SupportPlane | None = None
-    table_sigma_m: float = 1.0
+    contact_sigma_m: float = 1.0
     objects: Sequence[SceneObject] = ()
 
     @classmethod
@@ -85,7 +86,7 @@ class PosePriors:
             log_sets=UncertainBinomialNumber(config.presence).log_set_probabilities(most),
             grafts=config.graph == "infer",
             table=compared.table,
-            table_sigma_m=config.contact_sigma_m,
+            contact_sigma_m=config.contact_sigma_m,
             objects=objects,
         )
 
@@ -116,12 +117,43 @@ class PosePriors:
             log_trees,
             self.log_sets,
             asked,
+            cache(partial(self._log_apart_from, poses[:asked])) if self.objects else None,
         )
 
     def log_not_buried(self, owners: NDArray[np.integer], poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log prior (n, S) of how deep objects owners (n,) at poses (n, S, 7) reach below the table."""
         objects = [self.objects[one] for one in owners] if self.table else []
-        return log_not_buried(self.table, objects, poses, self.table_sigma_m)
+        return log_not_buried(self.table, objects, poses, self.contact_sigma_m)
+
+    def log_apart(
+        self, one: int, poses: NDArray[np.float64], other: int, other_poses: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Log prior (S,) of how deep two objects reach into each other, half a Gaussian.
+
+        Of things that do not it is 0. The number of objects has its law before it counts, as that of a
+        hard-core process (Strauss 1975).
+
+        Args:
+            one: number of an object.
+            poses: (S, 7) of it.
+            other: number of another.
+            other_poses: (S, 7) or (1, 7) of that.
+        """
+        depth_m = penetrations_m(self._interiors[one], poses, self._interiors[other], other_poses)
+        return -0.5 * (depth_m / self.contact_sigma_m) ** 2
+
+    def _log_apart_from(self, poses: NDArray[np.float64], slot: int, place: int) -> NDArray[np.float64]:
+        """Log factors (N, K) of the candidates (N, K, 7) beside one of them, 0 within its slot."""
+        found = np.zeros(poses.shape[:2])
+        for other in range(len(poses)):
+            if other != slot:
+                found[other] = self.log_apart(other, poses[other], slot, poses[slot, place][None])
+        return found
+
+    @cached_property
+    def _interiors(self) -> list[Interior]:
+        """Of the N objects."""
+        return [Interior.of(one) for one in self.objects]
 
     def log_alone(self, poses: NDArray[np.float64], half_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log of `alone` (n, S), finite everywhere."""

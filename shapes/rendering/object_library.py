@@ -175,6 +175,14 @@ def level_of(
     return pitch, size, first_voxel
 
 
+def signed_distances_m(library: ObjectLibrary) -> NDArray[np.float32]:
+    """Distances (I, J, K) of the middles of one object's finest voxels from its surface, negative inside."""
+    size = np.asarray(library.size[0])
+    words = np.asarray(library.table)[: WORDS * size.prod() : WORDS]
+    steps = (words >> 21).astype(np.float32).reshape(size)
+    return steps * np.float32(library.pitch_m[0] / DISTANCE_STEPS)
+
+
 def unpack(word: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Signed distance of voxel centres from the nearest sheet, in voxels, and the normal's components."""
     return ((word >> 21).astype(jnp.float32) * (1.0 / DISTANCE_STEPS), *_unpacked_normal(word))

@@ -87,13 +87,37 @@ def test_what_reaches_below_the_table_weighs_less() -> None:
     given = poses, np.full((3, 1, 3), 0.05), np.zeros((3, 1)), 2
 
     free = priors_of(2, Exactly(2))
-    priors = free.of(*given), replace(free, table=table, table_sigma_m=0.02, objects=[cube, cube]).of(*given)
+    priors = (
+        free.of(*given),
+        replace(free, table=table, contact_sigma_m=0.02, objects=[cube, cube]).of(*given),
+    )
 
     factor = np.exp([[0.0], [-2.0], [0.0]])
     np.testing.assert_allclose(priors[1].on_root, priors[0].on_root * factor, rtol=0.1)
     beside = [one.weights_beside(0, 0) for one in priors]
     np.testing.assert_allclose(beside[1][0], beside[0][0] * factor, rtol=0.1)
     np.testing.assert_allclose(beside[1][1], beside[0][1], rtol=1e-12)
+
+
+def test_what_lies_in_another_weighs_less() -> None:
+    """Two cubes 4 cm in each other at 2 cm: e^-2 once; a third beside them, and a solid, change nothing."""
+    mesh = trimesh.creation.box((0.1, 0.1, 0.1))
+    cube = scene_object("cube", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    poses = np.tile([1.0, 0, 0, 0, 0, 0, 0.05], (4, 1, 1))
+    poses[:, 0, 4] = [0.0, 0.06, 0.3, 0.3]
+    given = poses, np.full((4, 1, 3), 0.05), np.zeros((4, 1)), 3
+
+    free = priors_of(3, Exactly(3))
+    free, apart = free.of(*given), replace(free, contact_sigma_m=0.02, objects=3 * [cube]).of(*given)
+
+    scenes = [[(0, 0), (1, 0)], [(1, 0), (2, 0), (0, 0)], [(0, 0), (2, 0)], [(2, 0), (3, 0)]]
+    for scene, expected in zip(scenes, (-2.0, -2.0, 0.0, 0.0), strict=True):
+        *rest, (last, place) = scene
+        hidden = 3 - sum(slot < 3 for slot, _ in scene)
+        whole = apart.log_density(scene, hidden) - free.log_density(scene, hidden)
+        assert whole == pytest.approx(expected, rel=0.1)
+        with_last = (apart.log_densities(rest, last, hidden) - free.log_densities(rest, last, hidden))[place]
+        assert with_last == pytest.approx(whole, abs=1e-9)
 
 
 def test_forests_are_summed(seed: int) -> None:
