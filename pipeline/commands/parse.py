@@ -203,10 +203,8 @@ def command(
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]
     lines += [_hidden_line(one) for one in document["not_found"] if one["presence"] >= MENTIONED]
     lines += [_count_line(one) for one in document["counts"]]
-    rate = (document["effective_samples"] or 0) / max(document["seconds"], 1e-3)
     lines += [
-        f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s; "
-        f"{rate:.1f} effective samples/s, {document['acceptance']:.0%} of moves accepted",
+        f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s{_rates(document)}",
         verdict_text(document),
         f"poses: {run_path / 'poses.csv'}; look at it: voxscene review {quote(str(run_path))}",
     ]
@@ -214,6 +212,14 @@ def command(
         lines.insert(-1, f"variance of the log likelihood's estimate {document['log_estimate_variance']:.2f}")
     common.report(document, lines)
     ctx.exit(report_damage(source.path, damage))
+
+
+def _rates(document: dict[str, Any]) -> str:
+    """How fast chains ran, where they did."""
+    if document["effective_samples"] is None:
+        return ""
+    rate = document["effective_samples"] / max(document["seconds"], 1e-3)
+    return f"; {rate:.1f} effective samples/s, {document['acceptance']:.0%} of moves accepted"
 
 
 def _names(option: str, text: str) -> tuple[str, ...]:

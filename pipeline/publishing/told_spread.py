@@ -97,6 +97,8 @@ def agreement_text(one: Mapping[str, Any]) -> str:
 
 def verdict_text(parse: Mapping[str, Any]) -> str:
     """Whether the spreads of a parsed scene can be believed, and what to do where they cannot."""
+    if not parse["objects"]:
+        return "no pose was sampled; presences have standard errors of their own"
     if parse["effective_samples"] is None:
         doubt = "standard deviations may be too small; raise parse.sweeps"
         return f"too few samples to tell whether chains agree: {doubt}"

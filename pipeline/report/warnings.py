@@ -59,7 +59,7 @@ def _of_camera(values: RunValues) -> list[str]:
 
 def _of_scene(parse: Mapping[str, Any]) -> list[str]:
     found = []
-    if not parse["converged"]:
+    if parse["objects"] and not parse["converged"]:
         found.append(f"Objects: {verdict_text(parse)}.")
     for one in parse["objects"]:
         largest = max((mode["probability"] for mode in one["modes"]), default=1.0)

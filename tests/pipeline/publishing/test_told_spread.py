@@ -91,4 +91,5 @@ def test_the_verdict_says_what_to_do() -> None:
     )
     assert "places agree, rarer poses may be missing" in verdict_text(parse | {"objects": [SURE]})
     assert verdict_text(parse | {"converged": True, "r_hat": 1.02}).startswith("converged: R-hat 1.02")
+    assert "no pose was sampled" in verdict_text(parse | {"objects": []})
     assert "too few samples" in verdict_text(parse | {"effective_samples": None, "r_hat": None})
