@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -159,11 +160,21 @@ def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig)
 
 
 def _recorded(session: Session) -> Trajectory:
-    """The poses that the recording brings."""
+    """The poses that the recording brings.
+
+    Raises:
+        PipelineError: it brings none, or the same one for all of its frames.
+    """
     options = session.source.read_options(session.common.settings)
     trajectory = recorded_path(session.source.path, options)
     if trajectory is None:
         raise PipelineError(f"{session.source.path} has no recorded poses; leave out --poses recorded")
+    poses = trajectory.reference_from_camera
+    if (poses == poses[0]).all() and len(list(itertools.islice(session.recording.stamps_ns(), 2))) > 1:
+        raise PipelineError(
+            f"{session.source.path}: by its recorded poses the camera never moved, as where only its "
+            "mounting is recorded; without --poses recorded slam finds the camera"
+        )
     return trajectory
 
 
