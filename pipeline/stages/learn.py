@@ -23,7 +23,7 @@ from shapes.learning.region import place_of_pixel
 
 if TYPE_CHECKING:
     from recordings.options import ReadOptions
-    from recordings.types import Trajectory
+    from recordings.types import Frame, Trajectory
     from shapes.prior import ShapePrior
     from slam.result import SlamResult
 
@@ -126,6 +126,25 @@ def tracked_frames(result: SlamResult) -> PosedFrames:
     )
 
 
+def used_frames(session: Session, posed: PosedFrames, config: LearnConfig) -> tuple[list[Frame], PosedFrames]:
+    """The frames that are learned from, by increasing time, and where the camera was in them.
+
+    A recording brings poses of frames that cannot be decoded, too: these are left out.
+
+    Raises:
+        PipelineError: none can be decoded.
+    """
+    from shapes.learning.distillation import select_views
+
+    stamps = set(posed.times_ns[select_views(len(posed.times_ns), config)].tolist())
+    frames = [frame for frame in session.recording if frame.time_ns in stamps]
+    if not frames:
+        problem = "; ".join(["", *session.recording.problems[:1]])
+        raise PipelineError(f"{session.source.path}: no frame that has a pose can be decoded{problem}")
+    used = np.isin(posed.times_ns, [frame.time_ns for frame in frames])
+    return frames, replace(posed, times_ns=posed.times_ns[used], trajectories=posed.trajectories[:, used])
+
+
 def _load(path: Path) -> ShapePrior:
     from shapes.prior import ShapePrior
 
@@ -138,18 +157,18 @@ def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig)
 
     assert session.run.checkpoint_path is not None  # while the stage is computed
     keeper = CheckpointKeeper(session.run.checkpoint_path)
-    stamps = set(posed.times_ns.tolist())
     with session.common.progress(f"learn {name}", "trajectories") as progress:
         progress.phase("reading")
         session.look()
+        frames, used = used_frames(session, posed, config)
         progress.phase("finding the object, compiling once")
         try:
             return learn_shape(
                 session.key("learn"),
-                (frame for frame in session.recording if frame.time_ns in stamps),
+                frames,
                 session.recording.intrinsics,
-                posed.trajectories,
-                posed.log_weights,
+                used.trajectories,
+                used.log_weights,
                 config,
                 progress,
                 checkpoint=keeper.found(LearnCheckpoint.load),

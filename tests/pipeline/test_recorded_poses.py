@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,17 +13,35 @@ from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectories import compared, reference_trajectory
 from pipeline.synthesis.recording import SyntheticRecording
+from recordings.messages.types import quaternion_xyzw
 from recordings.options import ReadOptions
-from recordings.writer import RecordingWriter
+from shapes.prior import ShapePrior
+from tests.recordings.samples import SECOND_NS, Scribe, camera_info, image, transform
 
 
-def write(film: SyntheticRecording, path: Path, poses: Sequence[np.ndarray]) -> Path:
-    """The frames of a film, the first of them with these poses on /tf."""
-    with RecordingWriter(path, film.intrinsics) as writer:
+def write(
+    film: SyntheticRecording,
+    path: Path,
+    poses: Sequence[np.ndarray] | np.ndarray,
+    *,
+    damaged: int | None = None,
+    missing: int | None = None,
+) -> Path:
+    """The frames of a film but one, the first of them with these poses on /tf; one of them is cut off."""
+    camera = film.intrinsics
+    size, k = (camera.width, camera.height), (camera.fx, camera.fy, camera.cx, camera.cy)
+    with Scribe(path) as scribe:
         for number, frame in enumerate(film):
+            stamp = frame.time_ns + SECOND_NS
             if number < len(poses):
-                writer.write_camera_pose(frame.time_ns, poses[number])
-            writer.write_depth(frame)
+                pose = poses[number]
+                turn = quaternion_xyzw(pose[:3, :3])
+                scribe.ros2("/tf", transform(stamp, "map", "camera", pose[:3, 3], turn), stamp)
+            if number == missing:
+                continue
+            cut: dict[str, Any] = {"data": np.ones(7, np.uint8)} if number == damaged else {}
+            scribe.ros2("/c/camera_info", camera_info(stamp, size, k), stamp)
+            scribe.ros2("/c/depth", image(stamp, "32FC1", frame.depth_m, **cut), stamp)
     return path
 
 
@@ -52,7 +71,7 @@ def test_eval_counts_no_frame_without_a_pose_near_in_time(
 ) -> None:
     """One pose is none for the frames after it; a camera at rest is judged, with a warning."""
     monkeypatch.setattr(logging.getLogger("voxscene"), "propagate", True)
-    times_ns = filmed_mug.trajectory.times_ns
+    times_ns = filmed_mug.trajectory.times_ns + SECOND_NS
     once = reference_trajectory(write(filmed_mug, tmp_path / "once.mcap", [np.eye(4)]), ReadOptions())
     with pytest.raises(PipelineError, match="fewer than two frames have a reference pose"):
         compared(times_ns, once)
@@ -60,3 +79,17 @@ def test_eval_counts_no_frame_without_a_pose_near_in_time(
     rest = reference_trajectory(write(filmed_mug, tmp_path / "rest.mcap", [np.eye(4)] * 6), ReadOptions())
     assert len(compared(times_ns, rest)[0]) == 6
     assert "the camera never moved" in caplog.text
+
+
+def test_a_frame_that_cannot_be_decoded_is_lost_and_the_shape_learned(
+    filmed_mug: SyntheticRecording, tmp_path: Path
+) -> None:
+    """The shape is that of a recording without it: every other frame keeps its own pose."""
+    poses, shapes = filmed_mug.trajectory.reference_from_camera, []
+    for kind, code in (("damaged", 3), ("missing", 0)):
+        path = write(filmed_mug, tmp_path / f"{kind}.mcap", poses, **{kind: 2})
+        result = learn(path, tmp_path / kind)
+        assert result.exit_code == code, result.output
+        assert ("at least 1 message lost" in result.stderr) == (code == 3)
+        shapes.append(ShapePrior.load(tmp_path / kind / "run" / "shapes" / "mug.npz"))
+    np.testing.assert_array_equal(shapes[0].phi, shapes[1].phi)
