@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.checkpoints import CheckpointKeeper
 from pipeline.errors import PipelineError
+from pipeline.publishing.trajectory_files import seconds_text
 from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.slam import slam_stage
@@ -129,7 +130,8 @@ def tracked_frames(result: SlamResult) -> PosedFrames:
 def used_frames(session: Session, posed: PosedFrames, config: LearnConfig) -> tuple[list[Frame], PosedFrames]:
     """The frames that are learned from, by increasing time, and where the camera was in them.
 
-    A recording brings poses of frames that cannot be decoded, too: these are left out.
+    A recording brings poses of frames that cannot be decoded, too: these are left out. It is said in which
+    frame --box or --pixel is told, where that is not the recording's first.
 
     Raises:
         PipelineError: none can be decoded.
@@ -139,10 +141,25 @@ def used_frames(session: Session, posed: PosedFrames, config: LearnConfig) -> tu
     stamps = set(posed.times_ns[select_views(len(posed.times_ns), config)].tolist())
     frames = [frame for frame in session.recording if frame.time_ns in stamps]
     if not frames:
-        problem = "; ".join(["", *session.recording.problems[:1]])
-        raise PipelineError(f"{session.source.path}: no frame that has a pose can be decoded{problem}")
+        problems = session.recording.problems
+        lost = f"; {problems[0]}" if problems else ""
+        raise PipelineError(f"{session.source.path}: no frame that has a pose can be decoded{lost}")
+    if config.box is not None:
+        _warn_of_later_frame(session, "--box", int(posed.times_ns[0]))
+    elif config.pixel is not None:
+        _warn_of_later_frame(session, "--pixel", frames[0].time_ns)
     used = np.isin(posed.times_ns, [frame.time_ns for frame in frames])
     return frames, replace(posed, times_ns=posed.times_ns[used], trajectories=posed.trajectories[:, used])
+
+
+def _warn_of_later_frame(session: Session, option: str, time_ns: int) -> None:
+    """Say of which frame an option tells, where it is not the recording's first."""
+    stamps = session.recording.stamps_ns()
+    if number := next(number for number, stamp in enumerate(stamps) if stamp == time_ns):
+        session.warn(
+            f"{option} is told in frame {number}, at {seconds_text(time_ns)} s: those before it are lost or "
+            "have no pose; --preview shows the region in it"
+        )
 
 
 def _load(path: Path) -> ShapePrior:
@@ -202,7 +219,7 @@ def _hash(path: Trajectory) -> str:
 
 
 def recorded_path(recording: Path, options: ReadOptions) -> Trajectory | None:
-    """The poses that a recording brings, in the first frame's camera; None where it brings none."""
+    """The poses that a recording brings, in the camera of the first frame that has one; None without any."""
     from recordings.poses.recorded import recorded_trajectory
 
     trajectory = recorded_trajectory(recording, options)
