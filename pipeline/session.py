@@ -29,7 +29,7 @@ READING_MODULE = "recordings.reading"
 NUMBERED_BY = ("depth_topic", "intrinsics", "depth_scale_m", "start_s", "end_s", "every")
 """Settings of reading that decide which frame has which number, and where its points lie."""
 NUMBERED = ("slam", "learn", "parse")
-"""Stages that tell of frames by their numbers, or of places in the first frame's camera."""
+"""Stages that tell of frames by their numbers, or of places in the camera of the first one used."""
 
 
 class Session:

@@ -22,7 +22,7 @@ COMPARED_FRAMES = 2000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SlamResult(Archived):
-    """Posterior over the camera's trajectory. The reference frame is the first frame's camera.
+    """Posterior over the camera's trajectory. The reference is the camera of the first frame found.
 
     Attributes:
         times_ns: (T,) int64 stamps.

@@ -176,7 +176,7 @@ class BopImages:
     def image(self, key: ImageKey) -> PoseImage:
         """The image with those of its objects that are targets."""
         annotated = _images(self.root, self.split)[key.scene_id, key.im_id]
-        truth = scene_truth(annotated, np.eye(4))
+        truth, _ = scene_truth([(annotated, np.eye(4))])
         wanted = target_counts(self.root).get((key.scene_id, key.im_id))
         frame, intrinsics = read_frame(annotated.files, annotated.intrinsics, annotated.depth_unit_m)
         ids = dict(annotated.object_ids)

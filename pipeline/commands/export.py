@@ -103,8 +103,8 @@ def command(
     """Write learned shapes, or what a RUN found, for other programs.
 
     Of a SHAPE.npz or a DIR of them, every shape in every format. Of a RUN, the room with its objects where
-    they stand (ply, glb; in metres, in the first camera's frame), and its objects one by one in the other
-    formats; of a project's run, all of it. To export one learned object, name RUN/shapes/NAME.npz.
+    they stand (ply, glb; in metres, in the camera of the first frame used), and its objects one by one in the
+    other formats; of a project's run, all of it. To export one learned object, name RUN/shapes/NAME.npz.
     An overlay is the parsed image with the outlines of what was found, hidden edges dotted.
 
     A manifest.json with them says what is what. Surfaces of shapes are closed and wound outward, with

@@ -34,18 +34,21 @@ LARGE_M = 0.4
 @click.option(
     "--box",
     metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
-    help="Where the object is, in metres in the first depth frame's camera; found by itself by default.",
+    help="Where the object is, in metres in the camera of the first frame that is used; found by itself by "
+    "default.",
 )
 @click.option(
     "--pixel",
     metavar="U,V",
-    help="Column and row of the object in the first depth frame, where it is not what the camera looks at.",
+    help="Column and row of the object in the first frame that is used, where it is not what the camera "
+    "looks at.",
 )
 @click.option(
     "--preview",
     type=OutputFile(".png"),
     metavar="OUT.png",
-    help="Only draw the region that would be learned, on the first depth frame.",
+    help="Only draw the region that would be learned, on the first frame that is used: neither lost nor "
+    "without a pose.",
 )
 @click.option("--pitch", "pitch_m", type=float, metavar="METRES", help="Edge of a voxel; 0.005 by default.")
 @click.option(
@@ -85,7 +88,7 @@ def command(
         raise ConfigError(f"--name {name}: use letters, digits, dots, dashes and underscores")
     options = {
         "box": _numbers("--box", box, 6, "six numbers, xmin,ymin,zmin,xmax,ymax,zmax in metres"),
-        "pixel": _numbers("--pixel", pixel, 2, "column,row of the object in the first depth frame"),
+        "pixel": _numbers("--pixel", pixel, 2, "column,row of the object in the first frame that is used"),
         "pitch_m": pitch_m,
     }
     if preview is not None:

@@ -21,6 +21,7 @@ from pipeline.evaluation.trajectory_errors import (
     squared_distances,
     trajectory_errors,
 )
+from pipeline.logs import log
 from pipeline.peers.registry import best_of
 from recordings.mcap_files.sources import ZSTD_SUFFIXES
 from recordings.options import ReadOptions
@@ -44,6 +45,13 @@ def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
     trajectory = recorded_trajectory(path, options)
     if trajectory is None:
         raise PipelineError(f"{path} has no recorded poses; give a TUM file instead")
+    poses = trajectory.reference_from_camera
+    if len(poses) > 1 and (poses == poses[0]).all():
+        log.warning(
+            "%s: by its recorded poses the camera never moved, as where only its mounting is recorded; "
+            "is that right? else give a TUM file instead",
+            path,
+        )
     return trajectory
 
 

@@ -24,7 +24,7 @@ SCENE_FORMATS = ("ply", "glb")
 """Formats of the room with the objects where they stand; the others have the objects one by one."""
 ROOM = "room"
 POSES = "bop/poses.csv"
-FRAME = "the run's reference frame: the camera of its first depth frame, z forward, x right, y down"
+FRAME = "the run's reference frame: the camera of the first depth frame used, z forward, x right, y down"
 MISSING = {
     "scene": "holds neither a room nor objects; make them with voxscene slam, learn or parse",
     "shapes": "holds no learned shapes; make them with voxscene learn",

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 MAP = "map"
 """Same origin as `REFERENCE`, z up (REP 103, REP 105)."""
 REFERENCE = "reference"
-"""Frame of the run: the first depth frame's camera."""
+"""Frame of the run: the camera of the first depth frame that was used."""
 
 COLOUR_FIELDS = ("red", "green", "blue", "alpha")
 """The names by which Foxglove finds the colour of a packed element."""

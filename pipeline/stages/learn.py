@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.checkpoints import CheckpointKeeper
 from pipeline.errors import PipelineError
+from pipeline.publishing.trajectory_files import seconds_text
 from pipeline.run_folder import Committed
 from pipeline.session import Session
 from pipeline.stages.slam import slam_stage
@@ -22,7 +24,7 @@ from shapes.learning.region import place_of_pixel
 
 if TYPE_CHECKING:
     from recordings.options import ReadOptions
-    from recordings.types import Trajectory
+    from recordings.types import Frame, Trajectory
     from shapes.prior import ShapePrior
     from slam.result import SlamResult
 
@@ -125,6 +127,41 @@ def tracked_frames(result: SlamResult) -> PosedFrames:
     )
 
 
+def used_frames(session: Session, posed: PosedFrames, config: LearnConfig) -> tuple[list[Frame], PosedFrames]:
+    """The frames that are learned from, by increasing time, and where the camera was in them.
+
+    A recording brings poses of frames that cannot be decoded, too: these are left out. It is said in which
+    frame --box or --pixel is told, where that is not the recording's first.
+
+    Raises:
+        PipelineError: none can be decoded.
+    """
+    from shapes.learning.distillation import select_views
+
+    stamps = set(posed.times_ns[select_views(len(posed.times_ns), config)].tolist())
+    frames = [frame for frame in session.recording if frame.time_ns in stamps]
+    if not frames:
+        problems = session.recording.problems
+        lost = f"; {problems[0]}" if problems else ""
+        raise PipelineError(f"{session.source.path}: no frame that has a pose can be decoded{lost}")
+    if config.box is not None:
+        _warn_of_later_frame(session, "--box", int(posed.times_ns[0]))
+    elif config.pixel is not None:
+        _warn_of_later_frame(session, "--pixel", frames[0].time_ns)
+    used = np.isin(posed.times_ns, [frame.time_ns for frame in frames])
+    return frames, replace(posed, times_ns=posed.times_ns[used], trajectories=posed.trajectories[:, used])
+
+
+def _warn_of_later_frame(session: Session, option: str, time_ns: int) -> None:
+    """Say of which frame an option tells, where it is not the recording's first."""
+    stamps = session.recording.stamps_ns()
+    if number := next(number for number, stamp in enumerate(stamps) if stamp == time_ns):
+        session.warn(
+            f"{option} is told in frame {number}, at {seconds_text(time_ns)} s: those before it are lost or "
+            "have no pose; --preview shows the region in it"
+        )
+
+
 def _load(path: Path) -> ShapePrior:
     from shapes.prior import ShapePrior
 
@@ -137,18 +174,18 @@ def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig)
 
     assert session.run.checkpoint_path is not None  # while the stage is computed
     keeper = CheckpointKeeper(session.run.checkpoint_path)
-    stamps = set(posed.times_ns.tolist())
     with session.common.progress(f"learn {name}", "trajectories") as progress:
         progress.phase("reading")
         session.look()
+        frames, used = used_frames(session, posed, config)
         progress.phase("finding the object, compiling once")
         try:
             return learn_shape(
                 session.key("learn"),
-                (frame for frame in session.recording if frame.time_ns in stamps),
+                frames,
                 session.recording.intrinsics,
-                posed.trajectories,
-                posed.log_weights,
+                used.trajectories,
+                used.log_weights,
                 config,
                 progress,
                 checkpoint=keeper.found(LearnCheckpoint.load),
@@ -159,11 +196,21 @@ def _learn(session: Session, name: str, posed: PosedFrames, config: LearnConfig)
 
 
 def _recorded(session: Session) -> Trajectory:
-    """The poses that the recording brings."""
+    """The poses that the recording brings.
+
+    Raises:
+        PipelineError: it brings none, or the same one for all of its frames.
+    """
     options = session.source.read_options(session.common.settings)
     trajectory = recorded_path(session.source.path, options)
     if trajectory is None:
         raise PipelineError(f"{session.source.path} has no recorded poses; leave out --poses recorded")
+    poses = trajectory.reference_from_camera
+    if (poses == poses[0]).all() and len(list(itertools.islice(session.recording.stamps_ns(), 2))) > 1:
+        raise PipelineError(
+            f"{session.source.path}: by its recorded poses the camera never moved, as where only its "
+            "mounting is recorded; without --poses recorded slam finds the camera"
+        )
     return trajectory
 
 
@@ -172,7 +219,7 @@ def _hash(path: Trajectory) -> str:
 
 
 def recorded_path(recording: Path, options: ReadOptions) -> Trajectory | None:
-    """The poses that a recording brings, in the first frame's camera; None where it brings none."""
+    """The poses that a recording brings, in the camera of the first frame that has one; None without any."""
     from recordings.poses.recorded import recorded_trajectory
 
     trajectory = recorded_trajectory(recording, options)

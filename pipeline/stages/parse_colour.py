@@ -103,7 +103,7 @@ def _camera_over_table(session: Session, frame: Frame, config: ParseConfig) -> N
         PipelineError: none of them says it.
         ValueError: the camera does not look down on the table.
     """
-    from recordings.poses.recorded import recorded_trajectory
+    from recordings.poses.recorded import recorded_pose
     from scene.colour.camera_view import camera_over_plane, camera_over_table
     from scene.observation.segmentation import scene_data, shows_enough
 
@@ -114,11 +114,10 @@ def _camera_over_table(session: Session, frame: Frame, config: ParseConfig) -> N
         seen = scene_data(frame.depth_m, session.recording.intrinsics, session.common.seed, config.support)
         if seen.table is not None:
             return camera_over_plane(seen.table.camera_from_table)
-    recorded = recorded_trajectory(session.source.path, session.recording.options)
-    found = [] if recorded is None else np.flatnonzero(recorded.times_ns == frame.time_ns)
-    if recorded is None or not len(found):
+    recorded = recorded_pose(session.recording, frame.time_ns)
+    if recorded is None:
         raise PipelineError(
             f"{session.source.path} shows no table and records no pose of the camera; say how the camera "
             "stands over the table with --table HEIGHT,PITCH (metres, degrees downwards)"
         )
-    return camera_over_plane(np.asarray(np.linalg.inv(recorded.reference_from_camera[found[0]]), np.float64))
+    return camera_over_plane(np.asarray(np.linalg.inv(recorded), np.float64))

@@ -15,10 +15,9 @@ from pipeline.atomic import atomic_path
 from pipeline.errors import PipelineError
 from pipeline.report.pictures import depth_pixels
 from pipeline.session import Session
-from pipeline.stages.learn import learn_config, posed_frames
+from pipeline.stages.learn import learn_config, posed_frames, used_frames
 from recordings.types import CameraIntrinsics, Frame
 from shapes.geometry.poses import transform_points
-from shapes.learning.distillation import select_views
 from shapes.learning.region import object_grid
 from shapes.voxel_grid import VoxelGrid
 
@@ -51,10 +50,8 @@ def preview_region(
     """
     config = learn_config(session, options)
     posed = posed_frames(session, recorded_poses=recorded_poses)
-    chosen = select_views(len(posed.times_ns), config)
-    stamps = set(posed.times_ns[chosen].tolist())
-    frames = [frame for frame in session.recording if frame.time_ns in stamps]
-    poses = posed.trajectories[int(np.argmax(posed.log_weights))][chosen]
+    frames, used = used_frames(session, posed, config)
+    poses = used.trajectories[int(np.argmax(used.log_weights))]
     camera = session.recording.intrinsics
     try:
         grid = object_grid([frame.depth_m for frame in frames], camera, poses, config)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -74,12 +75,16 @@ def read_bop(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
         raise RecordingError(f"{folder} has no annotated depth images")
     _check_one_camera(folder, frames)
     poses, assumptions = _poses(frames)
+    by_time = {frame.files.time_ns: frame for frame in frames}
+    truth, moving = scene_truth([(by_time[time_ns], pose) for time_ns, pose in poses])
+    if moving:
+        assumptions += (f"left out of the true scene, as they do not stand still: {', '.join(moving)}",)
     return Dataset(
         frames=[frame.files for frame in frames],
         intrinsics=frames[0].intrinsics,
         depth_unit_m=frames[0].depth_unit_m,
         poses=poses,
-        truth=scene_truth(frames[0], poses[0][1]) if frames[0].objects else None,
+        truth=truth if truth.objects else None,
         assumptions=assumptions,
         numbers=_numbers(folder, frames),
     )
@@ -239,25 +244,55 @@ def _relative_camera(first: Annotated, frame: Annotated) -> NDArray[np.float64] 
     if not motions or (len(motions) == 1 and len(names) > 1):
         return None
     for motion in motions[1:]:
-        difference = np.linalg.inv(motions[0]) @ motion
-        angle = np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1))
-        if np.linalg.norm(difference[:3, 3]) > _STILL_M or angle > _STILL_RAD:
+        if not _is_still(motions[0], motion):
             return None
     return orthonormalised(np.mean(motions, axis=0))
 
 
-def scene_truth(first: Annotated, world_from_camera: NDArray[np.float64]) -> SceneTruth:
-    """The objects of a frame in the world; instances of one shape are numbered."""
-    seen: Counter[str] = Counter()
-    objects = []
-    for index, (shape, camera_from_object) in enumerate(first.objects):
-        seen[shape] += 1
-        objects.append(
-            TrueObject(
-                name=shape if seen[shape] == 1 else f"{shape}_{seen[shape]}",
-                shape=shape,
-                world_from_object=world_from_camera @ camera_from_object,
-                visible_fraction=first.visible_fractions[index] if first.visible_fractions else None,
+def _is_still(pose: NDArray[np.float64], later: NDArray[np.float64]) -> bool:
+    """Whether two poses (4, 4) differ by no more than annotations of what stands still."""
+    difference = np.linalg.inv(pose) @ later
+    angle = np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1))
+    return bool(np.linalg.norm(difference[:3, 3]) <= _STILL_M and angle <= _STILL_RAD)
+
+
+def scene_truth(
+    placed: Sequence[tuple[Annotated, NDArray[np.float64]]],
+) -> tuple[SceneTruth, tuple[str, ...]]:
+    """The objects of frames in the world, each where it was annotated first; copies of a shape are numbered.
+
+    Args:
+        placed: frames with world_from_camera (4, 4).
+
+    Returns:
+        What stands still, and the shapes of what does not, which are left out: they are annotated at more
+        places than in any single frame.
+    """
+    found: list[TrueObject] = []
+    most: Counter[str] = Counter()
+    for number, (frame, world_from_camera) in enumerate(placed):
+        most |= Counter(shape for shape, _ in frame.objects)
+        known = list(found)
+        for index, (shape, camera_from_object) in enumerate(frame.objects):
+            pose = world_from_camera @ camera_from_object
+            again = [one for one in known if one.shape == shape and _is_still(one.world_from_object, pose)]
+            if again:
+                known.remove(min(again, key=lambda one: _apart_m(one.world_from_object, pose)))
+                continue
+            copies = sum(one.shape == shape for one in found)
+            counted = frame.visible_fractions if number == 0 else None  # of the first frame alone
+            found.append(
+                TrueObject(
+                    name=f"{shape}_{copies + 1}" if copies else shape,
+                    shape=shape,
+                    world_from_object=pose,
+                    visible_fraction=counted[index] if counted else None,
+                )
             )
-        )
-    return SceneTruth(objects=tuple(objects))
+    places = Counter(one.shape for one in found)
+    moving = tuple(shape for shape in places if places[shape] > most[shape])
+    return SceneTruth(objects=tuple(one for one in found if one.shape not in moving)), moving
+
+
+def _apart_m(pose: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(pose[:3, 3] - other[:3, 3]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -43,14 +44,15 @@ def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> 
             is near a frame in time.
     """
     recording = open_recording(path, options)
-    pose_at = _camera_pose(recording)
+    pose_at = _camera_pose(recording, holds=False)
     if pose_at is None:
         return None
     stamped = [(stamp, pose_at(stamp)) for stamp in recording.stamps_ns()]
     found = [(stamp, pose) for stamp, pose in stamped if pose is not None]
     if stamped and not found:
         raise RecordingError(
-            f"{path} records poses of the camera, but none near the stamp of a frame: is their clock another?"
+            f"{path} records poses of the camera, but none near the stamp of a frame: is their clock "
+            "another, or was one sent but once?"
         )
     if not found:
         return None
@@ -61,16 +63,29 @@ def recorded_trajectory(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> 
     )
 
 
+def recorded_pose(recording: McapRecording, time_ns: int) -> NDArray[np.float64] | None:
+    """Where the depth camera was at a time (4, 4), in the frame of `recorded_trajectory`; None if unknown.
+
+    Of a camera that is told to be at one place alone it is that place at all times.
+
+    Raises:
+        RecordingError: several pose topics could be meant.
+    """
+    pose_at = _camera_pose(recording, holds=True)
+    pose = None if pose_at is None else pose_at(time_ns)
+    return None if pose is None else pose @ recording.frame_from_camera
+
+
 def has_recorded_parent(recording: McapRecording) -> bool:
     """Whether a transform of the recording leads on from the frame of its depth images."""
     return recorded_transforms(recording.decoded).has_parent(recording.frame_id)
 
 
-def _camera_pose(recording: McapRecording) -> PoseAt | None:
-    """Where the frame of the depth images was at a time."""
+def _camera_pose(recording: McapRecording, *, holds: bool) -> PoseAt | None:
+    """Where the frame of the depth images was at a time; `holds` as of `composed`."""
     way = recorded_transforms(recording.decoded).way_up(recording.frame_id)
     if any(not track.is_mounting for track in way):
-        return lambda time_ns: composed(way, time_ns)
+        return partial(composed, way, holds=holds)
     topic = _nearest_pose_topic(recording.decoded, recording.depth_topic)
     if topic is None:
         return None
@@ -79,7 +94,7 @@ def _camera_pose(recording: McapRecording) -> PoseAt | None:
         recording.decoded.bag.path,
         topic,
     )
-    return _pose_track(recording.decoded, topic).at
+    return partial(_pose_track(recording.decoded, topic).at, holds=holds)
 
 
 def _nearest_pose_topic(decoded: DecodedBag, depth_topic: str) -> str | None:

@@ -40,14 +40,18 @@ class Track:
         """Whether its samples differ."""
         return not self._samples()[2]
 
-    def at(self, time_ns: int) -> NDArray[np.float64] | None:
+    def at(self, time_ns: int, *, holds: bool = False) -> NDArray[np.float64] | None:
         """The transform (4, 4) at a time: constant, or linear in position and turning at constant speed.
 
         None where no sample is near enough. A mounting holds from each sample to the next, as ROS latches
-        /tf_static, and the first holds before it too.
+        /tf_static, and the first holds before it too. Samples that do not differ hold between them.
+
+        Args:
+            time_ns: the time.
+            holds: whether samples that do not differ hold before and after them, too.
         """
         times, matrices, is_constant = self._samples()
-        if is_constant:
+        if is_constant and (holds or times[0] <= time_ns <= times[-1]):
             return matrices[0]
         if self.is_mounting:
             return matrices[max(0, bisect_right(times, time_ns) - 1)]

@@ -103,11 +103,21 @@ def recorded_transforms(decoded: DecodedBag, *, mountings_only: bool = False) ->
     return tree
 
 
-def composed(way: list[Track], time_ns: int) -> NDArray[np.float64] | None:
-    """The transform (4, 4) from the first frame of a way to the last at a time, None where a link lacks."""
+def composed(way: list[Track], time_ns: int, *, holds: bool = False) -> NDArray[np.float64] | None:
+    """The transform (4, 4) from the first frame of a way to the last at a time, None where a link lacks.
+
+    Where one link moves, those that never do hold at all times: robots publish their fixed joints on /tf,
+    some once. Where none moves, /tf may have fallen silent, and says nothing on times far from its own.
+
+    Args:
+        way: from `way_up`.
+        time_ns: the time.
+        holds: whether links hold at all times where none moves, too.
+    """
+    holds = holds or any(track.moves for track in way if not track.is_mounting)
     root_from_frame = np.eye(4)
     for track in way:
-        parent_from_child = track.at(time_ns)
+        parent_from_child = track.at(time_ns, holds=holds)
         if parent_from_child is None:
             return None
         root_from_frame = parent_from_child @ root_from_frame

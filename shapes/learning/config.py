@@ -18,8 +18,8 @@ class LearnConfig:
 
     Attributes:
         pitch_m: edge of a voxel.
-        box: object region xmin, ymin, zmin, xmax, ymax, zmax in metres in the reference frame (the first
-            depth frame's camera); None finds it.
+        box: object region xmin, ymin, zmin, xmax, ymax, zmax in metres in the reference frame (the
+            camera of the first frame that was found); None finds it.
         pixel: column and row of the object in the first frame that is learned from; None takes what the
             cameras look at.
         views: at most so many frames are used, spread evenly over the recording.

@@ -87,7 +87,7 @@ def object_grid(
     inside = _within(cells, low, high)
     if not inside.any():
         raise ValueError(
-            "nothing was measured in the region; --box is in metres, in the first camera's frame"
+            "nothing was measured in the region; --box is in metres, in the camera of the first frame used"
         )
     eyes = reference_from_camera[:, :3, 3]
     found = [

@@ -227,6 +227,37 @@ def test_bop_objects_that_move_place_no_camera(tmp_path, recording_path):
     assert trajectory.times_ns[0] == 0
 
 
+def test_bop_truth_is_of_all_frames(tmp_path, recording_path):
+    """What the first frame leaves out is placed by the next; copies are told apart by their places."""
+    _, things = write_bop(tmp_path, with_world=True)
+    objects, infos = (json.loads((tmp_path / f"scene_{name}.json").read_text()) for name in ("gt", "gt_info"))
+    for key in ("5", "10"):
+        objects[key] = [{**objects[key][1], "obj_id": 7}, *objects[key]]
+        infos[key] = [{"visib_fract": 0.5}, *infos[key]]
+    objects["0"], infos["0"] = objects["0"][:1], infos["0"][:1]
+    for name, content in {"gt": objects, "gt_info": infos}.items():
+        (tmp_path / f"scene_{name}.json").write_text(json.dumps(content))
+    assert run("bop", tmp_path, recording_path) == ()
+    truth = recorded_scene_truth(recording_path)
+    assert truth is not None
+    assert [o.name for o in truth.objects] == ["obj_000007", "obj_000007_2", "obj_000012"]
+    assert [o.visible_fraction for o in truth.objects] == [0.75, None, None]
+    for true_object, thing in zip(truth.objects, things[[0, 1, 1]], strict=True):
+        np.testing.assert_allclose(true_object.world_from_object, thing, atol=1e-9)
+
+
+def test_bop_objects_that_move_are_no_truth(tmp_path, recording_path):
+    """Where the world is known, they are left out, which is said; the cameras keep their poses."""
+    write_bop(tmp_path, with_world=True, still=False)
+    (remark,) = run("bop", tmp_path, recording_path)
+    truth, trajectory = recorded_scene_truth(recording_path), recorded_trajectory(recording_path)
+    assert remark == "left out of the true scene, as they do not stand still: obj_000012"
+    assert truth is not None
+    assert [o.name for o in truth.objects] == ["obj_000007"]
+    assert trajectory is not None
+    assert len(trajectory) == 3
+
+
 def test_some_frames_only(tmp_path, recording_path):
     """The truth of chosen frames is that of the first of them."""
     poses, things = write_bop(tmp_path, with_world=False)

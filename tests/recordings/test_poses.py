@@ -8,9 +8,10 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from recordings.errors import RecordingError
 from recordings.options import ReadOptions
-from recordings.poses.recorded import recorded_trajectory
+from recordings.poses.recorded import recorded_pose, recorded_trajectory
 from recordings.poses.rigid import orthonormalised
 from recordings.poses.track import LONGEST_GAP_NS, Track
+from recordings.reading import open_recording
 from tests.recordings.samples import (
     SECOND_NS,
     Scribe,
@@ -190,6 +191,29 @@ def test_a_camera_that_stands_still_has_a_trajectory(recording_path):
     trajectory = recorded_trajectory(recording_path, ReadOptions(every=2))
     assert trajectory is not None
     np.testing.assert_array_equal(trajectory.times_ns, STAMPS[::2])
+
+
+def test_a_transform_that_is_sent_once_says_nothing_on_later_frames(recording_path):
+    """Where no link moves, silence on /tf is not rest; `parse` may take it for where the camera stood."""
+    write(recording_path, [("/tf", transform(STAMPS[0], "map", "camera", (1, 2, 3)))])
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    np.testing.assert_array_equal(trajectory.times_ns, STAMPS[:1])
+    held = recorded_pose(open_recording(recording_path), STAMPS[4])
+    assert held is not None
+    np.testing.assert_array_equal(held[:3, 3], [1, 2, 3])
+
+
+@pytest.mark.parametrize("stamps", [[0], [STAMPS[4] + SECOND_NS], STAMPS[1:4]])
+def test_joints_that_never_move_hold_at_all_times_where_others_move(stamps, recording_path):
+    """Robots publish fixed joints on /tf: latched once, in advance, or now and then."""
+    moving = [("/tf", transform(s, "map", "base", (i, 0, 0))) for i, s in enumerate(STAMPS)]
+    fixed = [("/tf", transform(stamp, "base", "camera", (0, 0, 1))) for stamp in stamps]
+    write(recording_path, moving + fixed)
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    expected = [(i, 0, 1) for i in range(5)]
+    np.testing.assert_allclose(trajectory.reference_from_camera[:, :3, 3], expected, atol=1e-12)
 
 
 def test_circles_of_frames_end(recording_path):
