@@ -51,7 +51,8 @@ class Dataset:
         depth_unit_m: metres for a stored 1.
         poses: stamped world_from_camera (4, 4) rigid transforms.
         truth: the objects in the world of `poses`.
-        assumptions: sentences on what the folder does not say.
+        assumptions: sentences on what the folder does not say, or says of no scene at rest.
+        assumed_intrinsics: sentences on intrinsics that are not the folder's.
         numbers: by which the data set names scene, images and objects.
     """
 
@@ -61,6 +62,7 @@ class Dataset:
     poses: Sequence[tuple[int, NDArray[np.float64]]] = ()
     truth: SceneTruth | None = None
     assumptions: tuple[str, ...] = ()
+    assumed_intrinsics: tuple[str, ...] = ()
     numbers: DatasetNumbers | None = None
 
 

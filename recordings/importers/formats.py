@@ -55,6 +55,6 @@ def import_recording(
         return import_bag(source, out, progress)
     dataset = DATASETS[format_](source, frames)
     if intrinsics is not None:
-        dataset = replace(dataset, intrinsics=intrinsics, assumptions=())
+        dataset = replace(dataset, intrinsics=intrinsics, assumed_intrinsics=())
     write_dataset(dataset, out, progress)
-    return dataset.assumptions
+    return dataset.assumptions + dataset.assumed_intrinsics

@@ -40,7 +40,7 @@ def read_redwood(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
     colour = _colour_images(folder)
     if colour and len(colour) != len(depth):
         raise RecordingError(f"{folder} has {len(depth)} depth and {len(colour)} colour images")
-    intrinsics, assumptions = _intrinsics(folder)
+    intrinsics, assumed = _intrinsics(folder)
     trajectory = folder / "trajectory.log"
     return Dataset(
         frames=[
@@ -50,7 +50,7 @@ def read_redwood(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
         intrinsics=intrinsics,
         depth_unit_m=0.001,
         poses=_poses(trajectory) if trajectory.exists() else (),
-        assumptions=assumptions,
+        assumed_intrinsics=assumed,
     )
 
 

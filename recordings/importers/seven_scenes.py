@@ -44,13 +44,13 @@ def read_seven_scenes(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
         raise RecordingError(f"{folder} has no frame-NNNNNN.depth.png")
     numbered = numbered[wanted]
     poses = [(stamp_ns(number), _pose(path)) for number, path in numbered]
-    intrinsics, assumptions = _intrinsics(folder)
+    intrinsics, assumed = _intrinsics(folder)
     return Dataset(
         frames=[ImageFiles(stamp_ns(number), path) for number, path in numbered],
         intrinsics=intrinsics,
         depth_unit_m=0.001,
         poses=[(time_ns, pose) for time_ns, pose in poses if pose is not None],
-        assumptions=assumptions,
+        assumed_intrinsics=assumed,
     )
 
 

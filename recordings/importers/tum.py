@@ -40,7 +40,7 @@ def read_tum(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
     colour_list = folder / "rgb.txt"
     colour = NearestInTime(iter(_listed(colour_list) if colour_list.exists() else []))
     truth = folder / "groundtruth.txt"
-    intrinsics, assumptions = _intrinsics(folder)
+    intrinsics, assumed = _intrinsics(folder)
     frames = []
     for time_ns, words in depth[wanted]:
         nearest = colour.at(time_ns)
@@ -50,7 +50,7 @@ def read_tum(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
         intrinsics=intrinsics,
         depth_unit_m=_DEPTH_UNIT_M,
         poses=[(time_ns, _pose(truth, words)) for time_ns, words in _listed(truth)] if truth.exists() else [],
-        assumptions=assumptions,
+        assumed_intrinsics=assumed,
     )
 
 
