@@ -75,10 +75,18 @@ class ForestPrior:
 
     def _log_all_apart(self, taken: Sequence[tuple[int, int]]) -> float:
         """Log factor of all pairs of what is taken."""
-        pairs = [
-            self._log_apart_with(taken[:after], slot)[place] for after, (slot, place) in enumerate(taken)
-        ]
-        return float(np.sum(pairs))
+        if len(taken) < 2:
+            return 0.0
+        *rest, (slot, place) = taken
+        if tuple(taken) not in self._kept_apart:
+            last = float(self._log_apart_with(rest, slot)[place])
+            self._kept_apart[tuple(taken)] = self._log_all_apart(rest) + last
+        return self._kept_apart[tuple(taken)]
+
+    @cached_property
+    def _kept_apart(self) -> dict[tuple[tuple[int, int], ...], float]:
+        """Log factors of all pairs of what is taken: moves come to the same again."""
+        return {}
 
     def _log_apart_with(self, taken: Sequence[tuple[int, int]], slot: int) -> NDArray[np.float64]:
         """Log factor (K,) of a slot's candidates beside what is taken."""
