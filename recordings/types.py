@@ -149,3 +149,8 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.times_ns)
+
+    @property
+    def moves(self) -> bool:
+        """Whether its poses differ."""
+        return bool((self.reference_from_camera != self.reference_from_camera[:1]).any())

@@ -133,7 +133,7 @@ def _log_density_beside(
         log_prior = priors.log_alone(poses[None], half_m)[0]
         log_prior += priors.log_not_buried(np.array([one]), poses[None])[0]
         for other in others.tolist():
-            log_prior += priors.log_apart(one, poses, other, best[other][None])
+            log_prior += priors.log_apart(one, poses, other, best[other])
         return gain_before(shown, front), log_prior
 
     return log_density

@@ -45,8 +45,7 @@ def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
     trajectory = recorded_trajectory(path, options)
     if trajectory is None:
         raise PipelineError(f"{path} has no recorded poses; give a TUM file instead")
-    poses = trajectory.reference_from_camera
-    if len(poses) > 1 and (poses == poses[0]).all():
+    if len(trajectory) > 1 and not trajectory.moves:
         log.warning(
             "%s: by its recorded poses the camera never moved, as where only its mounting is recorded; "
             "is that right? else give a TUM file instead",

@@ -205,8 +205,7 @@ def _recorded(session: Session) -> Trajectory:
     trajectory = recorded_path(session.source.path, options)
     if trajectory is None:
         raise PipelineError(f"{session.source.path} has no recorded poses; leave out --poses recorded")
-    poses = trajectory.reference_from_camera
-    if (poses == poses[0]).all() and len(list(itertools.islice(session.recording.stamps_ns(), 2))) > 1:
+    if not trajectory.moves and len(list(itertools.islice(session.recording.stamps_ns(), 2))) > 1:
         raise PipelineError(
             f"{session.source.path}: by its recorded poses the camera never moved, as where only its "
             "mounting is recorded; without --poses recorded slam finds the camera"

@@ -53,7 +53,7 @@ class Interior:
 
 
 def penetrations_m(
-    one: Interior, poses: NDArray[np.float64], other: Interior, other_poses: NDArray[np.float64]
+    one: Interior, poses: NDArray[np.float64], other: Interior, other_pose: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Depths (S,) to which the surface of one of two objects is inside the other.
 
@@ -61,14 +61,13 @@ def penetrations_m(
         one: an object.
         poses: (S, 7) world_from_box.
         other: another.
-        other_poses: (S, 7) or (1, 7).
+        other_pose: (7,).
     """
     found = np.zeros(len(poses))
-    far_m = np.linalg.norm(poses[:, 4:] - other_poses[:, 4:], axis=1)
+    far_m = np.linalg.norm(poses[:, 4:] - other_pose[4:], axis=1)
     near = np.flatnonzero(far_m < one.radius_m + other.radius_m)
     if len(near):
-        others = other_poses if len(other_poses) == 1 else other_poses[near]
-        world_from_one, world_from_other = matrices_of(poses[near]), matrices_of(others)
+        world_from_one, world_from_other = matrices_of(poses[near]), matrices_of(other_pose[None])
         ways = (one, other, world_from_one, world_from_other), (other, one, world_from_other, world_from_one)
         found[near] = np.max([_deepest_m(*way) for way in ways], axis=0)
     return found

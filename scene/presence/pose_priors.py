@@ -126,7 +126,7 @@ class PosePriors:
         return log_not_buried(self.table, objects, poses, self.contact_sigma_m)
 
     def log_apart(
-        self, one: int, poses: NDArray[np.float64], other: int, other_poses: NDArray[np.float64]
+        self, one: int, poses: NDArray[np.float64], other: int, other_pose: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Log prior (S,) of how deep two objects reach into each other, half a Gaussian.
 
@@ -137,9 +137,9 @@ class PosePriors:
             one: number of an object.
             poses: (S, 7) of it.
             other: number of another.
-            other_poses: (S, 7) or (1, 7) of that.
+            other_pose: (7,) of that.
         """
-        depth_m = penetrations_m(self._interiors[one], poses, self._interiors[other], other_poses)
+        depth_m = penetrations_m(self._interiors[one], poses, self._interiors[other], other_pose)
         return -0.5 * (depth_m / self.contact_sigma_m) ** 2
 
     def _log_apart_from(self, poses: NDArray[np.float64], slot: int, place: int) -> NDArray[np.float64]:
@@ -147,7 +147,7 @@ class PosePriors:
         found = np.zeros(poses.shape[:2])
         for other in range(len(poses)):
             if other != slot:
-                found[other] = self.log_apart(other, poses[other], slot, poses[slot, place][None])
+                found[other] = self.log_apart(other, poses[other], slot, poses[slot, place])
         return found
 
     @cached_property

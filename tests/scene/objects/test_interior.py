@@ -43,12 +43,12 @@ def test_a_cube_that_sinks_into_a_box(swapped: bool) -> None:
     sunk_m = np.array([-0.03, 0.0, 0.004, 0.01, 0.02])
     positions_m = np.zeros((5, 3))
     positions_m[:, thin] = 0.03 + 0.025 - sunk_m
-    there, origin = at(positions_m), at(np.zeros((1, 3)))
+    (origin,) = at(np.zeros((1, 3)))
 
     if swapped:
-        told = penetrations_m(box, np.repeat(origin, 5, axis=0), cube, there)
+        told = penetrations_m(box, at(-positions_m), cube, origin)
     else:
-        told = penetrations_m(cube, there, box, origin)
+        told = penetrations_m(cube, at(positions_m), box, origin)
 
     np.testing.assert_allclose(told, sunk_m.clip(0), atol=box.pitch_m + cube.pitch_m)
 
@@ -63,8 +63,9 @@ def test_what_stands_in_a_cup_is_outside_of_it() -> None:
     aside = np.zeros((1, 3))
     aside[0, (axis + 1) % 3] = 0.0375
 
-    inside = penetrations_m(stick, at(np.zeros((1, 3))), cup, at(np.zeros((1, 3))))
-    through = penetrations_m(stick, at(aside), cup, at(np.zeros((1, 3))))
+    (origin,) = at(np.zeros((1, 3)))
+    inside = penetrations_m(stick, origin[None], cup, origin)
+    through = penetrations_m(stick, at(aside), cup, origin)
 
     assert inside[0] == 0
     assert through[0] > 0.001
