@@ -58,7 +58,7 @@ def _drawn_image(
 ) -> jax.Array:
     """The same, of float32."""
     height, width = rest_m.shape
-    pixels = ObjectPixels.of(layers_m, rest_m)
+    pixels = ObjectPixels.of(layers_m, rest_m[None])
     nearest = jnp.argmin(pixels.shown_m, axis=0)
     sides = (REACH_PX, 0), (REACH_PX, REACH_PX)
     rest_m = jnp.pad(rest_m, sides, constant_values=jnp.inf)

@@ -43,10 +43,11 @@ def optimise_coarse_to_fine(
 ) -> tuple[Keyframes, GraphOptimum | None, Loops]:
     """The optimum near poses (N, 7), or beyond where a keyframe is far from it, and the overlaps there.
 
-    So many keyframes, the first ones, are fixed, unless a loop is to be closed, for its way concerns all.
+    So many keyframes, the first ones, are fixed. A loop that is closed concerns all: the graph of relative
+    poses takes the fixed ones along, and only the others are brought to the optimum there.
     With `motion` keyframes are few, and have been placed by search. Gauss-Newton steps may slide off along
     what little is seen: where no optimum that they find is denser than the start, it is climbed from there.
-    `on_phase` is told of loops that are closed, for with a thousand keyframes that takes minutes.
+    `on_phase` is told of loops that are closed, for with thousands of keyframes that takes minutes.
     """
     keyframes = images.at(poses, fixed)
     if motion is not None:
@@ -59,7 +60,7 @@ def optimise_coarse_to_fine(
     if chain is not None and loops.are_open(start):
         on_phase(f"closing a loop over {len(poses)} keyframes")
         if fixed > 1:
-            fixed, chain = 1, agreement(images.at(start), start)
+            chain = agreement(images.at(start), start)
         start = start if chain is None else closed(chain, start, loops)
         images = images.with_known(loops.pairs)
     elif not is_far:

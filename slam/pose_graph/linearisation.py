@@ -106,7 +106,10 @@ def linearised_at(
         precision, gradient, score_variance, information, inliers, meeting = (
             np.asarray(leaf, np.float64)[:count] for leaf in jax.tree.leaves(replace(terms, field=None))
         )
-        projection = told_projections(precision, information) if told else np.tile(np.eye(12), (count, 1, 1))
+        projection = np.tile(np.eye(12), (count, 1, 1))
+        if told:
+            precision[:, :6, :6] = _positive_part(precision[:, :6, :6])
+            projection = told_projections(precision, information)
         agree = (stride * inliers > LEAST_INLIERS) & ~astray[pairs].any(axis=1)
         if field is not None and sums is not None and terms.field is not None:
             exponents = np.where(agree, field.exponents[images], 0.0)
@@ -144,6 +147,12 @@ def told_projections(precision: NDArray[np.float64], information: NDArray[np.flo
     both_ends = precision[:, :, :6] @ inverse
     projected = both_ends @ information @ inverse
     return np.concatenate([projected, np.zeros_like(projected)], axis=2)
+
+
+def _positive_part(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of symmetric matrices (B, 6, 6): single precision leaves some below zero, which projections enlarge."""
+    values, vectors = np.linalg.eigh(matrices)
+    return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
 
 
 def _floor(of_image: NDArray[np.float64]) -> NDArray[np.float64]:
