@@ -16,7 +16,7 @@ PROJECT = """
 particles = 16
 [parse]
 rounds = 0
-moves = 120
+sweeps = 12
 chains = 2
 [[recording]]
 path = "can.mcap"
