@@ -125,8 +125,7 @@ class Candidates:
         self, rest: NDArray[np.integer], slots: Sequence[int], power: float
     ) -> NDArray[np.float64]:
         """The same, computed, of slots beside the rest (N,) of the scene."""
-        taken = [(int(one), int(rest[one])) for one in np.flatnonzero(rest >= 0)]
-        hidden = int((rest == HIDDEN).sum())
+        taken, hidden = _there(rest)
         parts = [np.array([self.prior.log_density(taken, hidden)])]
         for slot in slots:
             log_prior = self.prior.log_densities(taken, slot, hidden)
@@ -136,6 +135,10 @@ class Candidates:
             unseen = self.prior.log_density(taken, hidden + 1) + self.log_hidden[slot]
             parts.append(np.append(log_seen, unseen))
         return np.concatenate(parts)
+
+    def log_prior(self, choice: NDArray[np.integer]) -> float:
+        """Log prior of a scene (N,)."""
+        return self.prior.log_density(*_there(choice))
 
     def log_likelihood(self, choice: NDArray[np.integer]) -> float:
         """Log likelihood of a scene (N,) over that of the empty one, in sight."""
@@ -167,6 +170,12 @@ class Candidates:
             first[here] = other
         before = mine.depth_m < np.where(first > slot, np.nextafter(front_m, np.float32(np.inf)), front_m)
         return np.where(before, mine.log_gain - gain, 0).sum(axis=1, dtype=np.float64)
+
+
+def _there(choice: NDArray[np.integer]) -> tuple[list[tuple[int, int]], int]:
+    """The slots of a scene (N,) that are in sight, with their candidates, and how many are hidden."""
+    taken = [(int(one), int(choice[one])) for one in np.flatnonzero(choice >= 0)]
+    return taken, int((choice == HIDDEN).sum())
 
 
 def toggled(
@@ -234,17 +243,18 @@ def reseated(
         is_open = taken | (rng.random(len(order)) < 0.5)
         scene = np.array(choice)
         scene[order] = ABSENT
-        for slot in order[is_open].tolist():
+        log_worth = candidates.log_prior(scene)  # pi / q, up to what the rest is worth
+        for number, slot in enumerate(order[is_open].tolist()):
             weights = candidates.log_weights(scene, [slot], power)
+            option = 0 if present is None else _option(candidates, int(present[slot]))
+            log_total = np.logaddexp.reduce(weights)
+            if log_total == -np.inf or (present is not None and weights[option] == -np.inf):
+                return np.array(choice)  # as what rests on something that is not yet there
             if present is None:
                 option = rng.choice(len(weights), p=softmax(weights))
-            else:
-                option = _option(candidates, int(present[slot]))
-                if weights[option] == -np.inf:  # as what rests on something that is not yet there
-                    return np.array(choice)
-            log_ratio += sign * (np.logaddexp.reduce(weights) - weights[0])  # pi / q of this step
+            log_worth = log_total + (log_worth - weights[0] if number else 0.0)  # without all it may be 0
             scene[slot] = _choice(candidates, option)
-        log_ratio += sign * (scene[order] != ABSENT).sum() * np.log(2)
+        log_ratio += sign * (log_worth + (scene[order] != ABSENT).sum() * np.log(2))
         ends.append(scene)
     return ends[1] if np.log(rng.random()) < log_ratio else np.array(choice)
 

@@ -185,6 +185,37 @@ def test_a_move_of_several_slots_keeps_the_posterior(seed: int) -> None:
     assert_mean(told, exact, detectable=0.1)
 
 
+def stack_candidates() -> Candidates:
+    """Of three slots the last can stand on either of the others alone, on these by other weights."""
+    nothing = SlotLayers(np.zeros(0, np.intp), *np.zeros((2, 2, 0), np.float32))
+    carries = np.array([[0.5, 2.0], [0.0, 1.0], [0.0, 0.0]])  # what the last slot weighs on each candidate
+
+    def beside(slot: int, place: int) -> np.ndarray:
+        weights = np.zeros((2, 3, 2))
+        weights[0, 2] = carries[slot, place]
+        weights[1] = carries if slot == 2 else 0.0
+        return weights
+
+    on_root = np.array([[1.0, 1.0], [1.0, 1.5], [0.0, 0.0]])
+    prior = ForestPrior(on_root, beside, np.zeros(4), np.zeros(4), 3)
+    return Candidates([nothing] * 3, np.zeros((3, 2)), prior, np.full(3, -np.inf))
+
+
+def test_a_move_of_several_slots_keeps_what_rests_on_them(seed: int) -> None:
+    """What carries another that stays is changed for another that does, as often as their densities say."""
+    candidates, rng, runs = stack_candidates(), np.random.default_rng(seed), []
+    scenes = np.array([(*two, 0) for two in itertools.product([ABSENT, 0, 1], repeat=2)])
+    taken = [[(int(slot), int(one[slot])) for slot in np.flatnonzero(one >= 0)] for one in scenes]
+    exact = np.exp([candidates.prior.log_density(one, 0) - np.log(2) * len(one) for one in taken])
+    for _ in range(40):
+        choice, visits = np.array([0, ABSENT, 0]), np.zeros(len(scenes))
+        for _ in range(250):
+            choice = reseated(rng, candidates, choice, [0, 1])
+            visits += (scenes == choice).all(axis=1)
+        runs.append(visits / 250)
+    assert_mean(runs, exact / exact.sum(), detectable=0.1)
+
+
 def test_a_move_that_forgets_what_was_open_does_not(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant without 2^n."""
 
