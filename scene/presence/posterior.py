@@ -60,10 +60,16 @@ class Presence:
     poses: NDArray[np.float64]
 
     def without_sight_of(self, left: NDArray[np.bool_], alike: NDArray[np.bool_]) -> Presence:
-        """The same where some objects (N,) are not in sight; `alike` as of `with_exact`."""
-        told = np.stack([self.out_of_sight, self.standard_error], axis=1).tolist()
-        unseen = {one: tuple(told[one]) for one in np.flatnonzero(left).tolist()}
-        return replace(self.with_exact(unseen, 0.0, alike), seen=self.seen & ~left)
+        """The same where some objects (N,) are not in sight; `alike` as of `with_exact`.
+
+        Of copies of a shape as many are there as are told to be: in order, as `Copies` has them.
+        """
+        told, number = np.where(left, self.out_of_sight, self.probability), self.number.copy()
+        for one in np.flatnonzero((alike & left).any(axis=1)):
+            at_least = np.sort(told[alike[one]])[::-1]
+            number[one] = 0.0
+            number[one, : len(at_least) + 1] = -np.diff(at_least, prepend=1.0, append=0.0)
+        return replace(self, probability=told, number=number, seen=self.seen & ~left)
 
     def with_exact(
         self, exact: Mapping[int, tuple[float, float]], both: float, alike: NDArray[np.bool_]

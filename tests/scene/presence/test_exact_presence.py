@@ -1,5 +1,7 @@
 """What is told of objects whose presence was computed exactly, beside what moves told of the others."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from scene.presence.posterior import Presence
@@ -51,3 +53,17 @@ def test_what_chains_show_nowhere_is_told_as_out_of_sight() -> None:
     np.testing.assert_allclose(told.number[2], [0.7, 0.3, 0.0, 0.0])
     assert told.seen.tolist() == [False, True, False]
     assert before.seen.tolist() == [False, True, True]
+
+
+def test_numbers_of_copies_follow_what_is_told_out_of_sight() -> None:
+    """Of two copies one that chains show nowhere, or both: P(k or more) is the presence of the k-th."""
+    before = replace(
+        by_moves(), probability=np.array([0.9, 0.8, 0.7]), out_of_sight=np.array([0.7, 0.6, 0.3])
+    )
+
+    one = before.without_sight_of(np.array([False, True, False]), ALIKE)
+    both = before.without_sight_of(np.array([True, True, False]), ALIKE)
+
+    np.testing.assert_allclose(one.number[:2], [[0.1, 0.3, 0.6, 0.0]] * 2)
+    np.testing.assert_allclose(both.number[:2], [[0.3, 0.1, 0.6, 0.0]] * 2)
+    np.testing.assert_allclose(both.number[2], before.number[2])
