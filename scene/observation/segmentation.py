@@ -238,10 +238,11 @@ def _is_seen(view: PooledView, table: SupportPlane) -> bool:
 def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float) -> NDArray[np.float64]:
     """Depth (...) of the table, as seen, along rays (..., 3) of unit depth, +inf beyond its rectangle."""
     normal, origin = table.camera_from_table[:3, 2], table.camera_from_table[:3, 3]
-    depth = (normal @ origin) / (rays @ normal)
-    bend_m = -table.heights(rays * depth[..., None])  # of the plane under the surface that is seen
-    depth = (normal @ origin + bend_m) / (rays @ normal)
-    inside = table.in_table_frame(rays * depth[..., None])
+    with np.errstate(divide="ignore", invalid="ignore"):  # a ray along the table does not meet it
+        depth = (normal @ origin) / (rays @ normal)
+        bend_m = -table.heights(rays * depth[..., None])  # of the plane under the surface that is seen
+        depth = (normal @ origin + bend_m) / (rays @ normal)
+        inside = table.in_table_frame(rays * depth[..., None])
     on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + margin_m).all(axis=-1)
     return np.where(on_table, depth, np.inf)
 

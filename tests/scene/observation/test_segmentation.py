@@ -1,5 +1,7 @@
 """The table of a depth image, and what may stand on it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
@@ -74,6 +76,21 @@ def test_a_table_that_the_image_cuts_off_goes_on() -> None:
     np.testing.assert_allclose(data.table.camera_from_table[:3, 2], [0, -1, 0], atol=0.01)
     assert data.foreground[np.asarray(binary_erosion(face | top), bool)].all()
     assert not (data.foreground & ~(face | top)).any()
+
+
+def test_a_level_camera_sees_a_given_table_up_to_its_horizon() -> None:
+    """Rays of one row run along the table: neither they nor those above meet it, without a warning."""
+    camera = replace(INTRINSICS, cy=120.0)
+    down = camera.rays(np.arange(320)[None, :], np.arange(240)[:, None])[..., 1]
+    depth_m = np.where(down > 0.2, 0.2 / np.maximum(down, 0.2), NO_RETURN).astype(np.float32)
+    depth_m[90:180, 140:180] = 0.6
+
+    data = scene_data(depth_m, camera, 1, support=(0.0, 0.2, 0.7, 0.0, -1.0, 0.0))
+
+    rows = data.window.rows
+    assert np.isinf(data.support_m[rows <= 120]).all()
+    assert np.isfinite(data.support_m[rows > 190]).any()
+    assert data.foreground[100:170, 145:175].all()
 
 
 def test_a_given_support_and_region_are_taken() -> None:
