@@ -141,8 +141,9 @@ def visible_fractions(
 ) -> NDArray[np.float64]:
     """Shares (N,) of the pixels of each object `found` (N,) that nothing hides, in the frame of its search.
 
+    Or in the first frame that shows it, where that one does not: moves may have put it elsewhere since.
     Neither another object or a support, nor what is measured nearer than its surface, whatever that is. Of
-    what is in the scene they are more than 0.
+    what is in the scene they are more than 0, unless it is beside all images.
 
     Args:
         joint: the frames.
@@ -151,7 +152,12 @@ def visible_fractions(
         world_from_box: (N, 7) their poses.
     """
     shares, numbers = np.zeros(len(found)), np.arange(len(found))
-    for frame in np.unique(joint.frames[found]).tolist():
+    own = [(frame, joint.frames == frame) for frame in np.unique(joint.frames).tolist()]
+    every = [(frame, found) for frame in range(len(joint.compared.views))]
+    for frame, of_frame in [*own, *every]:
+        mine = found & of_frame & (shares == 0)
+        if not mine.any():
+            continue
         in_camera = poses_of(joint.compared.camera_from_world[frame] @ matrices_of(world_from_box))
         layers_m = renderer.layers(numbers, in_camera, joint.compared.views[frame].window)
         layers_m[~found] = np.inf
@@ -159,7 +165,6 @@ def visible_fractions(
         hidden = layers_m > layers_m.min(axis=0)
         hidden |= layers_m > joint.compared.views[frame].rest_m
         hidden |= joint.compared.densities[frame].measured_before(layers_m)
-        mine = found & (joint.frames == frame)
         count = np.maximum(covers.sum(axis=(1, 2)), 1)
         seen = (covers & ~hidden).sum(axis=(1, 2))
         shares[mine] = (np.maximum(seen, covers.any(axis=(1, 2))) / count)[mine]

@@ -38,7 +38,8 @@ class SceneResult(Archived):
             of them that no image shows; 0 of those found.
         hidden_poses: (N, K, 7) float64 camera_from_object in draws of the posterior of an object not found,
             given that it is there.
-        visible_fraction: (N,) share of its pixels that nothing hides, in the frame of its search.
+        visible_fraction: (N,) share of its pixels that nothing hides, in the frame of its search, or in the
+            first that shows it.
         colour_nats: (N,) log factor of the best scene's density that its colours bring, depth apart; 0 where
             none were looked at.
         mode_poses: (N, M, 4, 4) the modes that the samples visit, the heaviest first.

@@ -143,3 +143,22 @@ def test_what_is_measured_before_an_object_hides_it() -> None:
     shares = visible_fractions(cast("Any", joint), cast("Any", renderer), found, poses)
 
     np.testing.assert_allclose(shares, [(32 - 8 - 2) / 32, 1.0, 1 / 32, 0.0])
+
+
+def test_what_another_frame_than_that_of_its_search_shows_is_in_sight() -> None:
+    """Moves may put an object where only a later frame shows it; what no frame shows is in none."""
+    layers_m = np.full((2, 3, 8, 10), np.inf, np.float32)
+    layers_m[0, 0], layers_m[1, 1] = 1.0, 1.0
+    rest_m = np.full((8, 10), 1.2, np.float32)
+    density = PixelDensity.of(np.ones((8, 10), np.float32), rest_m, DepthNoise(), 0.002, 4)
+    views = [SimpleNamespace(window=frame, rest_m=rest_m) for frame in range(2)]
+    compared = SimpleNamespace(
+        camera_from_world=np.tile(np.eye(4), (2, 1, 1)), views=views, densities=[density] * 2
+    )
+    joint = SimpleNamespace(compared=compared, frames=np.zeros(3, int))
+    renderer = SimpleNamespace(layers=lambda _numbers, _poses, window: layers_m[window].copy())
+    poses = np.tile([1.0, 0, 0, 0, 0, 0, 0], (3, 1))
+
+    shares = visible_fractions(cast("Any", joint), cast("Any", renderer), np.ones(3, bool), poses)
+
+    np.testing.assert_allclose(shares, [1.0, 1.0, 0.0])
