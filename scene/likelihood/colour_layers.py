@@ -284,7 +284,7 @@ def _best_turns(
     def best(part: tuple[jax.Array, jax.Array]) -> jax.Array:
         camera_from_box, layer_m = part
         shows = jnp.where(layers.density.known, layers.depth_density.shown_by(layer_m), 0.0)
-        _, places = jax.lax.top_k(jnp.where(shows > 0, order, -1.0).ravel(), COMPARED)
+        _, places = jax.lax.top_k(jnp.where(shows > 0, order, -1.0).ravel(), min(COMPARED, shows.size))
         weights = shows.ravel()[places][:, None] / surface_sd[None] ** 2
         points_m = _in_box(layers.camera, camera_from_box, layer_m).reshape(-1, 3)[places]
         observed = layers.density.observed.reshape(-1, 3)[places]

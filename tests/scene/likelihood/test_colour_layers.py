@@ -1,5 +1,7 @@
 """What colours tell of layers, each in a crop of its own."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,11 +17,11 @@ from shapes.geometry.camera import Camera
 HEIGHT, WIDTH, CELLS = 90, 120, 10
 
 
-def painted_layers(rng: np.random.Generator) -> ColourLayers:
+def painted_layers(rng: np.random.Generator, size: tuple[int, int] = (HEIGHT, WIDTH)) -> ColourLayers:
     """Of two painted cubes of 40 cm before a wall one metre away, which the image shows in other colours."""
-    observed_m = rng.normal(1.0, 0.003, (HEIGHT, WIDTH)).astype(np.float32)
+    observed_m = rng.normal(1.0, 0.003, size).astype(np.float32)
     depth = PixelDensity.of(observed_m, np.ones_like(observed_m), DepthNoise(), 0.003, 2)
-    colours = rng.normal(scale=0.6, size=(HEIGHT, WIDTH, 3))
+    colours = rng.normal(scale=0.6, size=(*size, 3))
     tables = ColourTables(
         values=jnp.asarray(rng.normal(scale=0.6, size=(2 * CELLS**3, 3)), jnp.float32),
         first=jnp.array([0, CELLS**3], jnp.int32),
@@ -28,8 +30,8 @@ def painted_layers(rng: np.random.Generator) -> ColourLayers:
         pitch_m=jnp.full(2, 0.4 / CELLS),
         gain_sd=jnp.full((2, 3), 0.3),
     )
-    camera = Camera(*map(jnp.float32, (140.0, 140.0, WIDTH / 2, HEIGHT / 2)))
-    known = np.ones((HEIGHT, WIDTH), bool)
+    camera = Camera(*map(jnp.float32, (140.0, 140.0, size[1] / 2, size[0] / 2)))
+    known = np.ones(size, bool)
     return ColourLayers(ColourDensity.of(colours, known), depth, tables, camera)
 
 
@@ -53,3 +55,19 @@ def test_a_crop_tells_what_the_whole_window_does(seed: int, monkeypatch: pytest.
 
     assert np.abs(whole).max() > 0.1
     np.testing.assert_allclose(cropped, whole, atol=2e-3)
+
+
+def test_turns_are_told_in_a_window_of_few_pixels(seed: int) -> None:
+    """Of fewer than are compared: the wall in the colours of a cube that was turned by half."""
+    size = 12, 16
+    with jax.enable_x64(False):
+        layers = painted_layers(np.random.default_rng(seed), size)
+        layer_m = np.full(size, 0.999, np.float32)
+        pose = np.eye(4, dtype=np.float32)
+        pose[2, 3] = 1.1
+        turns = np.stack([np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])]).astype(np.float32)
+        shown = colour_layers._in_box(layers.camera, jnp.asarray(pose @ turns[1]), jnp.asarray(layer_m))
+        observed = layers.tables.at(jnp.int32(1), shown)
+        layers = replace(layers, density=replace(layers.density, observed=observed))
+        best = colour_layers._best_turns(layers, np.int32(1), turns, pose[None], layer_m[None])
+    assert best.tolist() == [1]
