@@ -23,7 +23,6 @@ from scene.likelihood.unknown_surfaces import (
     JOINED_M,
     LEAST_SCALE,
     LEAST_WEIGHT,
-    REACH_M,
     EarlierWeights,
     UnknownSurfaces,
     UnknownWeights,
@@ -143,7 +142,7 @@ def _foretold(
         Whether the pixels before foretell another depth; the errors in standard deviations of the sensor;
         these in metres; the density of the depth by the pixels before alone.
     """
-    both = (depth_m != NO_RETURN) & (depth_m <= REACH_M) & (earlier_m != NO_RETURN)
+    both = (depth_m != NO_RETURN) & (depth_m <= float(learned.reach_m)) & (earlier_m != NO_RETURN)
     of_pixels = _foretold_by_pixels(depth_m, earlier_m, noise, learned)
     density, differs, sensor_m = (np.asarray(part)[both] for part in of_pixels)
     return differs, (depth_m - earlier_m)[both] / sensor_m, sensor_m, density

@@ -1,5 +1,7 @@
 """A frame is compared given what earlier ones measured: errors that frames share count once."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -165,6 +167,19 @@ def test_without_earlier_frames_nothing_is_foretold(seed: int) -> None:
     earlier = with_earlier(weights, [depth_m], [nothing], NOISE).earlier
     assert earlier is not None
     assert not np.any(earlier.weights)
+
+
+def test_depths_beyond_the_reach_of_a_profile_teach_nothing(seed: int) -> None:
+    """A sensor's profile may tell another reach: what nothing foretells beyond it has no density."""
+    rng = np.random.default_rng(seed)
+    step_m = np.where(np.arange(SIZE[1]) < 40, np.float32(1.0), np.float32(2.0))
+    depth_m = measured(rng, np.tile(step_m, (SIZE[0], 1)))
+    earlier_m = depth_m.copy()
+    earlier_m[0, 40] = 1.0
+    learned = replace(UnknownWeights.learned([depth_m], NOISE), reach_m=1.5)
+    earlier = with_earlier(learned, [depth_m], [earlier_m], NOISE).earlier
+    assert earlier is not None
+    assert np.isfinite([earlier.weights, earlier.scales]).all()
 
 
 def measured(rng: np.random.Generator, true_m: NDArray[np.float32]) -> NDArray[np.float32]:
