@@ -111,14 +111,22 @@ def convergence(traces: NDArray[np.float64]) -> Convergence:
 def _r_hat(trace: NDArray[np.float64]) -> float:
     """Of (chains, draws); infinite where every half of a chain stands still at its own place.
 
-    What takes two values, each half the time, is always as far from their middle: its spread says nothing.
+    Of a single chain its halves are the chains. What takes two values, each half the time, is always as far
+    from their middle: its spread says nothing.
     """
-    halves = trace[:, : trace.shape[1] // 2 * 2].reshape(2 * len(trace), -1)
+    chains = trace if len(trace) > 1 else _halves(trace)
+    chains = chains[:, : chains.shape[1] // 2 * 2]
+    halves = _halves(chains)
     if not np.ptp(halves, axis=1).any():
         return float("inf")
     spreads = np.ptp(np.abs(halves - np.median(halves)), axis=1)
     method = "rank" if spreads.any() else "z_scale"
-    return float(np.asarray(array_stats.rhat(trace if len(trace) > 1 else halves, method=method)))
+    return float(np.asarray(array_stats.rhat(chains, method=method)))
+
+
+def _halves(chains: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Both halves (2 chains, draws / 2) of each chain; of an odd number of draws the last is left out."""
+    return chains[:, : chains.shape[1] // 2 * 2].reshape(2 * len(chains), -1)
 
 
 def _samples(trace: NDArray[np.float64], method: str) -> float:

@@ -78,3 +78,16 @@ def test_a_trace_of_two_values_by_halves_has_an_r_hat() -> None:
     """Folded about its median it is one value, which no variance can be divided by."""
     trace = np.tile([0.0, 1.0], (1, 4, 20))
     assert convergence(trace).r_hat == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("chains", [1, 2])
+def test_a_trace_that_changes_for_one_draw_has_an_r_hat(chains: int) -> None:
+    """Wherever that is, and whether or not the number of draws is even; it is the worst in any order."""
+    for draws in (8, 15, 67):
+        for place in range(draws):
+            trace = np.zeros((chains, draws))
+            trace[0, place] = 1.0
+            other = np.array([[float(draw % 4 > 1) for draw in range(draws)]] * chains)
+            found = [convergence(np.stack(two)).r_hat for two in ((trace, other), (other, trace))]
+            assert not np.isnan(found).any()
+            assert found[0] == found[1]
