@@ -9,13 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.execution import FAST_COMPILE
 from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_renderer import ObjectRenderer
+from scene.mcmc.face_relabelling import placed
 from scene.mcmc.sampling import Samples
+from scene.model.scene_graph import SceneGraph
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
 from scene.objects.symmetry import turns_about
@@ -91,8 +97,28 @@ def with_drawn_turns(
         poses = samples.poses.copy()
         poses[..., slot, :] = np.where(same[..., None], poses_of(after), poses[..., slot, :])
         gained = np.where(same, log_shares[drawn] - log_shares[before], 0.0)
+        samples = _with_faces(samples, slot, poses[..., slot, :])
         samples = replace(samples, poses=poses, log_posterior=samples.log_posterior + gained)
     return samples
+
+
+def _with_faces(samples: Samples, slot: int, poses: NDArray[np.float64]) -> Samples:
+    """The samples with the names of an object's faces at poses (S, chains, 7): what touches does so still."""
+    leaves = samples.parents, samples.child_faces, samples.parent_faces, samples.poses
+    scenes = SceneGraph(*map(jnp.asarray, leaves), present=jnp.ones(samples.parents.shape, bool))
+    own, others = _renamed_faces(scenes, jnp.int32(slot), jnp.asarray(poses))
+    return replace(samples, child_faces=np.asarray(own), parent_faces=np.asarray(others))
+
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _renamed_faces(scenes: SceneGraph, chosen: jax.Array, poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Own and parents' faces (S, chains, C) of scenes with one object at other poses (S, chains, 7)."""
+
+    def one(scene: SceneGraph, pose: jax.Array) -> tuple[jax.Array, jax.Array]:
+        there = placed(scene, chosen, pose)
+        return there.child_faces, there.parent_faces
+
+    return jax.vmap(jax.vmap(one))(scenes, poses)
 
 
 def turns_of(one: SceneObject) -> NDArray[np.float64]:

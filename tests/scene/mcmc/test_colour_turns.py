@@ -11,6 +11,8 @@ from pipeline.synthesis.objects import built_in_object
 from pipeline.synthesis.paint import painted
 from scene.mcmc.colour_turns import SeenColours, turns_of, with_drawn_turns
 from scene.mcmc.sampling import Samples
+from scene.model.contact import FACE_AXES, FACE_SIGNS
+from scene.model.scene_graph import ROOT
 from scene.objects.scene_object import SceneObject, scene_object
 from shapes.geometry.poses import matrices_of, poses_of
 
@@ -52,17 +54,19 @@ def drawn_from(
     Args:
         seed: of the draws.
         one: the box.
-        start: (S, chains) ways in which it lies before; the first sample lies elsewhere.
+        start: (S, chains) ways in which it lies before, on a support and under another object; the first
+            sample lies elsewhere.
     """
     turns = turns_of(one)
     best = matrices_of(np.array([0.8, 0.6, 0, 0, 0.05, 0.02, 0.6]))
     poses = (WORLD_FROM_CAMERA @ best)[None, None] @ turns[start]
     poses[0, 0, :3, 3] += 0.1
+    own, others = poses_of(poses)[..., None, :], np.tile([1.0, 0, 0, 0, 0, 0, 0], (*start.shape, 2, 1))
     samples = Samples(
-        poses=poses_of(poses)[..., None, :],
-        parents=start[..., None].astype(np.int32),
-        parent_faces=np.zeros((*start.shape, 1), np.int32),
-        child_faces=np.zeros((*start.shape, 1), np.int32),
+        poses=np.concatenate([own, others], axis=2),
+        parents=np.tile(np.array([2, 0, ROOT], np.int32), (*start.shape, 1)),
+        parent_faces=np.tile(np.array([5, 3, 0], np.int32), (*start.shape, 1)),
+        child_faces=np.tile(np.array([4, 1, 0], np.int32), (*start.shape, 1)),
         log_posterior=np.zeros(start.shape),
         accepted=np.ones(start.shape),
     )
@@ -88,3 +92,20 @@ def test_turns_are_drawn_from_their_conditional(seed: int) -> None:
     assert chisquare(counts, SHARES * counts.sum()).pvalue > 1e-4
     gained = np.log(SHARES[way] / SHARES[start]).ravel()[1:]
     assert np.allclose(drawn.log_posterior.ravel()[1:], gained)
+
+
+def test_faces_that_touch_touch_after_a_turn(seed: int) -> None:
+    """That on which the box lies, and that on which another object rests, point where they did."""
+    start = np.random.default_rng(seed).integers(4, size=(40, 2))
+    _, after, samples, drawn = drawn_from(seed, box(), start)
+    before = matrices_of(samples.poses[:, :, 0])
+    normals = np.eye(3)[FACE_AXES] * FACE_SIGNS[:, None]
+    for name, body in (("child_faces", 0), ("parent_faces", 1)):
+        faces = [getattr(one, name)[..., body] for one in (samples, drawn)]
+        pointed, points = (
+            np.einsum("scij,scj->sci", poses[..., :3, :3], normals[each])
+            for poses, each in zip((before, after), faces, strict=True)
+        )
+        np.testing.assert_allclose(points, pointed, atol=0.02)
+        assert (faces[0] != faces[1]).any()
+    np.testing.assert_array_equal(drawn.child_faces[..., 1:], samples.child_faces[..., 1:])
