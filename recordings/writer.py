@@ -18,7 +18,6 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from recordings.errors import RecordingError
-from recordings.mcap_files.framing import MAGIC
 from recordings.messages import ros2_standard as ros2
 from recordings.types import NO_RETURN, CameraIntrinsics, Frame
 
@@ -59,7 +58,7 @@ class RecordingWriter:
     kill, it is `NAME.partial`, which only one process at a time may write.
 
     Args:
-        path: the file to write, replaced if it exists.
+        path: the file to write; a recording that was written here before is replaced.
         intrinsics: the camera of the depth frames, where any are written.
         depth_unit_m: unit of the source's depths. 0.001 writes 16-bit millimetres, anything else
             32-bit metres, so that nothing is lost.
@@ -89,7 +88,7 @@ class RecordingWriter:
             raise RecordingError(f"cannot write {self._path}: it exists and is not a file")
         if _is_of_others(self._path):
             raise RecordingError(
-                f"cannot write {self._path}: it is a recording by another program, name another file"
+                f"cannot write {self._path}: it is a recording or a file by another program, name another one"
             )
         with self._reporting():
             self._file: BinaryIO = _opened_alone(self._partial)
@@ -208,16 +207,13 @@ class RecordingWriter:
 
 
 def _is_of_others(path: Path) -> bool:
-    """Whether a file is an MCAP file that was not written here."""
-    if not path.is_file():
+    """Whether a file holds anything but a recording that was written here."""
+    if not path.is_file() or not path.stat().st_size:
         return False
     with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            return False
-        file.seek(0)
         try:
             return make_reader(file).get_header().library != _LIBRARY
-        except Exception:  # what the mcap library raises on damage; a damaged recording is one, too
+        except Exception:  # what the mcap library raises on other files and on damage
             return True
 
 

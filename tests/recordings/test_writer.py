@@ -97,9 +97,23 @@ def test_indexes_lead_to_what_they_name(recording_path, camera, frames, poses):
     assert counts.total() == statistics.message_count == 3 * len(frames)
 
 
-def test_an_interrupted_recording_leaves_nothing(recording_path, camera, frames):
+@pytest.mark.parametrize("start", [b"#ROSBAG V2.0\n", b"SQLite format 3\x00", b"notes", b"\x89MCAP0"])
+def test_files_of_other_programs_are_not_replaced(start, recording_path, camera, frames, poses):
+    """Bags, notes, damaged recordings; an empty file is, and so is a recording that was written here."""
+    recording_path.write_bytes(start)
+    with pytest.raises(RecordingError, match="by another program"):
+        RecordingWriter(recording_path, camera)
+    assert recording_path.read_bytes() == start
+    recording_path.write_bytes(b"")
+    for _ in range(2):
+        write(recording_path, camera, frames, poses)
+    assert len(open_recording(recording_path)) == len(frames)
+
+
+def test_an_interrupted_recording_leaves_nothing(recording_path, camera, frames, poses):
     """An exception inside the block removes the partial file and keeps an older recording."""
-    recording_path.write_bytes(b"older")
+    write(recording_path, camera, frames, poses)
+    older = recording_path.read_bytes()
 
     def interrupt() -> None:
         with RecordingWriter(recording_path, camera) as writer:
@@ -109,7 +123,7 @@ def test_an_interrupted_recording_leaves_nothing(recording_path, camera, frames)
     with pytest.raises(KeyboardInterrupt):
         interrupt()
 
-    assert recording_path.read_bytes() == b"older"
+    assert recording_path.read_bytes() == older
     assert list(recording_path.parent.iterdir()) == [recording_path]
 
 
