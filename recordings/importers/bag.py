@@ -11,11 +11,10 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from recordings.depth_units import is_depth_unit
 from recordings.errors import RecordingError
-from recordings.messages.ros2 import READABLE_TYPES
+from recordings.messages.ros2 import READABLE_TYPES, canonical_name
 from recordings.messages.ros2_standard import cdr_from_ros1, standard_definition
 from recordings.writer import MessageSchema, RecordingWriter
 
-_RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _LAST_STAMP_NS = (1 << 63) - 1
 
 
@@ -38,12 +37,12 @@ def import_bag(source: Path, out: Path, progress: Callable[[int, int], None]) ->
     with _opened(source) as (bag, is_ros1):
         wanted = [c for c in bag.connections if _is_used(c)]
         if not wanted:
-            types = ", ".join(sorted({_type(connection) for connection in bag.connections})) or "nothing"
+            types = ", ".join(sorted({canonical_name(c.msgtype) for c in bag.connections})) or "nothing"
             raise RecordingError(f"{source} holds no images, point clouds or poses; it holds {types}")
         total = sum(connection.msgcount for connection in wanted)
         with RecordingWriter(out, profile="ros2") as writer:
             for count, (connection, time_ns, data) in enumerate(bag.messages(connections=wanted), 1):
-                name = _type(connection)
+                name = canonical_name(connection.msgtype)
                 content = cdr_from_ros1(data, name) if is_ros1 else bytes(data)
                 writer.write(connection.topic, _schema(name), content, min(max(time_ns, 0), _LAST_STAMP_NS))
                 progress(count, total)
@@ -68,14 +67,9 @@ def _opened(source: Path) -> Iterator[tuple[Any, bool]]:
         raise RecordingError(f"cannot read {source} as a bag: {error or type(error).__name__}") from error
 
 
-def _type(connection: Any) -> str:
-    name: str = connection.msgtype
-    return _RENAMED.get(name, name)
-
-
 def _is_used(connection: Any) -> bool:
     """Whether a recording can use a connection's messages; of numbers the unit of depth alone."""
-    kind = _type(connection)
+    kind = canonical_name(connection.msgtype)
     return kind in READABLE_TYPES and (kind != "std_msgs/msg/Float32" or is_depth_unit(connection.topic))
 
 

@@ -37,6 +37,8 @@ from recordings.messages.types import (
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """sensor_msgs/msg/PointField's datatypes; fields of others are passed over."""
 
+_RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+"""Types of old bags of ROS 1, and the equal ones of today."""
 _NO_ROTATION = 1e-3
 """Drivers write single precision; older ones a header before the numbers, which read as none then."""
 
@@ -45,7 +47,8 @@ def canonical_name(schema_name: str) -> str:
     """`package/msg/Type` for `package/Type` and `package::msg::dds_::Type_`, which recorders write too."""
     parts = schema_name.replace("::", "/").split("/")
     parts = [part for part in parts if part not in {"msg", "dds_"}]
-    return f"{parts[0]}/msg/{parts[-1].removesuffix('_')}" if len(parts) == 2 else schema_name
+    name = f"{parts[0]}/msg/{parts[-1].removesuffix('_')}" if len(parts) == 2 else schema_name
+    return _RENAMED.get(name, name)
 
 
 def decoder(

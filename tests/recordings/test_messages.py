@@ -33,7 +33,7 @@ def write_ros2(path, *, schema=None, spelling=lambda name: name):
                 scribe.ros2(topic, message, stamp + 1000, schema_name=name, schema=schema)
 
 
-def write_ros1(path):
+def write_ros1(path, *, spelling=lambda name: name.replace("/msg/", "/")):
     """The same as ROS 1 messages."""
     with Scribe(path) as scribe:
         for i, stamp in enumerate(STAMPS):
@@ -44,7 +44,7 @@ def write_ros1(path):
             }.items():
                 name = message.__msgtype__
                 text = ROS1_STORE.generate_msgdef(name)[0].encode()
-                schema = (name.replace("/msg/", "/"), "ros1msg", text)
+                schema = (spelling(name), "ros1msg", text)
                 scribe.raw(topic, schema, "ros1", ros1_bytes(message), stamp)
 
 
@@ -116,6 +116,9 @@ WRITERS = {
         path, schema=IDL, spelling=lambda n: n.replace("/msg/", "::msg::dds_::") + "_"
     ),
     "ROS 1": write_ros1,
+    "ROS 1, transforms of tf": lambda path: write_ros1(
+        path, spelling=lambda n: n.replace("/msg/", "/").replace("tf2_msgs/TFMessage", "tf/tfMessage")
+    ),
     "Foxglove protobuf": write_protobuf,
     "Foxglove JSON": write_json,
 }
@@ -171,6 +174,7 @@ def test_json_may_leave_out_what_is_empty(recording_path):
         ("sensor_msgs/msg/Image", "sensor_msgs/msg/Image"),
         ("sensor_msgs/Image", "sensor_msgs/msg/Image"),
         ("sensor_msgs::msg::dds_::Image_", "sensor_msgs/msg/Image"),
+        ("tf/tfMessage", "tf2_msgs/msg/TFMessage"),
         ("foxglove.RawImage", "foxglove.RawImage"),
         ("std_srvs/srv/Empty", "std_srvs/srv/Empty"),
         ("", ""),
