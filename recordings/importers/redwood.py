@@ -6,6 +6,8 @@ trajectory.log gives each frame three integers, the first its number, and a came
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +36,7 @@ def read_redwood(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
     Raises:
         RecordingError: there is no depth folder, or a text file is malformed.
     """
-    depth = sorted(existing_folder(existing_folder(folder) / "depth").glob("*.png"))
+    depth = _in_order(existing_folder(existing_folder(folder) / "depth").glob("*.png"))
     if not depth:
         raise RecordingError(f"{folder / 'depth'} has no PNG images")
     colour = _colour_images(folder)
@@ -57,8 +59,17 @@ def read_redwood(folder: Path, wanted: slice = ALL_FRAMES) -> Dataset:
 def _colour_images(folder: Path) -> list[Path]:
     for name in _COLOUR_FOLDERS:
         if (folder / name).is_dir():
-            return sorted(p for p in (folder / name).iterdir() if p.suffix.lower() in _COLOUR_SUFFIXES)
+            return _in_order(p for p in (folder / name).iterdir() if p.suffix.lower() in _COLOUR_SUFFIXES)
     return []
+
+
+def _in_order(paths: Iterable[Path]) -> list[Path]:
+    """Images by the numbers in their names, with leading zeros or without, as Open3D orders them."""
+
+    def key(path: Path) -> list[str | int]:  # words and numbers take turns
+        return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
+
+    return sorted(paths, key=key)
 
 
 def _intrinsics(folder: Path) -> tuple[Intrinsics, tuple[str, ...]]:

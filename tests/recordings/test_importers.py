@@ -151,6 +151,18 @@ def test_redwood(tmp_path, recording_path):
     np.testing.assert_allclose(trajectory.reference_from_camera, [moved(i / 5) for i in range(3)], atol=1e-12)
 
 
+def test_redwood_images_are_in_the_order_of_their_numbers(tmp_path, recording_path):
+    """Also where the names have no leading zeros, as 10.png after 9.png; colour with them."""
+    for i, pixels in enumerate(depths(12)):
+        png(tmp_path / f"depth/{i}.png", pixels)
+        jpg(tmp_path / f"color/frame-{i}.jpg", 50 + i)
+    run("redwood", tmp_path, recording_path)
+    frames = list(open_recording(recording_path))
+    assert [round(float(np.mean(f.rgb))) for f in frames if f.rgb is not None] == list(range(50, 62))
+    for frame, pixels in zip(frames, depths(12), strict=True):
+        np.testing.assert_array_equal(frame.depth_m, (pixels / 1000).astype(np.float32))
+
+
 def test_redwood_poses_before_the_first_frame_are_left_out(tmp_path, recording_path):
     """Stamps of ROS begin at zero, which is the first frame's."""
     png(tmp_path / "depth/0.png", depths(1)[0])
