@@ -44,6 +44,9 @@ from recordings.sensor_profile import SensorProfile, read_sensor_profile
 from recordings.stamps import in_order_of_stamps, is_of_this_age, selected
 from recordings.types import NO_RETURN, CameraIntrinsics, Damage, Frame
 
+RUN_SCHEMA = "voxscene.Summary"
+"""Of a topic that every run.mcap has and no recording: it holds views of a few frames and what was found."""
+
 _DEFAULT_OPTIONS = ReadOptions()
 _OUT_OF_ORDER = "its stamp is not after those before it: the clock stood still or was set back"
 _SECOND_NS = 1_000_000_000
@@ -65,10 +68,12 @@ def open_recording(path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> McapR
     """The depth frames of a recording: an MCAP file, a `.mcap.zstd` or `.mcap.zst` file, or a rosbag2 folder.
 
     Raises:
-        RecordingError: it cannot be read, has no depth (nor colour, where that is enough), has several depth
-            topics, or its camera is unknown and `options` do not give it.
+        RecordingError: it cannot be read or is a run, has no depth (nor colour, where that is enough), has
+            several depth topics, or its camera is unknown and `options` do not give it.
     """
     decoded = DecodedBag(Bag(Path(path)))
+    if any(topic.schema_name == RUN_SCHEMA for topic in decoded.bag.topics):
+        raise RecordingError(f"{path} is a run, not a recording; name what it was made from")
     topic = choose_depth_topic(decoded, options.depth_topic, options.start_s)
     if topic is None and options.colour_alone:
         topic = first_colour_topic(decoded)

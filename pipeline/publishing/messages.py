@@ -27,6 +27,7 @@ from pipeline.publishing.shape_messages import surface_update, voxel_grid
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from recordings.message_schemas import json_schema, protobuf_schema
+from recordings.reading import RUN_SCHEMA
 from recordings.writer import MessageSchema, RecordingWriter
 from slam.result import SlamResult
 
@@ -58,7 +59,7 @@ _WEIGHTS_SCHEMA = json_schema(
     "voxscene.ParticleWeights",
     {"type": "object", "properties": {"log_weights": {"description": "normalised", **_NUMBERS}}},
 )
-_SUMMARY_SCHEMA = json_schema("voxscene.Summary", {"type": "object"})
+_SUMMARY_SCHEMA = json_schema(RUN_SCHEMA, {"type": "object"})
 
 
 def write_messages(

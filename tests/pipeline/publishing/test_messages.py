@@ -15,7 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.values import RunValues
+from recordings.errors import RecordingError
 from recordings.images.point_clouds import OPTICAL_FROM_BODY
+from recordings.poses.recorded import recorded_trajectory
+from recordings.reading import open_recording
 
 WHOLE = (
     "/transforms/map",
@@ -119,6 +122,15 @@ def test_a_run_that_knows_nothing_yet_is_an_mcap_too(tmp_path: Path) -> None:
     write_messages(tmp_path / "run.mcap", RunValues(slam=None, room=None, shapes={}), {})
 
     assert list(read(tmp_path / "run.mcap")) == ["/summary"]
+
+
+def test_a_run_is_neither_a_recording_nor_a_truth(values: RunValues, tmp_path: Path) -> None:
+    """Its own path, taken for the truth, would have no error; its images are thinned views of a few."""
+    write_messages(tmp_path / "run.mcap", values, {})
+    for path in (tmp_path, tmp_path / "run.mcap"):
+        for read_as in (open_recording, recorded_trajectory):
+            with pytest.raises(RecordingError, match="is a run, not a recording; name what it was made from"):
+                read_as(path)
 
 
 def test_the_file_is_what_mcaps_registry_says(
