@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.config import plain_values
 from pipeline.errors import PipelineError
-from pipeline.fingerprints import file_hash, source_hash
+from pipeline.fingerprints import file_hash, recording_hash, source_hash
 from pipeline.logs import log
 from pipeline.options import Common, RecordingSource
 from pipeline.publishing.publish import publish
@@ -192,7 +192,7 @@ def open_session(
         PipelineError: the run folder cannot be used, or a setting.
     """
     recording = open_recording(source.path, source.read_options(common.settings))
-    recording_hash = file_hash(source.path)
-    with open_run_folder(run_path, {source.path.name: recording_hash}, force=force, replace=replace) as run:
-        yield Session(common, source, run, recording, recording_hash)
+    made_from = recording_hash(source.path)
+    with open_run_folder(run_path, {source.path.name: made_from}, force=force, replace=replace) as run:
+        yield Session(common, source, run, recording, made_from)
         publish(run)

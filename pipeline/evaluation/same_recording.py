@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.config import build
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectories import is_trajectory_file
-from pipeline.fingerprints import file_hash
+from pipeline.fingerprints import recording_hash
 from pipeline.logs import log
 from pipeline.room import RoomView
 from pipeline.run_folder import RunFolder
@@ -95,7 +95,7 @@ def _stem(path: Path) -> str:
 
 def _equal_share(run: RunFolder, source: Path) -> float | None:
     """Share of the pixels of the run's views that a recording shows alike; None without any to compare."""
-    if file_hash(source) in run.made_from.values():
+    if recording_hash(source) in run.made_from.values():
         return 1.0
     record = run.record("room")
     if record is None:

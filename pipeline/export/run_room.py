@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,10 @@ from pipeline.config import build
 from pipeline.errors import PipelineError
 from pipeline.evaluation.same_recording import check_recording
 from pipeline.export.room_mesh import MOST_FRAMES, room_mesh
-from pipeline.fingerprints import file_hash
+from pipeline.fingerprints import recording_hash
 from pipeline.options import Common
 from pipeline.run_folder import RunFolder
+from recordings.errors import RecordingError
 from recordings.options import ReadOptions
 from recordings.reading import McapRecording, open_recording
 from recordings.types import Frame
@@ -120,6 +122,7 @@ def _recording_of(run: Path) -> Path:
     above = list(run.resolve().parents)[:4]
     for folder in (*above, *(one / "recordings" for one in above), Path.cwd()):
         path = folder / name
-        if path.exists() and file_hash(path) == digest:
-            return path
+        with suppress(RecordingError):  # a folder of that name that holds no recording
+            if path.exists() and recording_hash(path) == digest:
+                return path
     raise PipelineError(f"{name}, of which {run} was made, is not near it; name it with --recording REC")

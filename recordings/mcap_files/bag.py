@@ -16,6 +16,7 @@ from recordings.types import Damage
 
 _SUFFIXES = (".mcap", *(f".mcap{suffix}" for suffix in ZSTD_SUFFIXES))
 _SPLIT_NUMBER = re.compile(r"_(\d+)$")
+_METADATA = "metadata.yaml"
 _LARGEST_METADATA = 1 << 24
 
 
@@ -79,6 +80,18 @@ class Bag:
             yield from file.messages(topics)
 
 
+def files_of(path: Path) -> list[Path]:
+    """The files that a recording is read from; of a folder those that are there, with its metadata.
+
+    Raises:
+        RecordingError: the folder holds no recording.
+    """
+    if not path.is_dir():
+        return [path]
+    files = [part.path for part in _parts_of_folder(path)]
+    return [file for file in (*files, path / _METADATA) if file.is_file()]
+
+
 @dataclass(frozen=True)
 class _Part:
     """One file of a recording, and how many messages its folder's metadata say it holds."""
@@ -106,7 +119,7 @@ def _parts_of_folder(folder: Path) -> list[_Part]:
 
 def _listed_parts(folder: Path) -> list[_Part]:
     """The files that metadata.yaml lists; nothing where there is none or it cannot be read."""
-    information = _bag_information(folder / "metadata.yaml")
+    information = _bag_information(folder / _METADATA)
     if information.get("storage_identifier") == "sqlite3":
         raise RecordingError(
             f"{folder} is stored in SQLite; convert it with: voxscene import bag {folder} OUT.mcap"

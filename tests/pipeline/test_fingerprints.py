@@ -1,5 +1,6 @@
 """A hash of the sources that a stage can reach changes with each of them, and with no other."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from pipeline import demo, fingerprints
 from pipeline.config import Settings
-from pipeline.fingerprints import source_hash
+from pipeline.fingerprints import recording_hash, source_hash
 from pipeline.mesh_source import MeshSource
 from pipeline.options import Common
 from pipeline.publishing.publish import publish
@@ -57,6 +58,22 @@ def test_the_hash_follows_imports(sources: Path, changed: str, is_reached: bool)
     source_hash.cache_clear()
 
     assert (source_hash("pipeline.stage") != before) == is_reached
+
+
+def test_a_folder_is_known_by_the_files_of_its_recording(mug_file: Path, tmp_path: Path) -> None:
+    """And by no run, profile or report that was made of it and stands there too."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    shutil.copy(mug_file, bag / "bag_0.mcap")
+    before = recording_hash(bag)
+    (bag / "mug.run" / "stages").mkdir(parents=True)
+    (bag / "mug.run" / "run.mcap").write_bytes(b"views")
+    (bag / "camera.toml").write_text("format_version = 4")
+    assert recording_hash(bag) == before
+    shutil.copy(mug_file, bag / "bag_1.mcap")
+    parted = recording_hash(bag)
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    assert len({before, parted, recording_hash(bag), recording_hash(mug_file)}) == 4
 
 
 def test_every_stage_reaches_its_sources() -> None:
