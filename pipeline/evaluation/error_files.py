@@ -11,7 +11,7 @@ from pipeline.atomic import atomic_path, check_replaced, write_text
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectories import ComparedTrajectory
 from pipeline.evaluation.trajectory_errors import rotation_errors_rad
-from pipeline.publishing.trajectory_files import tum_lines
+from pipeline.publishing.trajectory_files import seconds_text, tum_lines
 from pipeline.report import charts
 from pipeline.views.error_view import write_error_rrd
 from slam.result import SlamResult
@@ -79,7 +79,7 @@ def _table(result: SlamResult, ours: ComparedTrajectory) -> str:
     )
     std_m = np.sqrt(np.trace(result.covariance[:, :3, :3], axis1=1, axis2=2))
     lines = [
-        f"{frame},{time_ns / 1e9:.9f},{position:.9f},{rotation:.9f},{std_m[frame]:.9f},{result.lost[frame]:d}"
+        f"{frame},{seconds_text(time_ns)},{position:.9f},{rotation:.9f},{std_m[frame]:.9f},{result.lost[frame]:d}"
         for frame, time_ns, position, rotation in rows
     ]
     return "\n".join([HEADER, *lines]) + "\n"

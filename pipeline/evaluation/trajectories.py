@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,9 @@ from recordings.types import CameraIntrinsics, Frame, Trajectory
 from slam.result import SlamResult
 
 TUM_COLUMNS = 8
+SECOND_NS = 1_000_000_000
+LATEST_S = 1 << 32
+"""Stamps beyond the year 2106 are not of seconds."""
 
 
 def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
@@ -65,18 +69,22 @@ def _read_tum(path: Path) -> Trajectory:
     try:
         with warnings.catch_warnings(action="ignore"):  # of no lines, told below
             rows = np.loadtxt(path, ndmin=2, comments="#")
+            stamps = np.loadtxt(path, dtype=str, usecols=0, ndmin=1, comments="#")
     except (OSError, ValueError) as error:
         raise PipelineError(f"{path} is not a TUM trajectory: {error}") from error
     if rows.size == 0 or rows.shape[1] != TUM_COLUMNS:
         raise PipelineError(f"{path} is not a TUM trajectory: each line needs `stamp x y z qx qy qz qw`")
     if not (finite := np.isfinite(rows).all(axis=1)).all():
         raise PipelineError(f"{path} is not a TUM trajectory: pose {finite.argmin() + 1} is not finite")
+    if (late := np.abs(rows[:, 0]) >= LATEST_S).any():
+        raise PipelineError(f"{path} is not a TUM trajectory: {stamps[late][0]} is no time in seconds")
     if (np.linalg.norm(rows[:, 4:], axis=1) == 0).any():
         raise PipelineError(f"{path}: a quaternion is zero")
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
     poses[:, :3, 3] = rows[:, 1:4]
-    return Trajectory(times_ns=np.round(rows[:, 0] * 1e9).astype(np.int64), reference_from_camera=poses)
+    times_ns = [round(Decimal(stamp) * SECOND_NS) for stamp in stamps.tolist()]  # a float has too few digits
+    return Trajectory(times_ns=np.array(times_ns, np.int64), reference_from_camera=poses)
 
 
 def slam_errors(result: SlamResult, reference: Trajectory) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectories import compared
+from pipeline.publishing.trajectory_files import seconds_text
 from recordings.poses.recorded import recorded_trajectory
 from recordings.truth import SceneTruth, TrueObject, recorded_scene_truth
 from recordings.types import Trajectory
@@ -53,7 +54,7 @@ class RecordedTruth:
         found = np.flatnonzero(self.trajectory.times_ns == time_ns)
         if not len(found):
             raise PipelineError(
-                f"{self._path} has no true camera pose at {time_ns / 1e9:.9f} s; is it the right one?"
+                f"{self._path} has no true camera pose at {seconds_text(time_ns)} s; is it the right one?"
             )
         return np.asarray(np.linalg.inv(self.trajectory.reference_from_camera[found[0]]), np.float64)
 

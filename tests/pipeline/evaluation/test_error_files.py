@@ -77,6 +77,25 @@ def test_files_and_figures_agree(true_trajectory: SlamResult, reference: Traject
             assert picture.width > 300
 
 
+def test_stamps_are_those_of_the_frames_and_of_others_files(
+    true_trajectory: SlamResult, reference: Trajectory, tmp_path: Path
+) -> None:
+    """Digit by digit: as floating-point numbers stamps of today are off by up to 120 ns, and join nothing."""
+    today_ns = 1_700_000_000_123_456_789
+    result = replace(true_trajectory, times_ns=true_trajectory.times_ns + today_ns)
+    truth = replace(reference, times_ns=reference.times_ns + today_ns)
+    text = tum_lines(result.times_ns, result.mean)
+    (tmp_path / "their.tum").write_text(text)
+    theirs = compared_file(tmp_path / "their.tum", truth)
+    write_comparison(tmp_path, result, compared_run(result, truth), [theirs])
+
+    stamps = [line.split()[0] for line in text.splitlines()]
+    written = (tmp_path / "estimate.their.tum").read_text().splitlines()
+    assert [line.split()[0] for line in written] == stamps[:1] + stamps[2:]
+    with (tmp_path / "errors.csv").open() as file:
+        assert [row["time_s"] for row in csv.DictReader(file)] == stamps[:1] + stamps[2:]
+
+
 def test_rotation_errors_along_a_straight_path_are_those_of_rotations(
     true_trajectory: SlamResult, seed: int, tmp_path: Path
 ) -> None:
@@ -120,6 +139,7 @@ def test_a_file_that_is_no_trajectory_is_told(reference: Trajectory, tmp_path: P
         ("hello\n", ""),
         ("", "each line needs"),
         ("1 0 0 0 0 0 0 1\n2 0 nan 0 0 0 0 1\n", "pose 2 is not finite"),
+        ("1403636579758555392 0 0 0 0 0 0 1\n", "1403636579758555392 is no time in seconds"),
     ):
         (tmp_path / "their.tum").write_text(text)
         with pytest.raises(PipelineError, match=rf"their\.tum is not a TUM trajectory.*{why}"):
