@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -12,6 +12,17 @@ from scene.copies import asked_copies, slot_names
 
 MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "sweeps": 10_000_000}
 """Beyond these nobody has the memory or the time: a slip of the hand."""
+
+Graph = Literal["infer", "fixed", "search"]
+
+Likelihood = Literal["depth", "cloud"]
+
+Colour = Literal["off", "add", "only"]
+
+Proposals = Literal["points", "masks", "both"]
+
+WORDS = {"graph": Graph, "likelihood": Likelihood, "colour": Colour, "proposals": Proposals}
+"""Settings that are one of a few words."""
 
 MOST_FRAME = 2**31
 """Beyond this number of a frame, at 30 Hz after two years: a slip of the hand, too."""
@@ -82,16 +93,16 @@ class ParseConfig:
     frames: tuple[int, ...] = ()
     support: tuple[float, ...] = ()
     region: tuple[float, ...] = ()
-    graph: Literal["infer", "fixed", "search"] = "infer"
-    likelihood: Literal["depth", "cloud"] = "depth"
-    colour: Literal["off", "add", "only"] = "off"
+    graph: Graph = "infer"
+    likelihood: Likelihood = "depth"
+    colour: Colour = "off"
     colour_weight: float = 1.0
     table: tuple[float, ...] = ()
     most: int = 3
     light: tuple[float, ...] = ()
     gamma: float = 2.2
     presence: float = 0.5
-    proposals: Literal["points", "masks", "both"] = "both"
+    proposals: Proposals = "both"
     unknown_solids: bool = True
     exact: tuple[str, ...] = ()
     rounds: int = 2
@@ -116,6 +127,12 @@ class ParseConfig:
         check_finite(self)
         for name, most in MOST.items():
             check_within(self, 0, most, (name,))
+        for name, known in ((name, get_args(kind)) for name, kind in WORDS.items()):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} must be {' or '.join(known)}, got {getattr(self, name)!r}")
+        for name in ("objects", "exact"):
+            if isinstance(getattr(self, name), str):
+                raise ValueError(f"{name} must be several names, such as ({getattr(self, name)!r},)")
         asked = [asked_copies(entry) for entry in self.objects]
         names = [name for name, _ in asked]
         if twice := [name for name in names if names.count(name) > 1]:

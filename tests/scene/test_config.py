@@ -28,10 +28,16 @@ from scene.config import ParseConfig
         ({"likelihood": "cloud", "colour": "add"}, "does not go with likelihood cloud"),
         ({"frames": (10**20,)}, "frames must be numbers up to 2147483648"),
         ({"region": (0.0, 0.0, 0.0, 1.0, 0.0, 1.0)}, "region must be xmin"),
+        ({"graph": "fix"}, "graph must be infer or fixed or search, got 'fix'"),
+        ({"likelihood": "clouds"}, "likelihood must be depth or cloud, got 'clouds'"),
+        ({"colour": "on"}, "colour must be off or add or only, got 'on'"),
+        ({"proposals": "mask"}, "proposals must be points or masks or both, got 'mask'"),
+        ({"objects": "mug"}, r"objects must be several names, such as \('mug',\)"),
+        ({"exact": "mug"}, r"exact must be several names, such as \('mug',\)"),
     ],
 )
 def test_what_cannot_be_is_refused(settings: dict[str, Any], line: str) -> None:
-    """None asked for, too many, a probability that is none, a volume of nothing."""
+    """None asked for, too many, a probability that is none, a volume of nothing, words that mean nothing."""
     with pytest.raises(ValueError, match=line):
         ParseConfig(**settings)
 
