@@ -49,6 +49,8 @@ class ReadOptions:
     def __post_init__(self) -> None:
         check_finite(self, unbounded=("max_depth_m", "end_s"))
         if self.intrinsics is not None:
+            if len(self.intrinsics) != 4:
+                raise ValueError(f"intrinsics are four numbers, fx, fy, cx, cy, got {self.intrinsics}")
             fx, fy, cx, cy = self.intrinsics
             if not (all(abs(value) < LARGEST_PX for value in self.intrinsics) and fx > 0 < fy):
                 raise ValueError(f"intrinsics need pixels with fx, fy > 0, got {fx:g},{fy:g},{cx:g},{cy:g}")

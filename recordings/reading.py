@@ -129,7 +129,7 @@ class McapRecording:
         self._left_out = None if options.mask is None else read_mask(options.mask, self.size)
         self.sensor: SensorProfile | None = None
         if options.sensor is not None:
-            self.sensor = read_sensor_profile(options.sensor, self.intrinsics)
+            self.sensor = read_sensor_profile(Path(options.sensor), self.intrinsics)
 
     def _colour_beside(
         self, depth: DepthImages, cameras: dict[str, CameraMessage]

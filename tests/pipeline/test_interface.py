@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 
 from pipeline import interface
 from pipeline.cli import voxscene
+from pipeline.stored_profile import StoredProfile
 from slam.result import SlamResult
 
 ROOT = Path(__file__).parents[2]
@@ -36,6 +38,21 @@ def test_recordings_open_with_options_and_bring_their_poses(mug_file: Path) -> N
     assert trajectory is not None
     assert trajectory.reference_from_camera.shape == (3, 4, 4)
     assert np.isfinite(trajectory.reference_from_camera).all()
+
+
+def test_files_of_reading_may_be_named_by_words(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """As the recording itself: a sensor's profile and a mask."""
+    camera = interface.open_recording(mug_file).intrinsics
+    StoredProfile(replace(true_trajectory.sensor, intrinsics=camera)).save(tmp_path / "camera.toml")
+    left_out = np.zeros((camera.height, camera.width), np.uint8)
+    left_out[:, 40:] = 255
+    Image.fromarray(left_out).save(tmp_path / "mask.png")
+    files = {"sensor": str(tmp_path / "camera.toml"), "mask": str(tmp_path / "mask.png")}
+    frame = next(iter(interface.open_recording(str(mug_file), **files)))
+    assert frame.depth_m[:, 40:].any()
+    assert not frame.depth_m[:, :40].any()
 
 
 def test_a_setting_that_does_not_exist_is_refused(mug_file: Path) -> None:

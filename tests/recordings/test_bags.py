@@ -215,6 +215,7 @@ def test_options_choose_frames(options, expected, tmp_path):
         ({"depth_scale_m": 0.0}, "depth scale"),
         ({"intrinsics": (0.0, 1.0, 1.0, 1.0)}, "fx, fy > 0"),
         ({"intrinsics": (1.0, 1.0, 1e9, 1.0)}, "pixels"),
+        ({"intrinsics": (1.0, 1.0, 1.0)}, "intrinsics are four numbers, fx, fy, cx, cy"),
     ],
 )
 def test_impossible_options_say_so(options, complaint):
