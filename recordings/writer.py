@@ -81,7 +81,7 @@ class RecordingWriter:
         self._partial = self._path.with_name(self._path.name + ".partial")
         self._intrinsics = intrinsics
         self._millimetres = depth_unit_m == _MILLIMETRE
-        self._channels: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[MessageSchema, int] = {}
         self._sequences: Counter[str] = Counter()
         if self._path.exists() and not self._path.is_file():
@@ -147,13 +147,14 @@ class RecordingWriter:
         if self._profile == "ros2" and schema.message_encoding != MessageEncoding.CDR:
             raise ValueError(f"{topic} is {schema.message_encoding}, which the profile ros2 does not allow")
         with self._reporting():
-            if topic not in self._channels:
+            channel = topic, schema.name
+            if channel not in self._channels:
                 metadata = _CHANNEL_METADATA[self._profile]
-                self._channels[topic] = self._writer.register_channel(
+                self._channels[channel] = self._writer.register_channel(
                     topic, schema.message_encoding, self._schema_id(schema), metadata
                 )
             self._writer.add_message(
-                self._channels[topic], time_ns, data, time_ns, sequence=self._sequences[topic]
+                self._channels[channel], time_ns, data, time_ns, sequence=self._sequences[topic]
             )
             self._sequences[topic] += 1
 

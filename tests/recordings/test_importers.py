@@ -1,5 +1,6 @@
 """Imported recordings hold the pixels, times, cameras and truth of their sources."""
 
+import io
 import json
 import struct
 from pathlib import Path
@@ -23,6 +24,7 @@ from tests.recordings.samples import (
     SECOND_NS,
     STORE,
     camera_info,
+    compressed_image,
     image,
     ros1_bytes,
     transform,
@@ -338,6 +340,24 @@ def test_the_unit_of_depth_comes_with_a_realsense_bag(tmp_path, recording_path):
     assert "Exposure" in remark
     assert "Depth Units" not in remark
     np.testing.assert_allclose(frame.depth_m, 0.15)
+
+
+def test_a_topic_of_two_types_keeps_both(tmp_path, recording_path):
+    """As in bags that were merged: each message is read as what it is."""
+    pixels, packed = depths(1)[0].astype(np.uint16), io.BytesIO()
+    Image.fromarray(pixels).save(packed, "PNG")
+    with Rosbag1Writer(tmp_path / "b.bag") as writer:
+        for message in (
+            image(SECOND_NS, "16UC1", pixels),
+            compressed_image(2 * SECOND_NS, "16UC1; png compressed", packed.getvalue()),
+        ):
+            connection = writer.add_connection("/c/depth", message.__msgtype__, typestore=ROS1_STORE)
+            writer.write(connection, SECOND_NS, ros1_bytes(message))
+    run("bag", tmp_path / "b.bag", recording_path)
+    recording = open_recording(recording_path, ReadOptions(intrinsics=(9.0, 9.0, 3.5, 2.5)))
+
+    assert [frame.time_ns for frame in recording] == [SECOND_NS, 2 * SECOND_NS]
+    assert not recording.problems
 
 
 @pytest.mark.parametrize(("name", "write"), [("b.bag", write_ros1), ("b", write_ros2)])
