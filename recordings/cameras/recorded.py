@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from recordings.cameras.matching import is_frame
 from recordings.cameras.pinhole import is_calibrated
 from recordings.messages.decoded_bag import DecodedBag
 from recordings.messages.types import CameraMessage
+from recordings.stamps import in_order_of_stamps
 
 _JITTER_PX = 0.25
 """Calibrations whose pixels differ by less are one: drivers round them anew in each message."""
@@ -50,16 +52,22 @@ def camera_track(
 ) -> CameraTrack:
     """Every calibration that a camera topic tells of the camera of `first`, read from end to end.
 
-    A stretch begins half-way between the last message of the one before it and its own first. Messages of
-    another frame, or from before a driver knows its calibration, are passed over.
+    A stretch begins half-way between the last message of the one before it and its own first, in the order of
+    stamps, as the images are. Messages of another frame, or from before a driver knows its calibration, are
+    passed over.
     """
+
+    def stamped() -> Iterator[tuple[int, CameraMessage]]:
+        for log_time_ns, message in decoded.messages({topic}):
+            if (
+                isinstance(message, CameraMessage)
+                and is_frame(message.frame_id, first.frame_id)
+                and is_calibrated(message)
+            ):
+                yield log_time_ns if uses_log_time or message.stamp_ns == 0 else message.stamp_ns, message
+
     cameras, starts_ns, last_ns = [first], list[int](), 0
-    for log_time_ns, message in decoded.messages({topic}):
-        if not isinstance(message, CameraMessage) or not is_frame(message.frame_id, first.frame_id):
-            continue
-        if not is_calibrated(message):
-            continue
-        time_ns = log_time_ns if uses_log_time or message.stamp_ns == 0 else message.stamp_ns
+    for time_ns, message in in_order_of_stamps(stamped(), leave_out=lambda _: None):
         if not _is_same(message, cameras[-1]):
             cameras.append(message)
             starts_ns.append((last_ns + time_ns + 1) // 2 if last_ns else time_ns)

@@ -63,6 +63,24 @@ def test_a_calibration_of_the_same_frame_with_the_slash_of_ros_1_is_followed(rec
     assert list(open_recording(recording_path).statistics().camera_changes) == [0.5]
 
 
+def test_calibrations_that_are_written_late_are_in_the_order_of_their_stamps(recording_path):
+    """As the images beside them: a change is one, and each frame is used by its own."""
+    wide = (FIRST[0] / 2, FIRST[1] / 2, *FIRST[2:])
+    with Scribe(recording_path) as scribe:
+        for written_at, number in enumerate([0, 1, 3, 2, 4, 5], start=1):
+            intrinsics, stamp = (FIRST if number < 3 else wide), (number + 1) * SECOND_NS
+            info = camera_info(stamp, SIZE, intrinsics)
+            scribe.ros2("/camera/depth/camera_info", info, written_at * SECOND_NS)
+            scribe.ros2(TOPIC, image(stamp, "16UC1", plane_mm(intrinsics)), written_at * SECOND_NS)
+    recording = open_recording(recording_path)
+    frames = [frame.depth_m for frame in recording]
+
+    assert list(recording.statistics().camera_changes) == [2.5]
+    for frame in frames[1:3]:
+        np.testing.assert_array_equal(frame, frames[0])
+    assert all((frame == NO_RETURN).mean() < 0.1 for frame in frames)
+
+
 def test_jitter_of_a_calibration_is_no_change(recording_path):
     """Drivers round it anew in each message."""
     recording = written(recording_path, [FIRST, tuple(value + 1e-3 for value in FIRST)])
