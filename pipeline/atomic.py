@@ -88,8 +88,13 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, unless it holds the text already."""
-    write_bytes(path, text.encode())
+    """Write a text file atomically, unless it holds the text already; names of files in it may be any."""
+    write_bytes(path, as_text(text).encode())
+
+
+def as_text(text: str) -> str:
+    """The same with a question mark for each byte of a file's name that is no UTF-8, as text has to be."""
+    return text.encode(errors="replace").decode()
 
 
 def write_json(path: Path, content: object) -> None:

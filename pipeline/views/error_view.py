@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pipeline.atomic import write_bytes
+from pipeline.atomic import as_text, write_bytes
 
 if TYPE_CHECKING:
     from pipeline.evaluation.trajectories import ComparedTrajectory
@@ -28,7 +28,7 @@ def write_error_rrd(path: Path, compared: Sequence[ComparedTrajectory]) -> None:
     Raises:
         PipelineError: the file cannot be written.
     """
-    recording = rr.RecordingStream("voxscene", recording_id=path.resolve().parent.name)
+    recording = rr.RecordingStream("voxscene", recording_id=as_text(path.resolve().parent.name))
     blueprint = rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin="paths", name="Paths, aligned"),

@@ -8,7 +8,7 @@ from typing import Any
 
 import rerun as rr
 
-from pipeline.atomic import write_bytes
+from pipeline.atomic import as_text, write_bytes
 from pipeline.colours import object_colours
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
@@ -54,7 +54,7 @@ def write_rrd(
         run_blueprint(values, eye, truth=truth is not None), make_active=True, make_default=True
     )
     recording.set_log_time_enabled(False)
-    recording.send_recording_name(name)
+    recording.send_recording_name(as_text(name))
     _log(recording, values, summary, flags, truth)
     write_bytes(path, memory.drain_as_bytes())
 

@@ -1,5 +1,6 @@
 """Files appear whole or not at all."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,12 @@ def test_what_cannot_be_written_is_one_clear_error(tmp_path: Path) -> None:
     """With the path and the reason."""
     with pytest.raises(PipelineError, match=r"cannot write .*none.*: No such file"):
         write_text(tmp_path / "none" / "a.txt", "text")
+
+
+def test_names_of_files_in_a_text_need_not_be_utf8(tmp_path: Path) -> None:
+    """As of disks from elsewhere: the text itself has to be."""
+    write_text(tmp_path / "a.txt", os.fsdecode(b"name = k\xfcche.mcap\n"))
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "name = k?che.mcap\n"
 
 
 def test_json_is_readable_and_finite(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """A command's stages depend on the recording, its reading, the seed and the settings, and end in files."""
 
 import json
+import os
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -160,6 +162,22 @@ def test_derived_files_are_the_same_bytes_when_made_again(
     track(Tracker(true_trajectory), mug_file, run)
 
     assert [(run / name).read_bytes() for name in derived] == before
+
+
+def test_names_of_recordings_and_runs_need_not_be_utf8(
+    mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """As of disks from elsewhere: everything is written, the views too."""
+    folder = tmp_path / os.fsdecode(b"k\xfcche")
+    folder.mkdir()
+    shutil.copy(mug_file, recording := folder / os.fsdecode(b"k\xfcche.mcap"))
+    track(Tracker(true_trajectory), recording, run := folder / os.fsdecode(b"k\xfcche.run"))
+    command = ["eval", "slam", str(run), "--reference", str(recording), "-o", str(folder)]
+    for arguments in (command, ["report", str(run), "-o", str(folder / "report.html")]):
+        result = CliRunner().invoke(voxscene, [*arguments, "--quiet"])
+        assert result.exit_code == 0, result.stderr
+    assert (run / "run.rrd").is_file()
+    assert "k?che.run" in (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_every_stage_has_a_key_of_its_own(mug_file: Path, tmp_path: Path) -> None:
