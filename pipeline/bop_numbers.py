@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import ConfigError
+from recordings.settings import TEXT
 
 BOP_NAME = re.compile(r"obj_(\d+)$")
 """Names of BOP's own models."""
@@ -46,7 +47,7 @@ def ids_of_names(names: Iterable[str]) -> dict[str, int]:
 def ids_of_models(folder: Path) -> dict[str, int]:
     """Ids by name from models_info.json: of BOP, whose names hold them, or a list of named entries."""
     try:
-        content = json.loads((folder / "models_info.json").read_text())
+        content = json.loads((folder / "models_info.json").read_text(encoding=TEXT))
     except (OSError, ValueError):
         return {}
     if not isinstance(content, list):
@@ -69,7 +70,7 @@ def read_ids(path: Path | None) -> dict[str, int]:
     if path is None:
         return {}
     try:
-        content: Any = json.loads(path.read_text())
+        content: Any = json.loads(path.read_text(encoding=TEXT))
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:

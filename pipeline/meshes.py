@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.errors import PipelineError
 from pipeline.logs import log
 from pipeline.surfaces import MESH_SUFFIXES
+from recordings.settings import TEXT
 
 Units = Literal["m", "mm"]
 
@@ -109,7 +110,7 @@ def check_size(path: Path, extent_m: float) -> None:
 def _units_of(folder: Path) -> Units:
     """Millimetres beside a models_info.json of BOP, which maps ids to a `diameter`; else metres."""
     try:
-        models = json.loads((folder / "models_info.json").read_text())
+        models = json.loads((folder / "models_info.json").read_text(encoding=TEXT))
     except (OSError, ValueError):
         return "m"
     is_bop = isinstance(models, dict) and any(

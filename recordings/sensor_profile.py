@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from recordings.distortion_field import DistortionField
 from recordings.errors import RecordingError
-from recordings.settings import check_finite, check_within
+from recordings.settings import TEXT, check_finite, check_within
 from recordings.types import CameraIntrinsics, DepthNoise
 
 FORMAT_VERSION = 4
@@ -192,7 +192,7 @@ def load_sensor_profile(path: Path) -> SensorProfile:
         RecordingError: the file cannot be read, or says something impossible.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(path.read_text(encoding=TEXT))
         version = table.pop("format_version", None)
         if version not in range(1, FORMAT_VERSION + 1):
             raise ValueError(f"format_version is {version}, not 1 to {FORMAT_VERSION}")

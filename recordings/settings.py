@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+TEXT = "utf-8-sig"
+"""Encoding of text files from elsewhere: UTF-8, which editors on Windows begin with a mark."""
+
 
 def check_finite(config: DataclassInstance, unbounded: Collection[str] = ()) -> None:
     """Refuse settings with a number, or a tuple with a number, that is NaN or infinite.

@@ -29,6 +29,7 @@ from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
 from recordings.poses.rigid import orthonormalised
 from recordings.reading import open_recording
+from recordings.settings import TEXT
 from recordings.types import CameraIntrinsics, Frame, Trajectory
 from slam.result import SlamResult
 
@@ -68,8 +69,8 @@ def _read_tum(path: Path) -> Trajectory:
 
     try:
         with warnings.catch_warnings(action="ignore"):  # of no lines, told below
-            rows = np.loadtxt(path, ndmin=2, comments="#")
-            stamps = np.loadtxt(path, dtype=str, usecols=0, ndmin=1, comments="#")
+            rows = np.loadtxt(path, ndmin=2, comments="#", encoding=TEXT)
+            stamps = np.loadtxt(path, dtype=str, usecols=0, ndmin=1, comments="#", encoding=TEXT)
     except (OSError, ValueError) as error:
         raise PipelineError(f"{path} is not a TUM trajectory: {error}") from error
     if rows.size == 0 or rows.shape[1] != TUM_COLUMNS:

@@ -289,7 +289,7 @@ def _settings(page: Page, run: ReportedRun) -> None:
     settings = run.path / "config.toml"
     if settings.is_file():
         page.section("Settings")
-        page.listing(settings.read_text())
+        page.listing(settings.read_text(encoding="utf-8"))
 
 
 def _position_std_mm(run: ReportedRun) -> np.ndarray:

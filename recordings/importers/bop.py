@@ -28,6 +28,7 @@ from recordings.importers.dataset import (
     stamp_ns,
 )
 from recordings.poses.rigid import orthonormalised
+from recordings.settings import TEXT
 from recordings.truth import SceneTruth, TrueObject
 
 _COLOUR_SUFFIXES = (".png", ".jpg")
@@ -196,7 +197,7 @@ def _pose_mm(rotation: Any, translation_mm: Any) -> NDArray[np.float64]:
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding=TEXT))
     except OSError as error:
         raise RecordingError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:

@@ -15,6 +15,7 @@ from recordings.images.colour import decode_colour
 from recordings.images.compressed_depth import decode_grey16_png
 from recordings.images.depth_pixels import MetricDepth
 from recordings.messages.types import CompressedImageMessage, UndecodableMessage
+from recordings.settings import TEXT
 from recordings.truth import SceneTruth, write_scene_truth
 from recordings.types import CameraIntrinsics, Frame
 from recordings.writer import RecordingWriter
@@ -168,7 +169,7 @@ def read_numbers(path: Path, shape: tuple[int, ...]) -> NDArray[np.float64]:
         RecordingError: the file cannot be read or holds something else.
     """
     try:
-        return np.array(path.read_text().replace(",", " ").split(), np.float64).reshape(shape)
+        return np.array(path.read_text(encoding=TEXT).replace(",", " ").split(), np.float64).reshape(shape)
     except OSError as error:
         raise RecordingError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:

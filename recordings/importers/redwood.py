@@ -23,6 +23,7 @@ from recordings.importers.dataset import (
     stamp_ns,
 )
 from recordings.poses.rigid import orthonormalised
+from recordings.settings import TEXT
 
 _COLOUR_FOLDERS = ("color", "image", "rgb")
 _COLOUR_SUFFIXES = {".jpg", ".jpeg", ".png"}
@@ -76,7 +77,7 @@ def _intrinsics(folder: Path) -> tuple[Intrinsics, tuple[str, ...]]:
     """The camera from an Open3D camera file (a column-major matrix in JSON), if the folder has one."""
     for path in sorted(folder.glob("*.json")):
         try:
-            content = json.loads(path.read_text())
+            content = json.loads(path.read_text(encoding=TEXT))
             matrix = np.array(content["intrinsic_matrix"], np.float64).reshape(3, 3).T
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue
@@ -87,7 +88,7 @@ def _intrinsics(folder: Path) -> tuple[Intrinsics, tuple[str, ...]]:
 
 def _poses(path: Path) -> list[tuple[int, NDArray[np.float64]]]:
     try:
-        numbers = np.array(path.read_text().split(), np.float64).reshape(-1, _NUMBERS_A_POSE)
+        numbers = np.array(path.read_text(encoding=TEXT).split(), np.float64).reshape(-1, _NUMBERS_A_POSE)
         return [(stamp_ns(int(row[0])), orthonormalised(row[3:].reshape(4, 4))) for row in numbers]
     except (OSError, ValueError, OverflowError) as error:
         raise RecordingError(f"{path} is not a trajectory of Redwood: {error}") from error

@@ -16,6 +16,7 @@ from recordings.errors import RecordingError
 from recordings.images.pairing import NearestInTime
 from recordings.importers.dataset import ALL_FRAMES, Dataset, ImageFiles, Intrinsics, existing_folder
 from recordings.messages.types import UndecodableMessage, rigid_matrix
+from recordings.settings import TEXT
 
 _DEPTH_UNIT_M = 1 / 5000
 _KINECTS: dict[str, Intrinsics] = {
@@ -65,7 +66,7 @@ def _listed(path: Path) -> list[tuple[int, list[str]]]:
     """Stamp and further words of each line of a list, by increasing stamp; # starts a comment."""
     entries: dict[int, list[str]] = {}
     try:
-        lines = path.read_text().splitlines()
+        lines = path.read_text(encoding=TEXT).splitlines()
     except OSError as error:
         raise RecordingError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -12,6 +12,7 @@ from recordings.errors import RecordingError
 from recordings.mcap_files.attachments import Attachment
 from recordings.mcap_files.mcap_file import McapFile, Message, Topic
 from recordings.mcap_files.sources import ZSTD_SUFFIXES
+from recordings.settings import TEXT
 from recordings.types import Damage
 
 _SUFFIXES = (".mcap", *(f".mcap{suffix}" for suffix in ZSTD_SUFFIXES))
@@ -146,7 +147,7 @@ def _bag_information(path: Path) -> dict[str, Any]:
     if not path.is_file() or path.stat().st_size > _LARGEST_METADATA:
         return {}
     try:
-        content = YAML(typ="safe", pure=True).load(path.read_text())
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding=TEXT))
     except (OSError, UnicodeDecodeError, YAMLError, ValueError, RecursionError):
         return {}  # the files themselves say what is in them
     information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None

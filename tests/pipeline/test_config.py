@@ -7,6 +7,7 @@ from typing import Literal
 
 import pytest
 
+from pipeline.bop_numbers import read_ids
 from pipeline.config import Settings, build, plain_values
 from pipeline.errors import ConfigError
 
@@ -85,6 +86,14 @@ def test_mistakes_are_named(tmp_path: Path, text: str, overrides: tuple[str, ...
     """Where the mistake is, and what would do."""
     with pytest.raises(ConfigError, match=message):
         settings(tmp_path, text, *overrides).section("slam", Outer)
+
+
+def test_files_of_windows_are_read(tmp_path: Path) -> None:
+    """Editors there end lines with two characters, and begin files with a mark."""
+    (tmp_path / "s.toml").write_bytes(b"\xef\xbb\xbf[slam]\r\ncount = 7\r\n")
+    assert Settings.read(tmp_path / "s.toml", ()).section("slam", Outer).count == 7
+    (tmp_path / "ids.json").write_bytes(b'\xef\xbb\xbf{"mug": 3}\r\n')
+    assert read_ids(tmp_path / "ids.json") == {"mug": 3}
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

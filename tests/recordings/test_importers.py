@@ -103,7 +103,8 @@ def test_7scenes(camera, tmp_path, recording_path):
         np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
 
 
-def test_tum(tmp_path, recording_path):
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # the latter of editors on Windows
+def test_tum(encoding, tmp_path, recording_path):
     """Stamps keep their digits, depth is in 1/5000 m, colour is the nearest within 20 ms."""
     folder = tmp_path / "rgbd_dataset_freiburg2_desk"
     images = depths(3)
@@ -111,9 +112,9 @@ def test_tum(tmp_path, recording_path):
     for i, pixels in enumerate(images):
         png(folder / f"depth/{i}.png", pixels * 5)
         lines.append(f"1311868164.{363181 + i * 100000:06d}  depth/{i}.png")
-    (folder / "depth.txt").write_text("\n".join(lines))
+    (folder / "depth.txt").write_text("\r\n".join(lines), encoding=encoding)
     jpg(folder / "rgb/0.jpg", 70)
-    (folder / "rgb.txt").write_text("1311868164.370000 rgb/0.jpg\n")
+    (folder / "rgb.txt").write_text("1311868164.370000 rgb/0.jpg\n", encoding=encoding)
     truth = [f"1311868164.{300000 + i * 50000:06d} {i} 0 0 0 0 0 1" for i in range(8)]
     (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(truth))
     assert run("tum", folder, recording_path) == ()

@@ -55,7 +55,8 @@ def reference(true_trajectory: SlamResult, seed: int) -> Trajectory:
 def test_files_and_figures_agree(true_trajectory: SlamResult, reference: Trajectory, tmp_path: Path) -> None:
     """TUM files by an independent alignment, the table's root mean square, and somebody else's file."""
     ours = compared_run(true_trajectory, reference)
-    (tmp_path / "their.tum").write_text(tum_lines(true_trajectory.times_ns, true_trajectory.mean))
+    text = tum_lines(true_trajectory.times_ns, true_trajectory.mean)
+    (tmp_path / "their.tum").write_text(text, encoding="utf-8-sig", newline="\r\n")  # of Windows
     theirs = compared_file(tmp_path / "their.tum", reference)
     assert theirs.errors.ate_m == pytest.approx(ours.errors.ate_m, abs=1e-8)
 
