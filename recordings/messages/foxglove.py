@@ -30,6 +30,7 @@ from recordings.messages.types import (
     TransformMessage,
     UndecodableMessage,
     rigid_matrix,
+    usable_transforms,
 )
 
 _NUMERIC_TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<f4", 8: "<f8"}
@@ -165,7 +166,7 @@ def _transform(message: Any) -> tuple[TransformMessage, ...]:
 
 
 def _transforms(message: Any) -> tuple[TransformMessage, ...]:
-    return tuple(transform for stamped in message.transforms for transform in _transform(stamped))
+    return usable_transforms(message.transforms, _transform)
 
 
 def _pose(message: Any) -> PoseMessage:

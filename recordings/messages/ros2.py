@@ -32,6 +32,7 @@ from recordings.messages.types import (
     TransformMessage,
     UndecodableMessage,
     rigid_matrix,
+    usable_transforms,
 )
 
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -153,15 +154,7 @@ def _matrix(translation: Any, rotation: Any) -> np.ndarray:
 
 
 def _transforms(message: Any) -> tuple[TransformMessage, ...]:
-    return tuple(
-        TransformMessage(
-            stamp_ns=_stamp_ns(stamped.header),
-            parent=stamped.header.frame_id,
-            child=stamped.child_frame_id,
-            parent_from_child=_matrix(stamped.transform.translation, stamped.transform.rotation),
-        )
-        for stamped in message.transforms
-    )
+    return usable_transforms(message.transforms, _transform)
 
 
 def _transform(message: Any) -> tuple[TransformMessage, ...]:

@@ -6,7 +6,9 @@ are xyzw as ROS and Foxglove write them.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,6 +144,30 @@ DecodedMessage = (
     | NumberMessage
     | tuple[TransformMessage, ...]
 )
+
+
+def usable_transforms(
+    messages: Iterable[Any], convert: Callable[[Any], tuple[TransformMessage, ...]]
+) -> tuple[TransformMessage, ...]:
+    """The transforms of a message that holds several, without those that are none, as tf2 passes over them.
+
+    Args:
+        messages: of one transform each.
+        convert: gives the transform of one of them.
+
+    Raises:
+        UndecodableMessage: there are some, and none can be used.
+    """
+    found: list[TransformMessage] = []
+    problem: UndecodableMessage | None = None
+    for message in messages:
+        try:
+            found += convert(message)
+        except UndecodableMessage as error:
+            problem = error
+    if problem is not None and not found:
+        raise problem
+    return tuple(found)
 
 
 def rigid_matrix(

@@ -274,6 +274,20 @@ def test_transforms_that_are_none_are_left_out(number, recording_path):
     np.testing.assert_allclose(trajectory.reference_from_camera[:, 0, 3], range(5), atol=1e-12)
 
 
+@pytest.mark.parametrize("xyzw", [(0, 0, 0, 0), (0, 0, 0, np.nan)])
+def test_a_transform_that_is_none_costs_itself_alone(xyzw, recording_path):
+    """A gripper whose joint is not known yet stands beside the camera's in one message of /tf."""
+    messages = []
+    for i, stamp in enumerate(STAMPS):
+        message = transform(stamp, "base", "finger", xyzw=xyzw)
+        message.transforms.extend(transform(stamp, "world", "camera", (i, 0, 0)).transforms)
+        messages.append(("/tf", message))
+    write(recording_path, messages)
+    trajectory = recorded_trajectory(recording_path)
+    assert trajectory is not None
+    np.testing.assert_array_equal(trajectory.reference_from_camera[:, 0, 3], range(5))
+
+
 def test_orthonormalised_is_the_nearest_rotation(seed):
     """Rounded rotations become orthonormal and stay near."""
     rng = np.random.default_rng(seed)
