@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.atomic import RECORDINGS
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectory_errors import (
     TrajectoryErrors,
@@ -60,8 +61,11 @@ def reference_trajectory(path: Path, options: ReadOptions) -> Trajectory:
 
 
 def is_trajectory_file(path: Path) -> bool:
-    """Whether a file is taken for a TUM trajectory, and not for a recording."""
-    return path.is_file() and path.suffix not in (".mcap", *ZSTD_SUFFIXES)
+    """Whether a file is taken for a TUM trajectory, and not for a recording, by its name or first bytes."""
+    if not path.is_file() or path.suffix in (".mcap", *ZSTD_SUFFIXES):
+        return False
+    with path.open("rb") as file:
+        return not file.read(16).startswith(RECORDINGS)
 
 
 def _read_tum(path: Path) -> Trajectory:

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
-from pipeline.evaluation.trajectories import compared, reference_trajectory
+from pipeline.evaluation.trajectories import compared, is_trajectory_file, reference_trajectory
 from pipeline.synthesis.recording import SyntheticRecording
 from recordings.messages.types import quaternion_xyzw
 from recordings.options import ReadOptions
@@ -109,3 +109,21 @@ def test_a_place_in_a_later_frame_than_the_first_is_told(
         result = learn(path, tmp_path / name, *place, "--preview", str(tmp_path / "region.png"))
         assert result.exit_code == 0, result.output
         assert (f"is told in frame 2, at {stamp_s:.9f} s" in result.stderr) == warned
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "is_one"),
+    [
+        ("their.tum", b"# timestamp tx ty tz qx qy qz qw\n", True),
+        ("truth", b"1.0 0 0 0 0 0 0 1\n", True),
+        ("kitchen.mcap", b"damaged", False),
+        ("KITCHEN.MCAP", b"\x89MCAP0\r\n", False),
+        ("kitchen.bag", b"#ROSBAG V2.0\n", False),
+        ("kitchen_0.db3", b"SQLite format 3\x00", False),
+    ],
+)
+def test_recordings_are_no_trajectory_files(name: str, start: bytes, is_one: bool, tmp_path: Path) -> None:
+    """Of another program neither: how to convert them is told where they are opened."""
+    (tmp_path / name).write_bytes(start)
+    assert is_trajectory_file(tmp_path / name) == is_one
+    assert not is_trajectory_file(tmp_path)
