@@ -63,6 +63,7 @@ class RecordingWriter:
         depth_unit_m: unit of the source's depths. 0.001 writes 16-bit millimetres, anything else
             32-bit metres, so that nothing is lost.
         profile: of the file; `ros2` where nothing but ROS 2 messages will be written.
+        mends: replace what is no readable recording, too: for a place that is the program's own.
 
     Raises:
         RecordingError: the file cannot be written, now or later.
@@ -75,6 +76,7 @@ class RecordingWriter:
         *,
         depth_unit_m: float | None = None,
         profile: Profile = "",
+        mends: bool = False,
     ) -> None:
         self._path = Path(path)
         self._profile: Profile = profile
@@ -86,7 +88,7 @@ class RecordingWriter:
         self._sequences: Counter[str] = Counter()
         if self._path.exists() and not self._path.is_file():
             raise RecordingError(f"cannot write {self._path}: it exists and is not a file")
-        if _is_of_others(self._path):
+        if _is_of_others(self._path, unreadable=not mends):
             raise RecordingError(
                 f"cannot write {self._path}: it is a recording or a file by another program, name another one"
             )
@@ -207,15 +209,15 @@ class RecordingWriter:
                 file.close()
 
 
-def _is_of_others(path: Path) -> bool:
-    """Whether a file holds anything but a recording that was written here."""
+def _is_of_others(path: Path, *, unreadable: bool) -> bool:
+    """Whether a file holds anything but a recording that was written here; `unreadable` for what is none."""
     if not path.is_file() or not path.stat().st_size:
         return False
     with path.open("rb") as file:
         try:
             return make_reader(file).get_header().library != _LIBRARY
         except Exception:  # what the mcap library raises on other files and on damage
-            return True
+            return unreadable
 
 
 def _opened_alone(path: Path) -> BinaryIO:

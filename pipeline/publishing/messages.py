@@ -78,7 +78,7 @@ def write_messages(
     Raises:
         RecordingError: the file cannot be written.
     """
-    with RecordingWriter(path) as writer:
+    with RecordingWriter(path, mends=True) as writer:
         first_ns = values.first_ns
         if values.slam is not None or values.room is not None:
             _write(writer, "/transforms/map", static_transform(values), first_ns)

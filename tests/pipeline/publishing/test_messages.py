@@ -117,6 +117,16 @@ def test_equal_values_give_equal_bytes(values: RunValues, tmp_path: Path) -> Non
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
+@pytest.mark.parametrize("size", [0, 4, 8])
+def test_a_damaged_file_is_replaced(values: RunValues, size: int, tmp_path: Path) -> None:
+    """From its first byte on, or from its header on: the place is the run's own."""
+    write_messages(tmp_path / "run.mcap", values, {})
+    whole = (tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(whole[:size] + bytes(30))
+    write_messages(tmp_path / "run.mcap", values, {})
+    assert (tmp_path / "run.mcap").read_bytes() == whole
+
+
 def test_a_run_that_knows_nothing_yet_is_an_mcap_too(tmp_path: Path) -> None:
     """With an empty summary."""
     write_messages(tmp_path / "run.mcap", RunValues(slam=None, room=None, shapes={}), {})
