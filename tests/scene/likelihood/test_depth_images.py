@@ -64,7 +64,7 @@ def images(
     density = jax.tree.map(lambda *leaves: np.stack(leaves), *by_frame)
     camera = Camera(*(jnp.full(2, value, jnp.float32) for value in (60.0, 60.0, 23.5, 15.5)))
     return DepthLikelihood(
-        renderer=ObjectRenderer.of(shapes),
+        renderer=replace(ObjectRenderer.of(shapes), draws=len(shapes) // objects),
         cameras=camera,
         camera_from_world=jnp.asarray([[1.0, 0, 0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0.05, 0, 0]]),
         colours=None,
