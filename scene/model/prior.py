@@ -179,7 +179,8 @@ def supporting_face_probabilities(prior: PosePrior, supporting: jax.Array, pose:
     """
     up = upward_part(pose[..., :4])
     upward = jnp.stack([-up, up], axis=-1).reshape(supporting.shape)
-    weights = jnp.where(supporting, jnp.exp(prior.upward_concentration * (upward - 1)), 0.0)
+    highest = jnp.max(upward, axis=-1, keepdims=True, where=supporting, initial=-1.0)
+    weights = jnp.where(supporting, jnp.exp(prior.upward_concentration * (upward - highest)), 0.0)
     return weights / jnp.sum(weights, axis=-1, keepdims=True)
 
 

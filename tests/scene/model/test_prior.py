@@ -56,6 +56,21 @@ def test_objects_rest_on_what_points_up() -> None:
     np.testing.assert_allclose(supporting_face_probabilities(upward, top_only, on_its_side), top_only)
 
 
+def test_a_strong_preference_of_a_thing_on_its_corner_has_a_face() -> None:
+    """Three normals point up by 0.58: of single precision, exp(1000 (0.58 - 1)) is zero."""
+    half = 0.5 * np.arccos(np.sqrt(1 / 3))
+    turn = np.array([np.cos(half), np.sin(half) * np.sqrt(0.5), -np.sin(half) * np.sqrt(0.5), 0.0])
+    steep = cube_model(2, upward_concentration=1000.0).prior
+    prior = replace(steep, upward_concentration=jnp.float32(1000.0))
+
+    shares = supporting_face_probabilities(
+        prior, jnp.ones(6, bool), jnp.asarray([*turn, 0, 0, 0], jnp.float32)
+    )
+
+    assert np.sort(np.asarray(shares))[:3].max() < 1e-6
+    np.testing.assert_allclose(shares.sum(), 1.0, rtol=1e-5)
+
+
 def test_contact_table_is_the_contact_density(key: jax.Array) -> None:
     """The table of all parents and faces has the density of each contact in each place."""
     model = cube_model(3, table=True, upward_concentration=2.0)
