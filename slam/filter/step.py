@@ -68,6 +68,8 @@ def step(
         config: settings.
         odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used: one more start of the search.
     """
+    farthest_m = float(np.asarray(view.depth_m).max())
+    state = replace(state, calibration=state.calibration.reaching(farthest_m))
     prediction = predict(state, time_ns)
     found = find_places(state, view, prediction, config, odometry)
     if state.calibration.is_learning and state.calibration.frames == 0 and not found.lost:

@@ -58,7 +58,7 @@ class NoiseCalibration:
 
     @classmethod
     def initial(cls, noise: DepthNoise | None, exponent: float | None) -> NoiseCalibration:
-        """Before the first frame; what is given stays as it is."""
+        """Before the first frame; what is given stays as it is, but for a range that returns exceed."""
         bins = np.zeros(len(BIN_EDGES_M) - 1)
         return cls(
             noise=noise or DepthNoise(),
@@ -73,6 +73,11 @@ class NoiseCalibration:
     def is_learning(self) -> bool:
         """Whether further frames change anything."""
         return self.frames < LEARNING_FRAMES and not (self.fixed_sigma and self.fixed_exponent)
+
+    def reaching(self, depth_m: float) -> NoiseCalibration:
+        """The same for a sensor that reaches so far: a return beyond its range would have no density."""
+        reach = max(self.noise.max_range_m, depth_m)
+        return replace(self, noise=replace(self.noise, max_range_m=reach))
 
     def after(
         self,

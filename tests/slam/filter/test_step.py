@@ -152,6 +152,20 @@ def test_a_frame_that_shows_nothing_leaves_hypotheses_and_weights(key, tracked):
     np.testing.assert_array_equal(after.population.histories[1].pose, population.histories[1].pose)
 
 
+@pytest.mark.parametrize("columns", [slice(60, 76), slice(140, None)])
+def test_returns_beyond_the_range_of_the_sensor_lose_no_frame(key, tracked, columns):
+    """An open door, where the map shows a wall or nothing yet: a sensor that returns 14 m reaches so far."""
+    depth = FRAMES[3].depth_m.copy()
+    depth[20:100, columns] = 14.0
+    view = view_of_frame(replace(FRAMES[3], depth_m=depth), box_room.INTRINSICS)
+
+    after, info = step(key, tracked, view, FRAMES[3].time_ns, CONFIG)
+
+    assert not info.lost
+    assert info.log_evidence > -1e3
+    assert after.calibration.noise.max_range_m == 14.0
+
+
 def test_velocity_is_of_the_frames_that_were_found(key, tracked):
     """After frames that were lost the motion spans them all, and the next step is one of as many."""
     blank = replace(FRAMES[3], depth_m=np.zeros_like(FRAMES[3].depth_m))
