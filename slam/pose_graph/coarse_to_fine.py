@@ -61,7 +61,7 @@ def optimise_coarse_to_fine(
         on_phase(f"closing a loop over {len(poses)} keyframes")
         if fixed > 1:
             chain = agreement(images.at(start), start)
-        start = start if chain is None else closed(chain, start, loops)
+        start, loops = (start, NO_LOOPS) if chain is None else closed(chain, start, loops)
         images = images.with_known(loops.pairs)
     elif not is_far:
         return keyframes, near, loops

@@ -129,18 +129,18 @@ def _precision(found: Registration) -> NDArray[np.float64]:
     return precision / max(1.0, float(np.trace(repetition)) / 6.0)
 
 
-def closed(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> NDArray[np.float32]:
+def closed(graph: PoseGraph, poses: NDArray[np.float32], loops: Loops) -> tuple[NDArray[np.float32], Loops]:
     """Keyframes (N, 7) on the graph's ways, as they are at poses (N, 7), bent so that the loops close.
 
-    Loops that the others leave open are dropped, the widest first.
+    Loops that the others leave open are dropped, the widest first. Also those that are left.
     """
     while len(loops):
         bent = _bent(graph, poses, loops)
         widths = np.abs(_open(loops, bent)).max(axis=1)
         if (widths <= NEAR_VIEW).all():
-            return bent
+            return bent, loops
         loops = loops.only(np.arange(len(loops)) != np.argmax(widths))
-    return poses
+    return poses, loops
 
 
 def _open(loops: Loops, poses: NDArray[np.float32]) -> NDArray[np.float64]:
