@@ -33,6 +33,8 @@ OBJECT_SIZE_M = 0.3
 """Extent over which an unexplained depth is uniform: that of a hand-held object."""
 PEAK_DENSITY = 200.0
 """Of a reading where its surface is, per metre: what an unexplained reading competes with."""
+LEAST_DENSITY = 1e-9
+"""Per metre. Numerical guard: what contradicts readings that are explained for sure is impossible."""
 RAY_BUCKET = 4096
 """Ray counts are rounded up to it, for fewer kernels."""
 
@@ -57,7 +59,7 @@ class Evidence:
 def unexplained_density(config: LearnConfig) -> float:
     """Density per metre of a reading that no voxel explains: an outlier, or a surface without a voxel."""
     outlier = config.noise.outlier_probability / config.noise.max_range_m
-    return config.unresolved / OBJECT_SIZE_M + outlier
+    return max(config.unresolved / OBJECT_SIZE_M + outlier, LEAST_DENSITY)
 
 
 def evidence(

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from recordings.types import DepthNoise
 from shapes.learning.config import LearnConfig
 from shapes.learning.expectation_propagation import voxel_states
 from shapes.learning.view_readings import ViewReadings
@@ -13,7 +14,7 @@ OPACITY = np.asarray([[1.0, 0.0], [1.0, 0.0]])
 SIGMA_M = 0.0006
 
 
-def occupied_after_one_view(behind_m: list[float]) -> np.ndarray:
+def occupied_after_one_view(behind_m: list[float], config: LearnConfig | None = None) -> np.ndarray:
     """Probabilities of voxels of 5 mm in one bundle of rays, 0.5 a priori."""
     count = len(behind_m)
     grid = VoxelGrid(shape=(count, 1, 1), pitch_m=0.005, reference_from_grid=np.eye(4), on_plane=False)
@@ -38,7 +39,7 @@ def occupied_after_one_view(behind_m: list[float]) -> np.ndarray:
         eye_m=np.asarray([0.0, 0.0, -0.8]),
         footprint=4.0,
     )
-    found = evidence([view], wall_normals([view], grid), grid, OPACITY, LearnConfig())
+    found = evidence([view], wall_normals([view], grid), grid, OPACITY, config or LearnConfig())
     log_prior = jnp.asarray(np.log(0.5) + found.log_crossings)
     states = voxel_states(found.rays, log_prior, jnp.asarray(OPACITY), sweeps=60, damping=0.3)
     return np.asarray(states.probability[:, 0])
@@ -62,5 +63,16 @@ def test_a_part_of_a_ray_may_end_before_it_or_go_on_beyond() -> None:
     """A lone voxel is free before the surface, occupied just behind it, unknown far behind it."""
     before, behind, far = (occupied_after_one_view([one])[0] for one in (-0.0012, 0.0012, 0.0090))
     assert before < 0.05
+    assert behind > 0.95
+    assert abs(far - 0.5) < 0.02
+
+
+def test_where_no_reading_is_unexplained_voxels_have_probabilities() -> None:
+    """Of a sensor without outliers and surfaces that voxels stand for: before, just behind and far behind."""
+    certain = LearnConfig(unresolved=0.0, noise=DepthNoise(outlier_probability=0.0))
+
+    before, behind, far = occupied_after_one_view([-0.0062, 0.0012, 0.0090], certain)
+
+    assert before < 1e-6
     assert behind > 0.95
     assert abs(far - 0.5) < 0.02
