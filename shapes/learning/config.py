@@ -81,6 +81,11 @@ class LearnConfig:
         for name in ("partly_filled", "walled", "unresolved"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
+        if self.partly_filled + self.walled >= 1:
+            raise ValueError(
+                "partly_filled and walled are shares of the empty voxels and must leave some of them, got "
+                f"{self.partly_filled} and {self.walled}"
+            )
         if not 0 < self.damping <= 1:
             raise ValueError(f"damping must lie in (0, 1], got {self.damping}")
         for name in ("registration_sigma_m", "tracking_sigma_m", "shared_sigma_m"):

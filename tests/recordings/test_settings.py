@@ -34,6 +34,12 @@ def test_numbers_that_mean_nothing_are_refused(config, name):
             replace(config, **{name: value})
 
 
+def test_shares_of_empty_voxels_are_not_more_than_all_of_them():
+    """What they leave is the share of voxels that hold nothing."""
+    with pytest.raises(ValueError, match="partly_filled and walled"):
+        LearnConfig(partly_filled=0.7, walled=0.5)
+
+
 @pytest.mark.parametrize(
     ("make", "name"),
     [
