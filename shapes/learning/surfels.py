@@ -121,10 +121,14 @@ def distil_surfels(found: Sequence[Surfels], weights: NDArray[np.float64]) -> Su
     names = ("voxel", "offset_m", "sigma_m", "normal")
     rows = [np.concatenate([getattr(one, name) for one in found]).astype(np.float64) for name in names]
     voxel, offset, sigma, normal = rows
-    weight = np.repeat(weights, [len(one) for one in found])
+    particle = np.repeat(np.arange(len(found)), [len(one) for one in found])
+    weight = weights[particle]
     first = np.unique(voxel, return_index=True)[1]
     group = np.searchsorted(voxel[first], voxel)
-    facing = (normal * normal[first][group]).sum(axis=1)
+    across = normal.copy()  # less that of the other side, where there is one: at edges they are no opposites
+    is_pair = (voxel[1:] == voxel[:-1]) & (particle[1:] == particle[:-1])
+    across[:-1][is_pair] -= normal[1:][is_pair]
+    facing = (normal * across[first][group]).sum(axis=1)
     keys, place = np.unique(SIDES * voxel.astype(np.int64) + (facing < 0), return_inverse=True)
     share = np.bincount(place, weight, minlength=len(keys))
     part = weight / share[place]

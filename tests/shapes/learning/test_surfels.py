@@ -1,5 +1,7 @@
 """Surfels against exact Gaussians: fused by hand, of slabs of known thickness, and distilled."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -142,6 +144,24 @@ def test_no_random_moments_are_nearer_than_the_distilled_ones(seed: int) -> None
         least = kl(*about, np.array([found.offset_m[row]]), np.array([found.sigma_m[row]]))
         others = kl(*about, generator.normal(0, 2e-3, 1000), generator.uniform(1e-4, 4e-3, 1000))
         assert least[0] <= others.min() + 1e-6
+
+
+def test_both_sides_of_an_edge_stay_two() -> None:
+    """Normals of a rim are at right angles, or less; of one particle, twice, its own surfels are left."""
+    rim = Surfels(
+        voxel=np.array([3, 7, 7], np.int32),
+        offset_m=single(0.001, 0.002, -0.003),
+        sigma_m=single(3e-4, 4e-4, 5e-4),
+        normal=single((0, 1, 0), (0, 0.6, 0.8), (0, 0.8, -0.6)),
+    )
+    sharp = replace(rim, normal=single((0, 1, 0), (0, 0.8, 0.6), (0, 0.8, -0.6)))
+
+    for one in (rim, sharp):
+        found = distil_surfels([one, one], np.array([0.3, 0.7]))
+
+        np.testing.assert_array_equal(found.voxel, one.voxel)
+        np.testing.assert_allclose(found.offset_m, one.offset_m, rtol=1e-6)
+        np.testing.assert_allclose(found.normal, one.normal, atol=1e-6)
 
 
 def test_a_surfel_that_few_particles_have_is_left_out() -> None:
