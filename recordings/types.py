@@ -90,8 +90,8 @@ class DepthNoise:
     max_range_m: float = 10.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.max_range_m, float):  # traced by JAX, or axes of its transformations
-            return
+        if not any(isinstance(value, float) for value in vars(self).values()):
+            return  # traced by JAX, or axes of its transformations
         check_finite(self)
         check_within(self, 1e-6, 1.0, ("sigma_base_m",))
         check_within(self, 0.0, 10.0, ("sigma_growth_per_m",))

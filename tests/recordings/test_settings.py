@@ -34,6 +34,14 @@ def test_numbers_that_mean_nothing_are_refused(config, name):
             replace(config, **{name: value})
 
 
+@pytest.mark.parametrize("values", [{"max_range_m": 10, "sigma_base_m": -0.001}, {"max_range_m": 0}])
+def test_a_range_in_whole_metres_is_a_number_too(values):
+    """The sensor's parameters are compared with their ranges, written 10 or 10.0."""
+    assert DepthNoise(max_range_m=10) == DepthNoise(max_range_m=10.0)
+    with pytest.raises(ValueError, match="must lie within"):
+        DepthNoise(**values)
+
+
 def test_shares_of_empty_voxels_are_not_more_than_all_of_them():
     """What they leave is the share of voxels that hold nothing."""
     with pytest.raises(ValueError, match="partly_filled and walled"):
