@@ -9,7 +9,7 @@ from recordings.settings import check_finite
 from recordings.types import DepthNoise
 
 MOST_VOXELS = 2e7
-"""A cube of 1.35 m at 5 mm; learning takes some fifty bytes a voxel."""
+"""Of a box: a cube of 1.35 m at 5 mm. Of what stands in it so many as `region.LARGEST_GRID` are learned."""
 
 
 @dataclass(frozen=True, kw_only=True)
