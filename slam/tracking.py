@@ -147,7 +147,7 @@ class _Tracker:
         return KeyframeImages(
             keyframe_map=state.keyframe_map,
             details=self.details,
-            noise=self.noise,
+            noise=replace(self.noise, max_range_m=state.calibration.noise.max_range_m),
             first_new=state.refined_keyframes,
         )
 

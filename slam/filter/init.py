@@ -12,7 +12,7 @@ from slam.filter import smc
 from slam.filter.motion import FreeMotion, MotionPrior, OrbitMotion, spread_of_a_step
 from slam.filter.rival_motion import CERTAIN, RivalMotion
 from slam.filter.state import FilterState, FoundPlaces, FrameInfo, Hypothesis, Ties
-from slam.keyframes.depth_view import CanvasView, central_depth
+from slam.keyframes.depth_view import CanvasView, central_depth, farthest_depth
 from slam.keyframes.keyframe_map import KeyframeMap
 from slam.keyframes.pages import PageFile
 from slam.keyframes.surfels import surfel_image
@@ -40,6 +40,7 @@ def init(
         known = config.orbit_radius_m is not None
         motion = OrbitMotion.default() if known else OrbitMotion.of_unknown_radius(LOOSE_RADIUS * radius)
     calibration = NoiseCalibration.initial(config.noise, config.effective_pixel_share)
+    calibration = calibration.reaching(farthest_depth(view))
     here, pivot = np.asarray(IDENTITY, np.float32), np.asarray([0.0, 0.0, radius], np.float32)
     surface = surfel_image(view, calibration.noise)
     state = FilterState(

@@ -26,7 +26,7 @@ from slam.filter.places import Place, place_at
 from slam.filter.pose_hypotheses import Found, find_places, predict
 from slam.filter.rival_motion import CERTAIN, Doubt, doubt_of_frame
 from slam.filter.state import FilterState, FoundPlaces, FrameInfo, Hypothesis, Ties
-from slam.keyframes.depth_view import CanvasView
+from slam.keyframes.depth_view import CanvasView, farthest_depth
 from slam.likelihood.distortion import NODES, NodeWeights
 from slam.registration.field_sensitivity import field_sensitivity
 from slam.registration.registered import Registration
@@ -68,8 +68,7 @@ def step(
         config: settings.
         odometry: (4, 4) previous_from_camera by KISS-ICP, where it is used: one more start of the search.
     """
-    farthest_m = float(np.asarray(view.depth_m).max())
-    state = replace(state, calibration=state.calibration.reaching(farthest_m))
+    state = replace(state, calibration=state.calibration.reaching(farthest_depth(view)))
     prediction = predict(state, time_ns)
     found = find_places(state, view, prediction, config, odometry)
     if state.calibration.is_learning and state.calibration.frames == 0 and not found.lost:

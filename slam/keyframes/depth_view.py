@@ -84,6 +84,11 @@ def central_depth(view: CanvasView) -> float:
     return 1.0
 
 
+def farthest_depth(view: CanvasView) -> float:
+    """Of its returns; 0 where nothing was measured."""
+    return float(np.asarray(view.depth_m).max())
+
+
 def view_of_frame(frame: Frame, intrinsics: CameraIntrinsics, canvas: tuple[int, int] = CANVAS) -> CanvasView:
     """A frame on a canvas of (rows, columns); one of another size than `intrinsics` is taken as resized."""
     height, width = frame.depth_m.shape

@@ -1,6 +1,6 @@
 """The camera filter on rooms whose depth is known in closed form."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import jax
@@ -11,8 +11,10 @@ from pipeline.evaluation.trajectory_errors import trajectory_errors
 from recordings.types import Frame
 from slam.config import SlamConfig
 from slam.filter.state import FrameInfo
+from slam.keyframes.depth_view import view_of_frame
+from slam.keyframes.pages import PageFile
 from slam.result import SlamResult
-from slam.tracking import track
+from slam.tracking import _Tracker, track
 from tests.slam import box_room
 
 CONFIG = SlamConfig(particles=16)
@@ -38,6 +40,20 @@ def test_noise_free_frames_return_the_truth(key):
     errors = trajectory_errors(result.mean, _from_first(poses))
     assert errors.ate_first_pose_m < 0.001
     assert errors.rpe_rotation_rad < 0.001
+
+
+def test_returns_beyond_the_range_of_the_sensor_widen_it_wherever_keyframes_are_compared(key):
+    """From the first frame on, which other keyframes are held against, and where loops are looked for."""
+    (frame,) = box_room.frames(box_room.walk(1))
+    far = replace(frame, depth_m=4.0 * frame.depth_m)
+    tracker = _Tracker(key, CONFIG, PageFile(), None, lambda _: None)
+
+    tracker.follow(0, far, view_of_frame(far, box_room.INTRINSICS), None, box_room.INTRINSICS)
+
+    assert far.depth_m.max() > 10.0
+    assert tracker.state is not None
+    assert tracker.state.calibration.noise.max_range_m == far.depth_m.max()
+    assert tracker._images(tracker.state).noise.max_range_m == far.depth_m.max()
 
 
 def test_a_noisy_walk_is_followed_and_told(key):
