@@ -89,6 +89,7 @@ def view_room(
     reference_from_camera: NDArray[np.float64],
     progress: Callable[[int, int], None] | None = None,
     *,
+    lost: NDArray[np.bool_] | None = None,
     frame_id: str = "",
     frame_has_parent: bool = False,
     frame_from_camera: NDArray[np.float64] | None = None,
@@ -100,6 +101,7 @@ def view_room(
         intrinsics: of their camera.
         reference_from_camera: the poses.
         progress: told frames done and frames in all.
+        lost: (T,) frames whose poses are guesses: they may be views, but nothing of them is fused.
         frame_id: the recording's name of the camera's frame, `camera` where it has none.
         frame_has_parent: whether the recording says where that frame is.
         frame_from_camera: the camera in that frame, (4, 4); by default they are the same.
@@ -112,7 +114,8 @@ def view_room(
     stamps, depths, colours = [], [], []
     for index, frame in enumerate(frames):
         if index in wanted:
-            cloud.add(frame, intrinsics, reference_from_camera[index])
+            if lost is None or not lost[index]:
+                cloud.add(frame, intrinsics, reference_from_camera[index])
             stamps.append(frame.time_ns)
             depths.append(np.round(1000 * np.minimum(frame.depth_m[::step, ::step], 65.0)).astype(np.uint16))
             if frame.rgb is not None:
@@ -146,9 +149,9 @@ class _Cloud:
 
     def __init__(self, voxel_m: float, least: int) -> None:
         self._voxel_m, self._least = voxel_m, least
-        self._points: list[NDArray[np.float32]] = []
-        self._sights: list[NDArray[np.float32]] = []
-        self._colours: list[NDArray[np.float32]] = []
+        self._points = [np.zeros((0, 3), np.float32)]
+        self._sights = [np.zeros((0, 3), np.float32)]
+        self._colours = [np.zeros((0, 4), np.float32)]
 
     def add(
         self, frame: Frame, intrinsics: CameraIntrinsics, reference_from_camera: NDArray[np.float64]

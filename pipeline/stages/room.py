@@ -25,7 +25,7 @@ def room_stage(session: Session, trajectory: Committed[SlamResult]) -> Committed
     """The room as seen along a committed trajectory."""
 
     def compute() -> RoomView:
-        recording, poses = session.recording, trajectory.value.mean
+        recording, poses, lost = session.recording, trajectory.value.mean, trajectory.value.lost
         with session.common.progress("room", "frames") as progress:
 
             def on_frame(done: int, total: int) -> None:
@@ -33,7 +33,9 @@ def room_stage(session: Session, trajectory: Committed[SlamResult]) -> Committed
                 if done == total:
                     progress.phase("fusing the cloud")
 
-            return view_room(recording, recording.intrinsics, poses, on_frame, **_camera_frame(recording))
+            return view_room(
+                recording, recording.intrinsics, poses, on_frame, lost=lost, **_camera_frame(recording)
+            )
 
     return session.stage("room", RoomView.load, compute, {}, uses=[trajectory], sources=SOURCES)
 

@@ -4,13 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
+from unittest.mock import MagicMock
 
 import numpy as np
 
 from pipeline.room import RoomView, _numbered, view_room
 from pipeline.run_folder import Committed
 from pipeline.session import Session
-from pipeline.stages.room import view_stage
+from pipeline.stages.room import room_stage, view_stage
 from pipeline.synthesis.recording import SyntheticRecording
 from recordings.reading import open_recording
 from scene.result import SceneResult
@@ -51,6 +52,30 @@ def test_views_are_thinned_frames(filmed_mug: SyntheticRecording, true_trajector
     np.testing.assert_allclose(room.depth_mm[2] / 1000, filmed_mug.frame(2).depth_m, atol=5e-4)
     assert room.view_rgb is not None
     np.testing.assert_array_equal(room.view_rgb[2], filmed_mug.frame(2).rgb)
+
+
+def test_nothing_is_fused_where_a_lost_frame_is_guessed_to_be(
+    mug_file: Path, true_trajectory: SlamResult
+) -> None:
+    """Its image stays a view; where every frame is lost there is no cloud."""
+    elsewhere = true_trajectory.mean.copy()
+    elsewhere[3, :3, 3] += 50.0
+    lost = np.arange(6) == 3
+    session = SimpleNamespace(
+        common=MagicMock(),
+        recording=open_recording(mug_file),
+        stage=lambda name, load, compute, *_, **__: compute(),  # noqa: ARG005
+    )
+
+    def fused(result: SlamResult) -> RoomView:
+        committed = room_stage(cast(Session, session), cast(Committed[SlamResult], MagicMock(value=result)))
+        return cast(RoomView, committed)  # this session commits nothing
+
+    room = fused(replace(true_trajectory, mean=elsewhere, lost=lost))
+    assert room.frames.tolist() == list(range(6))
+    assert len(room.points_m) > 1000
+    assert np.abs(room.points_m).max() < 20
+    assert len(fused(replace(true_trajectory, lost=np.ones(6, np.bool_))).points_m) == 0
 
 
 def test_saved_and_loaded_is_the_same(
