@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.colours import TRUTH
 from pipeline.errors import PipelineError
+from pipeline.evaluation.object_poses import best_matches
 from pipeline.evaluation.scenes import region_level
 from pipeline.evaluation.trajectories import compared, levels_of_truth, reference_trajectory
 from pipeline.evaluation.truth import RecordedTruth
@@ -28,6 +29,9 @@ PATH_WIDTH, BOX_WIDTH = rr.Radius.ui_points(2.0), rr.Radius.ui_points(1.5)
 LEVELS = np.linspace(0, 1, 101)
 ERROR_PLOT = "plots/error", "Position error from the first frame, mm"
 
+Placed = tuple[str, NDArray[np.float64]]
+"""An object's shape, and where it is (4, 4)."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunTruth:
@@ -36,13 +40,13 @@ class RunTruth:
     Attributes:
         path: (n, 4, 4) true reference_from_camera of the frames that have one; the first is taken as found.
         errors_m: (T,) how far the position found of each frame is from the true one; NaN without.
-        objects: true reference_from_object (4, 4) of what was looked for, by name.
+        objects: of what was looked for shape and true reference_from_object (4, 4), by name of the object.
         levels: level of the region told at whose edge the truth lies, (m,) by what the regions are of.
     """
 
     path: NDArray[np.float64]
     errors_m: NDArray[np.float64]
-    objects: Mapping[str, NDArray[np.float64]]
+    objects: Mapping[str, Placed]
     levels: Mapping[str, NDArray[np.float64]]
 
 
@@ -54,14 +58,16 @@ def truth_of(values: RunValues, source: Path) -> RunTruth:
         PipelineError: it says nothing of this run.
     """
     path, errors_m = np.zeros((0, 4, 4)), np.zeros(0)
-    objects: dict[str, NDArray[np.float64]] = {}
+    objects: dict[str, Placed] = {}
     levels: dict[str, NDArray[np.float64]] = {}
     if values.slam is not None:
         path, errors_m, levels["camera"] = _camera_truth(values.slam, source)
     if values.scene is not None and values.surfaces is not None and recorded_scene_truth(source) is not None:
         in_camera = _objects_truth(values.parsed_time_ns, values.surfaces, RecordedTruth(source))
-        objects = {name: values.reference_from_parsed @ pose for name, pose in in_camera.items()}
-        found = _object_levels(values.scene, values.surfaces, in_camera)
+        objects = {
+            name: (shape, values.reference_from_parsed @ pose) for name, (shape, pose) in in_camera.items()
+        }
+        found = _object_levels(values.scene, values.surfaces, list(in_camera.values()))
         if len(found):
             levels["objects"] = found
     if not levels:
@@ -80,29 +86,40 @@ def _camera_truth(
     return path, errors_m, levels_of_truth(slam, reference)
 
 
-def _objects_truth(
-    time_ns: int | None, surfaces: Surfaces, known: RecordedTruth
-) -> dict[str, NDArray[np.float64]]:
-    """True camera_from_object (4, 4) by name at a frame's stamp, of the objects that were looked for."""
+def _objects_truth(time_ns: int | None, surfaces: Surfaces, known: RecordedTruth) -> dict[str, Placed]:
+    """Shape and true camera_from_object (4, 4) at a frame's stamp of each object that was looked for."""
     camera_from_world = known.camera_from_world(time_ns)
     return {
-        one.shape: camera_from_world @ one.world_from_object
+        one.name: (one.shape, camera_from_world @ one.world_from_object)
         for one in known.scene.objects
         if one.shape in surfaces.by_name
     }
 
 
-def _object_levels(
-    scene: SceneResult, surfaces: Surfaces, camera_from_object: Mapping[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """Levels (m,) of the normal regions of the objects' middles that the true middles are on the edge of."""
+def _object_levels(scene: SceneResult, surfaces: Surfaces, true: Sequence[Placed]) -> NDArray[np.float64]:
+    """Levels (m,) of the normal regions of the objects' middles that the true middles are on the edge of.
+
+    Args:
+        scene: as parsed.
+        surfaces: of what was looked for.
+        true: shapes and camera_from_object of the true objects; those of one shape are matched with what
+            was found of it so that their middles are nearest.
+    """
     levels = []
-    for one in np.flatnonzero(scene.found).tolist():
-        name = str(scene.names[one])
-        if name not in camera_from_object:
-            continue
-        middle = _box(surfaces.by_name[name]).mean(axis=0)
-        levels.append(region_level(scene, one, middle, camera_from_object[name]))
+    for shape in dict.fromkeys(shape for shape, _ in true):
+        middle = _box(surfaces.by_name[shape]).mean(axis=0)
+        places = [pose for of, pose in true if of == shape]
+        found = [
+            one
+            for one in np.flatnonzero(scene.found).tolist()
+            if surfaces.shape_names[str(scene.names[one])] == shape
+        ]
+        really_m, told_m = (
+            poses[:, :3, :3] @ middle + poses[:, :3, 3]
+            for poses in (np.array(places), scene.camera_from_object[found])
+        )
+        for row, column in best_matches(np.linalg.norm(really_m[:, None] - told_m, axis=-1)):
+            levels.append(region_level(scene, found[column], middle, places[row]))
     return np.array(levels)
 
 
@@ -123,9 +140,9 @@ def log_truth(recording: rr.RecordingStream, values: RunValues, truth: RunTruth)
         recording.log(entity, rr.SeriesLines(names=name, colors=TRUTH, widths=1.5), static=True)
         columns = rr.Scalars.columns(scalars=1000 * truth.errors_m)
         recording.send_columns(entity, indexes=time_columns(values.slam.times_ns), columns=columns)
-    for name, pose in truth.objects.items():
+    for name, (shape, pose) in truth.objects.items():
         assert values.surfaces is not None  # there are objects
-        box = _box(values.surfaces.by_name[name])
+        box = _box(values.surfaces.by_name[shape])
         outline = rr.Boxes3D(
             centers=[box.mean(axis=0)],
             half_sizes=[np.ptp(box, axis=0) / 2],

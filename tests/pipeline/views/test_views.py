@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,19 +17,22 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
+from pipeline.evaluation.truth import RecordedTruth
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.publishing.values import RunValues
-from pipeline.surfaces import SceneSurface
+from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.views.blueprint import room_eye
 from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
 from pipeline.views.scene_view import _boxes, _mesh, _node_places, _places_on_edges, graph_bounds
 from pipeline.views.screenshot import SOFTWARE_DRIVER, frames_in, take_screenshot
-from pipeline.views.truth_view import _object_levels, truth_of
+from pipeline.views.truth_view import _object_levels, _objects_truth, truth_of
 from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of
+from recordings.dataset_numbers import DatasetNumbers
+from recordings.truth import SceneTruth, TrueObject
 from slam.result import SlamResult
 from tests.scene.results import scene_result
 
@@ -349,7 +354,40 @@ def test_objects_where_they_were_told_lie_in_every_region(parsed_run: RunValues)
     assert surfaces is not None
     away = np.eye(4)
     away[0, 3] = 0.5
-    where = dict(scene.found_poses)
+    where = scene.found_poses
 
     assert _object_levels(scene, surfaces, where).max() < 1e-6
-    assert _object_levels(scene, surfaces, {name: away @ pose for name, pose in where.items()}).min() > 0.99
+    assert _object_levels(scene, surfaces, [(name, away @ pose) for name, pose in where]).min() > 0.99
+
+
+def test_objects_of_one_shape_are_each_beside_the_truth_that_is_nearest(parsed_run: RunValues) -> None:
+    """Two mugs, the truth in another order than they were found; a third that was not found counts not."""
+    assert parsed_run.scene is not None
+    assert parsed_run.surfaces is not None
+    names = ["mug", "mug_2", "can"]
+    mug = parsed_run.surfaces.by_name["mug"]
+    surfaces = Surfaces(
+        dict.fromkeys(names, mug), DatasetNumbers(object_ids=dict(zip(names, (1, 1, 2), strict=True)))
+    )
+    scene = replace(parsed_run.scene, names=np.array(names))
+    far = np.eye(4)
+    far[0, 3] = 0.5
+    (_, first), (_, second) = scene.found_poses
+    known = cast(
+        RecordedTruth,
+        SimpleNamespace(
+            scene=SceneTruth(
+                objects=tuple(
+                    TrueObject(name=f"mug {number}", shape="mug", world_from_object=pose)
+                    for number, pose in enumerate((far, second, first))
+                )
+            ),
+            camera_from_world=lambda _: np.eye(4),
+        ),
+    )
+    true = _objects_truth(0, surfaces, known)
+
+    assert list(true) == ["mug 0", "mug 1", "mug 2"]
+    levels = _object_levels(scene, surfaces, list(true.values()))
+    assert len(levels) == 2
+    assert levels.max() < 1e-6
