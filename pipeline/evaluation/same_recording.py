@@ -7,8 +7,10 @@ keeps (`room.npz`) are held against the frames of the same stamps in the recordi
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +55,15 @@ def check_truth(run: RunFolder, truth: Path) -> None:
         share = _equal_share(run, source)
         if share is not None and share < SAME:
             log.warning("%s lies beside %s, not the recording of %s: is it right?", truth, source, run.path)
+
+
+def truth_options(run: RunFolder, *stages: str) -> ReadOptions:
+    """How the first of these stages that a run holds read its recording: as its true poses are read, too.
+
+    They are of all frames, and no depth is looked at.
+    """
+    record = next(filter(None, map(run.record, stages)), None)
+    return replace(_of_all_frames({} if record is None else record.settings), sensor=None)
 
 
 def check_recording(run: RunFolder, recording: Path) -> None:
@@ -101,14 +112,18 @@ def _equal_share(run: RunFolder, source: Path) -> float | None:
     if record is None:
         return None
     room = RoomView.load(run.value_path("room"))
-    options = build(ReadOptions, record.settings.get("recording", {}), "recording")
-    every = replace(options, start_s=0.0, end_s=math.inf, every=1, mask=None)
     equal = [
         share
-        for view, frame in _frames_of_views(room, source, every)
+        for view, frame in _frames_of_views(room, source, _of_all_frames(record.settings))
         if (share := _alike(room, view, frame)) is not None
     ]
     return float(np.mean(equal)) if equal else None
+
+
+def _of_all_frames(settings: Mapping[str, Any]) -> ReadOptions:
+    """The options of reading among a stage's settings, without those that leave something out."""
+    options = build(ReadOptions, settings.get("recording", {}), "recording")
+    return replace(options, start_s=0.0, end_s=math.inf, every=1, mask=None)
 
 
 def _frames_of_views(room: RoomView, source: Path, options: ReadOptions) -> list[tuple[int, Frame]]:

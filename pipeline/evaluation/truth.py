@@ -12,10 +12,12 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectories import compared
 from pipeline.publishing.trajectory_files import seconds_text
+from recordings.options import ReadOptions
 from recordings.poses.recorded import recorded_trajectory
 from recordings.truth import SceneTruth, TrueObject, recorded_scene_truth
 from recordings.types import Trajectory
 
+_DEFAULT_OPTIONS = ReadOptions()
 MEDIAN_ROUNDS = 30
 SAME_ROTATION_RAD = 1e-4
 
@@ -28,14 +30,18 @@ class RecordedTruth:
         trajectory: the camera at the stamps of its frames.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> None:
         """Read the truth of a recording.
+
+        Args:
+            path: of the recording.
+            options: how it is read.
 
         Raises:
             RecordingError: the recording cannot be read.
             PipelineError: it holds no truth.
         """
-        scene, trajectory = recorded_scene_truth(path), recorded_trajectory(path)
+        scene, trajectory = recorded_scene_truth(path), recorded_trajectory(path, options)
         if scene is None or trajectory is None:
             what = "objects" if scene is None else "camera poses"
             raise PipelineError(f"{path} holds no true {what}; voxscene synth and import write them")

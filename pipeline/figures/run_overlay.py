@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from pipeline.errors import PipelineError
-from pipeline.evaluation.same_recording import check_truth
+from pipeline.evaluation.same_recording import check_truth, truth_options
 from pipeline.evaluation.truth import RecordedTruth, true_mesh
 from pipeline.export.files import write_contents
 from pipeline.export.run_room import open_parsed
@@ -16,6 +16,7 @@ from pipeline.figures.canvas import figure_bytes, panels
 from pipeline.figures.overlays import Outline, draw_overlay
 from pipeline.publishing.values import RunValues
 from pipeline.run_folder import RunFolder
+from recordings.options import ReadOptions
 from recordings.reading import McapRecording
 from recordings.types import Frame
 
@@ -47,7 +48,7 @@ def export_overlay(
         raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
     film = open_parsed(run, recording)
     frame = _frame(film, int(scene.frames[0]))
-    outlines = _true_outlines(truth, frame) if truth else []
+    outlines = _true_outlines(truth, truth_options(folder, "parse"), frame) if truth else []
     if truth:
         check_truth(folder, truth)
     captions = []
@@ -78,8 +79,8 @@ def _frame(film: McapRecording, number: int) -> Frame:
     )
 
 
-def _true_outlines(truth: Path, frame: Frame) -> list[Outline]:
-    known = RecordedTruth(truth)
+def _true_outlines(truth: Path, options: ReadOptions, frame: Frame) -> list[Outline]:
+    known = RecordedTruth(truth, options)
     camera_from_world = known.camera_from_world(frame.time_ns)
     return [
         Outline(

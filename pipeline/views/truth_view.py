@@ -26,6 +26,7 @@ from scene.result import SceneResult
 from slam.result import SlamResult
 
 PATH_WIDTH, BOX_WIDTH = rr.Radius.ui_points(2.0), rr.Radius.ui_points(1.5)
+_DEFAULT_OPTIONS = ReadOptions()
 LEVELS = np.linspace(0, 1, 101)
 ERROR_PLOT = "plots/error", "Position error from the first frame, mm"
 
@@ -50,8 +51,13 @@ class RunTruth:
     levels: Mapping[str, NDArray[np.float64]]
 
 
-def truth_of(values: RunValues, source: Path) -> RunTruth:
+def truth_of(values: RunValues, source: Path, options: ReadOptions = _DEFAULT_OPTIONS) -> RunTruth:
     """The truth that a recording or a TUM file holds of a run.
+
+    Args:
+        values: of the run.
+        source: of the truth.
+        options: how a recording is read.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -61,9 +67,9 @@ def truth_of(values: RunValues, source: Path) -> RunTruth:
     objects: dict[str, Placed] = {}
     levels: dict[str, NDArray[np.float64]] = {}
     if values.slam is not None:
-        path, errors_m, levels["camera"] = _camera_truth(values.slam, source)
+        path, errors_m, levels["camera"] = _camera_truth(values.slam, source, options)
     if values.scene is not None and values.surfaces is not None and recorded_scene_truth(source) is not None:
-        in_camera = _objects_truth(values.parsed_time_ns, values.surfaces, RecordedTruth(source))
+        in_camera = _objects_truth(values.parsed_time_ns, values.surfaces, RecordedTruth(source, options))
         objects = {
             name: (shape, values.reference_from_parsed @ pose) for name, (shape, pose) in in_camera.items()
         }
@@ -76,9 +82,9 @@ def truth_of(values: RunValues, source: Path) -> RunTruth:
 
 
 def _camera_truth(
-    slam: SlamResult, source: Path
+    slam: SlamResult, source: Path, options: ReadOptions
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    reference = reference_trajectory(source, ReadOptions())
+    reference = reference_trajectory(source, options)
     frames, poses = compared(slam.times_ns, reference)
     path = slam.mean[frames[0]] @ np.linalg.inv(poses[0]) @ poses
     errors_m = np.full(len(slam), np.nan)

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from pipeline.errors import PipelineError
-from pipeline.evaluation.same_recording import check_truth
+from pipeline.evaluation.same_recording import check_truth, truth_options
 from pipeline.fingerprints import file_hash
 from pipeline.logs import log
 from pipeline.publishing.publish import tells_committed_values
@@ -52,7 +52,7 @@ def rrd_with_truth(path: Path, truth: Path) -> Path:
     if not run.records():
         raise PipelineError(f"{path} holds no run of one recording; --truth shows one beside its truth")
     rrd, values = path / "run.truth.rrd", RunValues.load(run).drawable
-    known = truth_of(values, truth)
+    known = truth_of(values, truth, truth_options(run, "slam", "parse"))
     check_truth(run, truth)
     write_rrd(rrd, f"{path.resolve().name}, truth", values, f"{run.identity}-truth", known)
     return rrd

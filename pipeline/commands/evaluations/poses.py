@@ -31,7 +31,7 @@ def command(common: Common, run: Path, truth: Path) -> None:
     true pose to its surface at the pose found. Objects of the truth that RUN did not look for are named and
     left out; so are false finds.
     """
-    from pipeline.evaluation.same_recording import check_truth
+    from pipeline.evaluation.same_recording import check_truth, truth_options
     from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
     from pipeline.evaluation.truth import RecordedTruth
     from pipeline.publishing.values import RunValues
@@ -42,7 +42,7 @@ def command(common: Common, run: Path, truth: Path) -> None:
     scene = values.scene
     if scene is None or values.surfaces is None:
         raise PipelineError(f"{run} holds no finished parse; make it with: voxscene parse REC -o {run}")
-    known = RecordedTruth(truth)
+    known = RecordedTruth(truth, truth_options(folder, "parse"))
     objects = [one for one in known.scene.objects if one.shape in values.surfaces.by_name]
     left_out = [one.name for one in known.scene.objects if one.shape not in values.surfaces.by_name]
     if not objects:

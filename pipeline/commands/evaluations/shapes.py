@@ -64,7 +64,7 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
     if truth is not None:
         lines.append(f"{'shape':<20} {'solid':>7} {'shell':>7} {'observed':>9}")
         for name, shape in values.shapes.items():
-            document[name] |= _agreement(name, shape, _path(folder, name, values.slam, truth), truth)
+            document[name] |= _agreement(folder, name, shape, _path(folder, name, values.slam, truth), truth)
             figures = (document[name][key] for key in ("solid", "shell", "observed"))
             lines.append(f"{name:<20} {'{:>7.3f} {:>7.3f} {:>9.3f}'.format(*figures)}")
         lines += COLUMNS
@@ -100,11 +100,14 @@ def _read_options(settings: Mapping[str, Any]) -> ReadOptions:
     return build(ReadOptions, settings.get("recording", {}), "recording")
 
 
-def _agreement(name: str, shape: ShapePrior, path: Trajectory, truth: Path) -> dict[str, float]:
+def _agreement(
+    folder: RunFolder, name: str, shape: ShapePrior, path: Trajectory, truth: Path
+) -> dict[str, float]:
+    from pipeline.evaluation.same_recording import truth_options
     from pipeline.evaluation.shapes import shape_agreement
     from pipeline.evaluation.truth import RecordedTruth, true_mesh
 
-    known = RecordedTruth(truth)
+    known = RecordedTruth(truth, truth_options(folder, f"learn/{name}"))
     one = known.object_of_shape(name)
     return vars(shape_agreement(shape, true_mesh(one), known.reference_from_object(one, path)))
 

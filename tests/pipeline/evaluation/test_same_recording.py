@@ -7,11 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from pipeline.cli import voxscene
 from pipeline.config import Settings
+from pipeline.evaluation.same_recording import truth_options
+from pipeline.evaluation.truth import RecordedTruth
 from pipeline.options import Common, RecordingSource
+from pipeline.run_folder import RunFolder
 from pipeline.session import open_session
 from pipeline.stages.room import room_stage
 from pipeline.synthesis.filming import film_object
@@ -21,8 +26,11 @@ from pipeline.synthesis.recording import SyntheticRecording
 from pipeline.synthesis.rooms import RoomConfig
 from pipeline.synthesis.scenarios import CameraConfig, ObjectScene
 from pipeline.synthesis.writing import write_recording
+from pipeline.views.viewer import rrd_with_truth
+from recordings.options import ReadOptions
+from recordings.reading import open_recording
 from recordings.types import Frame
-from recordings.writer import RecordingWriter
+from recordings.writer import CAMERA_TOPIC, RecordingWriter
 from slam.result import SlamResult
 
 
@@ -71,6 +79,46 @@ def test_the_truth_of_another_recording_is_an_error(run: Path, other_file: Path)
         assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
         assert f"{other_file} is not the recording of {run}, which was made from mug.mcap" in result.stderr
     assert not (run / "run.truth.rrd").exists()
+
+
+def test_a_truth_is_read_as_the_run_read_its_recording(
+    run: Path, mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """Of a recording that does not tell its camera, by the one that the user told; of all its frames."""
+    untold = tmp_path / "untold.mcap"
+    with mug_file.open("rb") as reading, untold.open("wb") as writing:
+        writer = Writer(writing)
+        writer.start()
+        for schema, channel, message in make_reader(reading).iter_messages():
+            if schema is None or channel.topic == CAMERA_TOPIC:
+                continue
+            known = writer.register_schema(schema.name, schema.encoding, schema.data)
+            topic = writer.register_channel(channel.topic, channel.message_encoding, known)
+            writer.add_message(topic, message.log_time, message.data, message.publish_time)
+        writer.finish()
+    camera = open_recording(mug_file).intrinsics
+    said = {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy), "every": 2}
+    common = Common(as_json=False, quiet=True, settings=Settings({}))
+    frames = (
+        "times_ns",
+        "mean",
+        "covariance",
+        "hypotheses",
+        "log_evidence",
+        "resampled",
+        "lost",
+        "explained",
+    )
+    every_other = {name: getattr(true_trajectory, name)[::2] for name in frames}
+    half = replace(true_trajectory, draws=true_trajectory.draws[:, ::2], **every_other)
+    with open_session(common, RecordingSource(path=untold, said=said), tmp_path / "half") as session:
+        session.stage("slam", SlamResult.load, lambda: half, {})
+
+    for truth in (untold, mug_file):
+        path = rrd_with_truth(tmp_path / "half", truth)
+        assert path.is_file()
+    assert len(RecordedTruth(untold, truth_options(RunFolder(tmp_path / "half"), "slam")).trajectory) == 6
+    assert truth_options(RunFolder(run), "parse") == ReadOptions()
 
 
 def test_another_recording_is_not_exported(run: Path, other_file: Path, tmp_path: Path) -> None:
