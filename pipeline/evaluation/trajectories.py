@@ -142,6 +142,8 @@ def compared(
     Raises:
         PipelineError: they are fewer than two.
     """
+    if len(times_ns) < 2:
+        raise PipelineError("the path is of one frame: there is no motion to compare")
     frames, nearest = matched(times_ns, reference)
     if len(frames) < 2:
         raise PipelineError("fewer than two frames have a reference pose within 20 ms; do the stamps agree?")

@@ -66,7 +66,7 @@ def truth_of(values: RunValues, source: Path, options: ReadOptions = _DEFAULT_OP
     path, errors_m = np.zeros((0, 4, 4)), np.zeros(0)
     objects: dict[str, Placed] = {}
     levels: dict[str, NDArray[np.float64]] = {}
-    if values.slam is not None:
+    if values.slam is not None and len(values.slam) > 1:
         path, errors_m, levels["camera"] = _camera_truth(values.slam, source, options)
     if values.scene is not None and values.surfaces is not None and recorded_scene_truth(source) is not None:
         in_camera = _objects_truth(values.parsed_time_ns, values.surfaces, RecordedTruth(source, options))
@@ -139,7 +139,7 @@ def calibration_picture(truth: RunTruth) -> bytes:
 
 def log_truth(recording: rr.RecordingStream, values: RunValues, truth: RunTruth) -> None:
     """The true path and the boxes of true objects in the room, the error over time, and the calibration."""
-    if values.slam is not None:
+    if values.slam is not None and len(truth.path):
         strip = rr.LineStrips3D([truth.path[:, :3, 3]], colors=TRUTH, radii=PATH_WIDTH)
         recording.log("world/truth/path", strip, static=True)
         entity, name = ERROR_PLOT

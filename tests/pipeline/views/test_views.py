@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
+from pipeline.evaluation.trajectories import compared
 from pipeline.evaluation.truth import RecordedTruth
 from pipeline.publishing.messages import write_messages
 from pipeline.publishing.summary import summary_of
@@ -24,6 +25,7 @@ from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.synthesis.recording import SyntheticRecording
+from pipeline.views import truth_view
 from pipeline.views.blueprint import room_eye
 from pipeline.views.report import report_markdown
 from pipeline.views.rrd import write_rrd
@@ -33,7 +35,9 @@ from pipeline.views.truth_view import _object_levels, _objects_truth, truth_of
 from pipeline.views.viewer import open_viewer, rrd_of_mcap, rrds_of
 from recordings.dataset_numbers import DatasetNumbers
 from recordings.truth import SceneTruth, TrueObject
+from recordings.types import Trajectory
 from slam.result import SlamResult
+from tests.pipeline.publishing.test_any_value import first_frames
 from tests.scene.results import scene_result
 
 rr.set_strict_mode(True)
@@ -358,6 +362,27 @@ def test_objects_where_they_were_told_lie_in_every_region(parsed_run: RunValues)
 
     assert _object_levels(scene, surfaces, where).max() < 1e-6
     assert _object_levels(scene, surfaces, [(name, away @ pose) for name, pose in where]).min() > 0.99
+
+
+def test_objects_of_a_single_frame_have_a_truth(
+    parsed_run: RunValues, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Where slam ran on it alone, as in a project, there is no error of the camera to show."""
+    assert parsed_run.slam is not None
+    assert parsed_run.scene is not None
+    slam = first_frames(parsed_run.slam, 1)
+    single = replace(parsed_run, slam=slam, scene=replace(parsed_run.scene, frames=np.array([0])))
+    true = TrueObject(name="cup", shape="mug", world_from_object=parsed_run.scene.camera_from_object[0])
+    known = SimpleNamespace(scene=SceneTruth(objects=(true,)), camera_from_world=lambda _: np.eye(4))
+    monkeypatch.setattr(truth_view, "recorded_scene_truth", lambda _: known.scene)
+    monkeypatch.setattr(truth_view, "RecordedTruth", lambda *_: known)
+    truth = truth_of(single, tmp_path / "true.mcap")
+
+    assert list(truth.levels) == ["objects"]
+    write_rrd(tmp_path / "run.rrd", "run", single, truth=truth)
+    assert "/world/truth/objects/cup" in rows_of(tmp_path / "run.rrd")
+    with pytest.raises(PipelineError, match="the path is of one frame"):
+        compared(slam.times_ns, Trajectory(times_ns=slam.times_ns, reference_from_camera=slam.mean))
 
 
 def test_objects_of_one_shape_are_each_beside_the_truth_that_is_nearest(parsed_run: RunValues) -> None:
