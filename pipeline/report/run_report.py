@@ -102,7 +102,7 @@ def reported(path: Path, name: str) -> ReportedRun:
     if not stages:
         what = next(iter(folder.changed), "make one with voxscene slam, learn or parse")
         raise PipelineError(f"{path} holds no finished stage; {what}")
-    values = RunValues.load(folder)
+    values = RunValues.load(folder).drawable
     summary = summary_of(values)
     lost = [Damage(**record.notes["damage"]) for record in stages.values() if "damage" in record.notes]
     worst = max(lost, key=lambda one: (one.lost_chunks, one.lost_messages), default=Damage())
@@ -157,11 +157,10 @@ def _figures(run: ReportedRun) -> dict[str, str]:
     found: dict[str, str] = {}
     slam = run.values.slam
     if slam is not None:
-        length_m = np.linalg.norm(np.diff(slam.mean[:, :3, 3], axis=0), axis=1).sum()
         seconds = (slam.times_ns[-1] - slam.times_ns[0]) / 1e9
         found["frames"] = f"{len(slam)} in {seconds:.1f} s"
         found["lost frames"] = str(int(slam.lost.sum()))
-        found["path length"] = f"{length_m:.2f} m"
+        found["path length"] = f"{run.summary['slam']['length_m']:.2f} m"
         found["position"] = camera_text(run.summary["slam"]).removeprefix("position ")
         found["largest effective number of hypotheses"] = f"{slam.hypotheses.max():.2g}"
     for name, shape in run.values.shapes.items():

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from PIL import Image
 
 from pipeline.cli import voxscene
+from pipeline.publishing.publish import publish
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.report import charts
@@ -22,6 +23,7 @@ from pipeline.report.warnings import warnings_of
 from pipeline.room import view_room
 from pipeline.run_access import open_run_folder
 from recordings.types import Damage
+from slam.result import SlamResult
 
 
 class Reader(HTMLParser):
@@ -96,6 +98,32 @@ def test_the_report_stands_side_by_side_and_alone(run: Path, tmp_path: Path) -> 
     assert "http" not in out.read_text().replace("http-equiv", "")
     for text in ("frames", "path length", "objects found", "2 of 3", "mug", "Objects", "Camera"):
         assert any(text in found for found in reader.texts), text
+
+
+def test_the_report_tells_what_summary_json_tells(
+    parsed_run: RunValues, true_trajectory: SlamResult, tmp_path: Path
+) -> None:
+    """The path's length without the guesses of lost frames; objects without a finite spread are left out."""
+    mean, scene = true_trajectory.mean.copy(), parsed_run.scene
+    mean[3, :3, 3] += 50.0
+    assert scene is not None
+    covariance = scene.covariance.copy()
+    covariance[0] = np.nan
+    values = {
+        "slam": replace(true_trajectory, mean=mean, lost=np.arange(len(mean)) == 3),
+        "objects": parsed_run.surfaces,
+        "parse": replace(scene, covariance=covariance),
+    }
+    with open_run_folder(tmp_path / "run", {"rec": "hash"}) as folder:
+        for name, value in values.items():
+            folder.stage(name, type(value).load, lambda value=value: value, settings={}, inputs={})
+        publish(folder)
+    told = json.loads((tmp_path / "run" / "summary.json").read_text())
+    texts = read(report([tmp_path / "run"]).html()).texts
+
+    assert told["slam"]["length_m"] < 1
+    assert f"{told['slam']['length_m']:.2f} m" in texts
+    assert f"{len(told['parse']['objects'])} of 3" in texts
 
 
 def test_runs_of_one_name_are_told_apart_and_none_is_lost(run: Path, tmp_path: Path) -> None:
