@@ -30,6 +30,7 @@ from pipeline.task_engine import Outcome, Task, WorkerLost, run_tasks
 from pipeline.timing import wall_clock
 from recordings.errors import RecordingError
 from recordings.types import Damage
+from scene.copies import asked_copies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +144,8 @@ def _task(
 ) -> Task[Row]:
     """The work on one recording, told of the shapes that could not be learned before."""
     failed = {one.shape for one in project.recordings if one.stem in rows and rows[one.stem].failure}
-    missing = sorted(failed & set(recording.objects or failed)) if recording.stage == "parse" else []
+    asked = {asked_copies(one)[0] for one in recording.objects or failed}
+    missing = sorted(failed & asked) if recording.stage == "parse" else []
     if recording.shapes is not None:
         missing = []
     warnings = tuple(f"looked for all but {name}, which could not be learned" for name in missing)

@@ -161,7 +161,8 @@ def test_a_recording_that_looks_for_a_shape_that_failed_is_not_begun(folder: Pat
     def task(recording: ProjectRecording):
         return project_run._task(project, recording, folder / "run", COMMON, force=False, rows=failed)
 
-    named = ProjectRecording(path=table.path, stage="parse", objects=("bug",))
-    refused = task(named).call(*task(named).arguments)
-    assert refused.failure == "the shape bug could not be learned"
+    for asked in ("bug", "bug:2"):
+        named = ProjectRecording(path=table.path, stage="parse", objects=(asked,))
+        refused = task(named).call(*task(named).arguments)
+        assert refused.failure == "the shape bug could not be learned"
     assert task(table).arguments[-1] == ("looked for all but bug, which could not be learned",)
