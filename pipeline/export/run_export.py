@@ -31,8 +31,6 @@ MISSING = {
     "objects": "holds no objects; make them with voxscene learn or parse",
 }
 """What is said of a run that lacks what a format holds."""
-CAMERA_UP = np.array([0.0, -1.0, 0.0])
-"""Where nothing tells which way is up, it is up in the first image."""
 
 
 def export_run(
@@ -77,7 +75,7 @@ def export_run(
             contents[f"{name}.ply"] = mesh_bytes(moved(mesh, pose), "ply")
     if "glb" in formats:
         parts = dict(posed) if geometry is None else {ROOM: (geometry, np.eye(4)), **posed}
-        contents["scene.glb"] = glb_bytes(parts, _up(values))
+        contents["scene.glb"] = glb_bytes(parts, values.up)
     one_by_one = [form for form in formats if form not in SCENE_FORMATS]
     models = _models(run, values, options, closed=not SIMULATORS.isdisjoint(one_by_one)) if one_by_one else []
     files = [{"format": Path(name).suffix[1:], "units": "m", "file": name} for name in contents]
@@ -166,10 +164,3 @@ def _posed_objects(
             )
             posed[str(name)] = (mesh, values.reference_from_parsed @ pose)
     return posed
-
-
-def _up(values: RunValues) -> NDArray[np.float64]:
-    """Which way is up (3,) in the reference frame: away from the plane that a learned shape stood on."""
-    for shape in values.shapes.values():
-        return np.asarray(shape.reference_from_grid[:3, 2], np.float64)
-    return CAMERA_UP

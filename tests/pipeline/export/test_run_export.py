@@ -3,7 +3,9 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner, Result
 
 from pipeline.cli import voxscene
@@ -64,6 +66,19 @@ def test_a_run_and_its_shape_may_have_one_name(values: RunValues, tmp_path: Path
     manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
     assert [file["file"] for file in manifest["runs"]["mug"]["files"]] == ["room.ply", "mug.ply"]
     assert [file["file"] for file in manifest["shapes"]["mug"]["files"]] == ["mug.obj"]
+
+
+def test_a_scene_stands_upright_beside_a_shape_that_stood_on_nothing(
+    values: RunValues, tmp_path: Path
+) -> None:
+    """Its grid lies along the camera's axes: its z says nothing of the room."""
+    told = export(write_run(tmp_path / "run", values.room, "mug"), "glb", tmp_path / "out")
+    assert told.exit_code == 0, told.output
+
+    scene = trimesh.load_scene(tmp_path / "out" / "scene.glb")
+    for name in ("room", "mug"):
+        turned = scene.graph.get(name)[0][:3, :3] @ [0.0, -1.0, 0.0]  # up in the only camera's image
+        np.testing.assert_allclose(turned, [0.0, 1.0, 0.0], atol=1e-6)
 
 
 def test_an_object_named_room_does_not_take_the_rooms_place(values: RunValues, tmp_path: Path) -> None:
