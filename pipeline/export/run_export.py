@@ -67,6 +67,9 @@ def export_run(
             f"{run} has an object named {ROOM}, as the room itself is: export that object alone, with"
             f" voxscene export {run}/shapes/{ROOM}.npz, and the run without {' and '.join(SCENE_FORMATS)}"
         )
+    one_by_one = [form for form in formats if form not in SCENE_FORMATS]
+    if not set(one_by_one) <= {"npz"}:
+        _check_names(run, values)
     contents: dict[str, bytes] = {}
     if "ply" in formats:
         if geometry is not None:
@@ -76,7 +79,6 @@ def export_run(
     if "glb" in formats:
         parts = dict(posed) if geometry is None else {ROOM: (geometry, np.eye(4)), **posed}
         contents["scene.glb"] = glb_bytes(parts, values.up)
-    one_by_one = [form for form in formats if form not in SCENE_FORMATS]
     models = _models(run, values, options, closed=not SIMULATORS.isdisjoint(one_by_one)) if one_by_one else []
     files = [{"format": Path(name).suffix[1:], "units": "m", "file": name} for name in contents]
     entry = {run.resolve().name: {"frame": FRAME, "files": files}}
@@ -123,6 +125,22 @@ def _models(run: Path, values: RunValues, options: ExportOptions, *, closed: boo
     ]
     names = {model.name for model in learned}
     return learned + [model for model in looked_for_models(values, closed=closed) if model.name not in names]
+
+
+def _check_names(run: Path, values: RunValues) -> None:
+    """Refuse a learned shape and another one of its name that parse looked for, of whose frame poses are.
+
+    Raises:
+        PipelineError: there are two such shapes.
+    """
+    for name, shape in values.shapes.items():
+        looked_for = values.surfaces.by_name.get(name) if values.surfaces else None
+        if looked_for and not np.array_equal(shape.surface().vertices_m, looked_for.vertices_m):
+            raise PipelineError(
+                f"{run} has two shapes named {name}, one that was learned in it and another that parse looked"
+                f" for: export the first with voxscene export {run}/shapes/{name}.npz, and parse into "
+                "another folder for the second"
+            )
 
 
 def _own_ids(values: RunValues) -> dict[str, int]:

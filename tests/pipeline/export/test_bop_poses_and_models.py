@@ -23,6 +23,8 @@ from pipeline.run_access import open_run_folder
 from pipeline.run_folder import RunFolder
 from pipeline.surfaces import SceneSurface, Surfaces
 from recordings.dataset_numbers import DatasetNumbers
+from shapes.prior import ShapePrior
+from tests.pipeline.export.test_model_export import block
 
 TRUE_POSE = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3], [0.1, 0.2, 0.3])
 FOUND_POSE = trimesh.transformations.rotation_matrix(0.72, [1, 2, 3.1], [0.101, 0.2, 0.297])
@@ -165,6 +167,28 @@ def test_poses_have_the_ids_that_the_folder_holds(two_mugs: Path, tmp_path: Path
     assert json.loads((tmp_path / "out/bop/ids.json").read_text()) == {"can": 1, **held}
     assert sorted(read_models(tmp_path / "out/bop/models")) == [1, 5]
     assert [number for number, _ in read_rows(tmp_path / "out/bop/poses.csv")] == [5, 5]
+
+
+def test_a_learned_shape_is_not_taken_for_another_of_its_name(two_mugs: Path, tmp_path: Path) -> None:
+    """That parse looked for, whose frame the poses are of. Where both are the same there is one model."""
+    values, shape = RunValues.load(RunFolder(two_mugs)), block()
+    learned = shape.surface()
+    assert values.surfaces is not None
+    same = SceneSurface(
+        vertices_m=learned.vertices_m, faces=np.asarray(learned.triangles, np.int64), learned=True
+    )
+    surfaces = replace(values.surfaces, by_name=dict.fromkeys(values.surfaces.by_name, same))
+    again = write_run(tmp_path / "again", replace(values, surfaces=surfaces))
+    for run in (two_mugs, again):
+        with open_run_folder(run, {"rec": "hash"}) as folder:
+            folder.stage("learn/mug", ShapePrior.load, lambda: shape, settings={}, inputs={})
+
+    with pytest.raises(PipelineError, match="two shapes named mug"):
+        export_run(two_mugs, ["obj", "bop"], tmp_path / "out", ExportOptions())
+    assert not (tmp_path / "out").exists()
+    assert export_run(two_mugs, ["ply", "npz"], tmp_path / "out", ExportOptions())
+    export_run(again, ["bop"], tmp_path / "again.bop", ExportOptions())
+    assert sorted(read_models(tmp_path / "again.bop/bop/models")) == [1, 2]
 
 
 def test_an_open_mesh_is_written_where_no_volume_is_needed(parsed_run: RunValues, tmp_path: Path) -> None:
