@@ -18,6 +18,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.seeds import stage_key
 from recordings.errors import RecordingError
@@ -67,7 +69,7 @@ def open_recording(path: str | Path, **options: Any) -> McapRecording:
     """
     from recordings.reading import open_recording as opened
 
-    return opened(Path(path), ReadOptions(**options))
+    return opened(Path(path), ReadOptions(**_plain(options)))
 
 
 def recorded_trajectory(path: str | Path, **options: Any) -> Trajectory | None:
@@ -78,7 +80,7 @@ def recorded_trajectory(path: str | Path, **options: Any) -> Trajectory | None:
     """
     from recordings.poses.recorded import recorded_trajectory as recorded
 
-    return recorded(Path(path), ReadOptions(**options))
+    return recorded(Path(path), ReadOptions(**_plain(options)))
 
 
 def track(recording: McapRecording, *, seed: int = 0, **settings: Any) -> SlamResult:
@@ -99,7 +101,7 @@ def track(recording: McapRecording, *, seed: int = 0, **settings: Any) -> SlamRe
         stage_key(seed, "slam"),
         recording,
         recording.intrinsics,
-        SlamConfig(**settings),
+        SlamConfig(**_plain(settings)),
         sensor=recording.sensor,
     )
 
@@ -122,7 +124,7 @@ def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **
 
     _check_trajectory(trajectory, recording)
     _prepare()
-    config = LearnConfig(**settings).with_noise(recording.sensor and recording.sensor.noise)
+    config = LearnConfig(**_plain(settings)).with_noise(recording.sensor and recording.sensor.noise)
     posed = tracked_frames(trajectory)
     stamps = set(posed.times_ns.tolist())
     return learn_shape(
@@ -157,15 +159,13 @@ def parse(
             are named, is lost or not of the trajectory.
         ValueError: the frames show nothing to parse, or a setting cannot be used.
     """
-    import numpy as np
-
     from pipeline.calibration.images import profile_of
     from pipeline.shape_folder import chosen, load_surfaces
     from pipeline.stages.parse import parse_recording, relative_poses
     from pipeline.surfaces import Surfaces
 
     _prepare()
-    config = ParseConfig(**settings)
+    config = ParseConfig(**_plain(settings))
     if config.colour == "only":
         raise ValueError("colour 'only' is the command line's: voxscene parse --colour only")
     if len(config.frames) > 1 and trajectory is None:
@@ -178,6 +178,17 @@ def parse(
     sensor = profile_of(recording, recording.statistics().frames)
     keys = stage_key(seed, "parse"), stage_key(seed, "draws")
     return parse_recording(keys, recording, Path(shapes), surfaces, poses, sensor, config, warnings.warn)
+
+
+def _plain(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings of plain values and tuples of them, as settings files give them, for NumPy's and for lists."""
+    values = {
+        name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        for name, value in settings.items()
+    }
+    return {
+        name: tuple(value) if isinstance(value, list | range) else value for name, value in values.items()
+    }
 
 
 def _check_trajectory(trajectory: SlamResult, recording: McapRecording) -> None:

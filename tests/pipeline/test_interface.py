@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 from PIL import Image
 
 from pipeline import interface
 from pipeline.cli import voxscene
 from pipeline.stored_profile import StoredProfile
+from scene.config import ParseConfig
 from slam.result import SlamResult
 
 ROOT = Path(__file__).parents[2]
@@ -59,6 +61,30 @@ def test_a_setting_that_does_not_exist_is_refused(mug_file: Path) -> None:
     """Before any work, by Python's own error."""
     with pytest.raises(TypeError, match="particels"):
         interface.track(interface.open_recording(mug_file), particels=16)
+
+
+def test_settings_may_be_arrays_and_lists(
+    mug_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first frame is meant by its number, and not one that shows more."""
+    camera = interface.open_recording(mug_file).intrinsics
+    four = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    recording = interface.open_recording(mug_file, intrinsics=four)
+    assert recording.options.intrinsics == tuple(four.tolist())
+    asked: list[ParseConfig] = []
+
+    def parsed(*arguments: object) -> None:
+        asked.extend(one for one in arguments if isinstance(one, ParseConfig))
+
+    monkeypatch.setattr("pipeline.stages.parse.parse_recording", parsed)
+    monkeypatch.setattr("pipeline.calibration.images.profile_of", lambda *_: None)
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.ply")
+    for frames in (np.array([0]), [0], range(1)):
+        support = np.array([0, 0, 1, 0, 0, -1])
+        interface.parse(recording, tmp_path, objects=["box"], frames=frames, support=support)
+    assert asked == 3 * [ParseConfig(objects=("box",), frames=(0,), support=(0, 0, 1, 0, 0, -1))]
+    with pytest.raises(ValueError, match="support must be a finite number"):
+        interface.parse(recording, tmp_path, support=[0, 0, np.nan, 0, 0, -1])
 
 
 def test_a_colour_image_alone_is_the_command_lines(mug_file: Path, tmp_path: Path) -> None:
