@@ -153,9 +153,9 @@ def used_frames(session: Session, posed: PosedFrames, config: LearnConfig) -> tu
 
 
 def _warn_of_later_frame(session: Session, option: str, time_ns: int) -> None:
-    """Say of which frame an option tells, where it is not the recording's first."""
-    stamps = session.recording.stamps_ns()
-    if number := next(number for number, stamp in enumerate(stamps) if stamp == time_ns):
+    """Say of which frame an option tells, where it is not the recording's first; numbered as slam does."""
+    before = itertools.takewhile(lambda frame: frame.time_ns < time_ns, session.recording)
+    if number := sum(1 for _ in before):
         session.warn(
             f"{option} is told in frame {number}, at {seconds_text(time_ns)} s: those before it are lost or "
             "have no pose; --preview shows the region in it"

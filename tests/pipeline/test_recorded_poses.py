@@ -111,6 +111,19 @@ def test_a_place_in_a_later_frame_than_the_first_is_told(
         assert (f"is told in frame 2, at {stamp_s:.9f} s" in result.stderr) == warned
 
 
+def test_the_frame_of_a_place_is_numbered_as_slam_numbers_it(
+    filmed_mug: SyntheticRecording, tmp_path: Path
+) -> None:
+    """A frame that cannot be decoded has no number."""
+    poses = dict(enumerate(filmed_mug.trajectory.reference_from_camera))
+    later = {number: poses[number] for number in range(2, 6)}
+    path = write(filmed_mug, tmp_path / "damaged.mcap", later, damaged=0)
+    result = learn(path, tmp_path / "learnt", "--pixel", "48,36", "--preview", str(tmp_path / "region.png"))
+    assert result.exit_code == 3, result.output
+    stamp_s = 1 + filmed_mug.trajectory.times_ns[2] / SECOND_NS
+    assert f"--pixel is told in frame 1, at {stamp_s:.9f} s" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("name", "start", "is_one"),
     [
