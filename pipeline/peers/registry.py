@@ -21,8 +21,8 @@ class PeerRun:
 
     Attributes:
         name: of the peer and its setting.
-        poses: (T, 4, 4), or None where every setting raised: the peer is lost.
-        problem: what it raised.
+        poses: (T, 4, 4), or None where every setting raised or left the numbers: the peer is lost.
+        problem: what was wrong with the last.
     """
 
     name: str
@@ -57,7 +57,7 @@ def best_of(
     intrinsics: CameraIntrinsics,
     error: Callable[[NDArray[np.float64]], float],
 ) -> PeerRun:
-    """A peer's best result by `error`; settings that raise are lost."""
+    """A peer's best result by `error`; settings that raise, or leave the numbers, are lost."""
     runs: list[tuple[float, PeerRun]] = []
     problem = ""
     for setting, track in settings_of(name).items():
@@ -65,6 +65,9 @@ def best_of(
             poses = track(frames, intrinsics)
         except Exception as raised:
             problem = f"{type(raised).__name__}: {raised}"
+            continue
+        if not np.isfinite(poses).all():
+            problem = "its poses are not finite"
             continue
         runs.append((error(poses), PeerRun(setting, poses)))
     if not runs:

@@ -13,12 +13,13 @@ from scipy.spatial.transform import Rotation
 from pipeline.cli import voxscene
 from pipeline.errors import PipelineError
 from pipeline.evaluation.error_files import write_comparison
-from pipeline.evaluation.trajectories import compared_file, compared_run
+from pipeline.evaluation.trajectories import ComparedTrajectory, compared_file, compared_run, peer_runs
 from pipeline.fingerprints import file_hash
+from pipeline.peers import registry
 from pipeline.publishing.trajectory_files import tum_lines
 from pipeline.run_access import open_run_folder
 from pipeline.views.error_view import write_error_rrd
-from recordings.types import Trajectory
+from recordings.types import CameraIntrinsics, Trajectory
 from slam.result import SlamResult
 
 
@@ -132,6 +133,25 @@ def test_views_of_errors_are_whole_or_not_at_all(
     assert not list(tmp_path.iterdir())
     write_error_rrd(path, [ours])
     assert path.stat().st_size > 2000
+
+
+def test_a_peer_that_leaves_the_numbers_is_lost(
+    true_trajectory: SlamResult, reference: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With that setting; with all of them it is told why."""
+    ours = compared_run(true_trajectory, reference)
+    away = ours.reference.copy()
+    away[1, :3, 3] = np.nan
+    settings = {"away": lambda *_: away, "right": lambda *_: ours.reference}
+    monkeypatch.setattr(
+        registry, "settings_of", lambda name: settings if name == "peer" else {"away": settings["away"]}
+    )
+    camera = CameraIntrinsics(width=8, height=6, fx=8.0, fy=8.0, cx=3.5, cy=2.5)
+    found = peer_runs(["peer", "other"], [], camera, ours, lambda *_: None)
+
+    assert found["other"] == "its poses are not finite"
+    assert isinstance(found["peer"], ComparedTrajectory)
+    assert found["peer"].name == "right"
 
 
 def test_a_file_that_is_no_trajectory_is_told(reference: Trajectory, tmp_path: Path) -> None:
