@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 OURS = "voxscene"
 """Name of the run's own trajectory."""
+REFERENCE = "reference"
+"""Name under which the truth stands in pictures and views."""
 ESTIMATES = (".tum", ".txt")
 """Suffixes of files that hold a trajectory."""
 
@@ -124,7 +126,7 @@ def _others(against: str | None) -> tuple[list[str], list[Path]]:
             raise PipelineError(
                 f"--against: no {word!r}; there are {', '.join(PEERS)}, or files {' and '.join(ESTIMATES)}"
             )
-    names = [OURS, *(path.stem for path in files)]
+    names = [OURS, REFERENCE, *(path.stem for path in files)]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise PipelineError(f"--against: two trajectories are named {twice}; give one file another name")
     return peers, files

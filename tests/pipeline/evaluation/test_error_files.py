@@ -167,7 +167,7 @@ def test_a_file_that_is_no_trajectory_is_told(reference: Trajectory, tmp_path: P
             compared_file(tmp_path / "their.tum", reference)
 
 
-@pytest.mark.parametrize("against", ["a/orb.tum,b/orb.txt", "voxscene.tum"])
+@pytest.mark.parametrize("against", ["a/orb.tum,b/orb.txt", "voxscene.tum", "out/reference.tum"])
 def test_two_trajectories_of_one_name_are_refused(
     against: str, mug_file: Path, true_trajectory: SlamResult, tmp_path: Path
 ) -> None:
