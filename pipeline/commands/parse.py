@@ -177,7 +177,7 @@ def command(
     from scene.config import ParseConfig
 
     options = {
-        "objects": None if objects in (None, "any") else _names("--objects", objects),
+        "objects": None if objects is None else _requested(objects),
         "frames": frames,
         "graph": graph,
         "likelihood": likelihood,
@@ -227,6 +227,11 @@ def _names(option: str, text: str) -> tuple[str, ...]:
     if not all(names):
         raise ConfigError(f"{option} {text}: write names with commas between them")
     return names
+
+
+def _requested(text: str) -> tuple[str, ...]:
+    """Entries of --objects; none for any."""
+    return () if text == "any" else _names("--objects", text)
 
 
 def _hidden_line(one: dict[str, Any]) -> str:

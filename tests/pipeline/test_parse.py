@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,9 +16,10 @@ from scipy.special import expit
 from pipeline import interface
 from pipeline.cli import voxscene
 from pipeline.config import Settings
+from pipeline.errors import PipelineError
 from pipeline.evaluation.object_poses import add_s_m, model_points
 from pipeline.options import Common, RecordingSource
-from pipeline.session import open_session
+from pipeline.session import Session, open_session
 from pipeline.stages.parse import _surfaces, drawn_shapes
 from pipeline.surfaces import SceneSurface, Surfaces
 from pipeline.synthesis.filming import film_table
@@ -235,6 +237,23 @@ def test_mistakes_are_told_in_one_line(parsed: Path, meshes: Path, tmp_path: Pat
         assert told in result.output
         assert "Traceback" not in result.output
     assert not (tmp_path / "run").exists()
+
+
+def test_any_object_is_asked_for_over_the_settings_that_name_some(
+    mug_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As those of an earlier run; without the option they hold."""
+    asked: list[tuple[str, ...]] = []
+
+    def stop(session: Session, shapes: Path, units: object, options: dict[str, Any], *_: object) -> None:
+        del shapes, units
+        asked.append(session.common.settings.section("parse", ParseConfig, options).objects)
+        raise PipelineError("asked")
+
+    monkeypatch.setattr("pipeline.stages.parse.parse_stage", stop)
+    for more in (("--objects", "any"), (), ("--objects", "can")):
+        parse(mug_file, tmp_path, tmp_path / "run", "-s", "parse.objects=['mug']", *more)
+    assert asked == [(), ("mug",), ("can",)]
 
 
 def voxel_shape(name: str) -> ShapePrior:
