@@ -29,7 +29,8 @@ def command(common: Common, run: Path, truth: Path) -> None:
 
     RUN was parsed with the objects' own meshes. ADD-S is the mean distance from points of the object at its
     true pose to its surface at the pose found. Objects of the truth that RUN did not look for are named and
-    left out; so are false finds.
+    left out; so are false finds. One that RUN looked for and did not find is missing, also where no image
+    shows it.
     """
     from pipeline.evaluation.same_recording import check_truth, truth_options
     from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
