@@ -80,7 +80,7 @@ def nearest_sheets(
     """The sheets of a mesh nearest to the voxel centres (i + 0.5, j + 0.5, k + 0.5).
 
     Args:
-        vertices: (V, 3) in voxels; the mesh lies at least two voxels inside the grid.
+        vertices: (V, 3) in voxels; the mesh lies half a voxel or more inside the grid.
         faces: (F, 3) vertex indices.
         size: voxels per axis.
 
@@ -264,9 +264,10 @@ def _dot(a, b):
 def _regions(distance):
     """Voxels that a path from the grid's border reaches without touching the surface, and those shut in."""
     near = distance <= HALF
-    regions = np.zeros(near.shape, np.int32)
-    ndimage.label(~near, output=regions)
-    outside = regions == regions[0, 0, 0]
+    free = np.pad(~near, 1, constant_values=True)
+    regions = np.zeros(free.shape, np.int32)
+    ndimage.label(free, output=regions)
+    outside = (regions == regions[0, 0, 0])[1:-1, 1:-1, 1:-1]
     return outside, ~near & ~outside
 
 
