@@ -41,9 +41,8 @@ def copies_among(points_m: Mapping[str, NDArray[np.floating]]) -> NDArray[np.boo
     Args:
         points_m: of each object's surface, in its own frame, by its name.
     """
-    names, points = list(points_m), list(points_m.values())
-    originals = set(names) - {name for name in names if (copy := COPY.match(name)) and copy[1] in names}
-    shapes = np.array([shape_of(name, originals) for name in names])
+    points = list(points_m.values())
+    shapes = np.array([_first_of(name, points_m) for name in points_m])
     alike = shapes[:, None] == shapes[None]
     for one, other in np.argwhere(alike):
         alike[one, other] = np.array_equal(points[one], points[other])
@@ -54,3 +53,9 @@ def shape_of(name: str, shapes: Container[str]) -> str:
     """The one of these shapes that an object is a copy of by its name; the name itself where it is none."""
     copy = COPY.match(name)
     return copy[1] if name not in shapes and copy and copy[1] in shapes else name
+
+
+def _first_of(name: str, names: Container[str]) -> str:
+    """The name without what makes it a copy of another one of these, and so on: box of box_2_2 and box_2."""
+    copy = COPY.match(name)
+    return _first_of(copy[1], names) if copy and copy[1] in names else name

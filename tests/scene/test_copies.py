@@ -29,7 +29,7 @@ def test_copies_are_asked_for_by_number() -> None:
 def test_copies_are_told_by_their_names_and_surfaces() -> None:
     """Of mug, mug_2 and can the first two; part_1 and part_2 without a part are shapes of their own.
 
-    So are a box and a box_2 of another size.
+    So are a box and a box_2 of another size, of which two may be asked for.
     """
     one, other = np.zeros((4, 3)), np.ones((4, 3))
     pairs = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
@@ -37,3 +37,5 @@ def test_copies_are_told_by_their_names_and_surfaces() -> None:
     np.testing.assert_array_equal(copies_among({"part_1": one, "part_2": one}), np.eye(2))
     np.testing.assert_array_equal(copies_among({"box": one, "box_2": other}), np.eye(2))
     np.testing.assert_array_equal(copies_among({"box": one, "box_2": one[:3]}), np.eye(2))
+    pairs = [[1, 0, 0], [0, 1, 1], [0, 1, 1]]
+    np.testing.assert_array_equal(copies_among({"box": one, "box_2": other, "box_2_2": other}), pairs)
