@@ -104,8 +104,9 @@ class SceneResult(Archived):
 
     @property
     def position_std_m(self) -> NDArray[np.float64]:
-        """(N,) root mean square distance from the mean position."""
-        return np.sqrt(np.trace(self.covariance[:, :3, :3], axis1=1, axis2=2))
+        """(N,) root mean square distance of the origin from where it is in the mean pose."""
+        offsets_m = self.sample_poses[..., 4:] - self.camera_from_object[:, :3, 3]
+        return np.sqrt((offsets_m**2).sum(axis=-1).mean(axis=0))
 
     @property
     def rotation_std_rad(self) -> NDArray[np.float64]:

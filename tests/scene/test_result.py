@@ -28,3 +28,15 @@ def test_the_spread_of_a_point_is_that_of_its_samples(seed: int) -> None:
     np.testing.assert_allclose(scene.covariance_of_point(0, point), aside.T @ aside / 40, atol=1e-12)
     in_mode = np.cov(aside[1::2].T, bias=True)
     np.testing.assert_allclose(scene.covariance_of_point(0, point, mode=1), in_mode, atol=1e-12)
+
+
+def test_the_spread_of_the_origin_is_a_distance_where_samples_spin() -> None:
+    """About a line 5 cm beside the origin: that is 5 cm times sqrt 2 from one of its places on average."""
+    angles = np.linspace(0, 2 * np.pi, 90, endpoint=False)
+    samples, aside = np.tile(np.eye(4), (90, 1, 1)), np.eye(4)
+    samples[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    aside[0, 3] = 0.05
+    scene = scene_result(["can"], [aside], [0])
+    spun = replace(scene, sample_poses=poses_of(samples @ aside)[:, None])
+
+    np.testing.assert_allclose(spun.position_std_m, 0.05 * np.sqrt(2))
