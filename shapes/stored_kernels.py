@@ -23,6 +23,14 @@ from jax.core import Tracer
 
 R = TypeVar("R")
 
+SETTINGS = (
+    "jax_enable_x64",
+    "jax_threefry_partitionable",
+    "jax_default_prng_impl",
+    "jax_default_matmul_precision",
+)
+"""Of JAX, by which traces of the same sources and arguments differ."""
+
 CompilerOptions = Mapping[str, bool | int]
 
 Tree = Any
@@ -134,7 +142,7 @@ def _key(
         _described(tree),
         [str(jax.typeof(leaf)) for leaf in leaves],
         [[name, _described_value(value)] for name, value in static.items()],
-        jax.config.jax_enable_x64,  # pyright: ignore[reportAttributeAccessIssue]
+        [str(getattr(jax.config, name)) for name in SETTINGS],
     ]
     return f"trace-{sha256(json.dumps(described).encode()).hexdigest()}"
 

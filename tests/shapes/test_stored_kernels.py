@@ -111,8 +111,8 @@ def test_other_arguments_have_traces_of_their_own(store: Store, line: Line, at: 
     assert (traced.times, len(store)) == (2, 2)
 
 
-def test_other_sources_and_precision_have_traces_of_their_own(store: Store) -> None:
-    """Constants of a trace depend on the precision even where arguments do not."""
+def test_other_sources_and_settings_have_traces_of_their_own(store: Store) -> None:
+    """Of a trace constants depend on the precision, and random numbers on how they are made."""
     traced = Traced()
     kernel = traced.kernel()
     kernel(LINE, 2.0)
@@ -121,8 +121,10 @@ def test_other_sources_and_precision_have_traces_of_their_own(store: Store) -> N
     kernel(LINE, 2.0)
     with jax.enable_x64(True):
         kernel(LINE, np.float32(2.0))
+    with jax.threefry_partitionable(False):
+        kernel(LINE, 2.0)
 
-    assert (traced.times, len(store)) == (3, 3)
+    assert (traced.times, len(store)) == (4, 4)
 
 
 def test_a_kernel_that_is_compiled_before_is_not_compiled_again(store: Store) -> None:
