@@ -20,7 +20,7 @@ TOUCHING_M = 0.003
 """Depth to which boxes may enter each other: bounding boxes of rounded things overlap by millimetres."""
 
 MOST_REJECTED = 200
-"""Rounds of draws without one that is clear of the others before there counts as no room."""
+"""Rounds of draws, each of as many as are wanted: no room is where fewer than one in 200 is clear."""
 
 
 class NoRoomError(ValueError):
