@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,8 +18,8 @@ from scene.objects.voxel_library import voxelise
 from shapes.rendering.object_library import ObjectLibrary
 
 SURFACE_POINTS = 256
-DENSE_POINTS = 2**15
-"""By which a turned surface is laid on itself: 1.7 mm apart on 0.1 square metres, a pitcher."""
+DENSE_POINTS, DENSE_AREA_M2 = 2**15, 0.1
+"""By which a turned surface is laid on itself: 1.7 mm apart on a pitcher, and on what is larger."""
 
 MOST_RESTS, SLACK_M = 12, 0.003
 """Ways in which an object can lie; corners so near to the support carry it, for surfaces are noisy."""
@@ -106,7 +107,6 @@ def scene_object(
     points, normals = drawn[spread], drawn_normals[spread]
     lines, orders = symmetry_lines(drawn, drawn_normals)
     line = spin_line(points, normals)
-    dense = np.asarray(trimesh.sample.sample_surface(mesh, DENSE_POINTS, seed=0)[0])
     volume = float(np.prod(2 * half))
     pitch = max((volume / LIBRARY_VOXELS) ** (1 / 3), float(half.max()) / 250)
     return SceneObject(
@@ -117,7 +117,7 @@ def scene_object(
         half_extents_m=half,
         rests=stable_rests(np.asarray(mesh.vertices, np.float64)),
         spin_line=line,
-        spins_freely=spins_freely(dense, line),
+        spins_freely=bool(line.any()) and spins_freely(_dense_points(mesh), line),
         symmetry_lines=lines,
         symmetry_orders=orders,
         library=voxelise(mesh.vertices, faces, pitch),
@@ -126,6 +126,12 @@ def scene_object(
             for drawn_m, drawn_faces in draws
         ),
     )
+
+
+def _dense_points(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
+    """Points (P, 3) of a surface in random order, as near to each other as `spins_freely` wants them."""
+    count = math.ceil(DENSE_POINTS * max(mesh.area / DENSE_AREA_M2, 1.0))
+    return np.asarray(trimesh.sample.sample_surface(mesh, count, seed=0)[0], np.float64)
 
 
 def stable_rests(vertices_m: NDArray[np.float64]) -> NDArray[np.float64]:

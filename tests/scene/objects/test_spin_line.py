@@ -39,10 +39,11 @@ def test_a_mug_spins_about_the_axis_of_its_body(seed: int) -> None:
     assert not one.spins_freely
 
 
+@pytest.mark.parametrize(("radius_m", "height_m"), [(0.03, 0.1), (0.15, 0.4)])
 @pytest.mark.parametrize("axes", [[0, 1, 2, 3], [1, 2, 0, 3]])
-def test_a_can_spins_freely(axes: list[int]) -> None:
-    """Whichever its axis is."""
-    mesh = trimesh.creation.cylinder(0.03, 0.1, transform=np.eye(4)[axes])
+def test_a_can_spins_freely(axes: list[int], radius_m: float, height_m: float) -> None:
+    """Whichever its axis is, and a bin as well."""
+    mesh = trimesh.creation.cylinder(radius_m, height_m, sections=96, transform=np.eye(4)[axes])
     assert scene_object("can", mesh.vertices, mesh.faces).spins_freely
 
 
