@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import PipelineError
-from pipeline.fingerprints import file_hash
 from pipeline.logs import log
 from pipeline.run_access import open_run_folder
 from pipeline.run_folder import RunFolder
@@ -227,17 +226,6 @@ def test_what_a_stage_prints_does_not_reach_stdout(tmp_path: Path, capfd: pytest
     captured = capfd.readouterr()
     assert captured.out == ""
     assert "from C++" in captured.err
-
-
-def test_hashes_of_folders_see_names_and_contents(tmp_path: Path) -> None:
-    """A renamed file is another folder."""
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "a").write_text("1")
-    before = file_hash(tmp_path / "bag")
-    assert before == file_hash(tmp_path / "bag")
-    (tmp_path / "bag" / "a").rename(tmp_path / "bag" / "b")
-
-    assert file_hash(tmp_path / "bag") != before
 
 
 CHILD = """
