@@ -95,7 +95,7 @@ class DemoResult:
             "under_1cm": sum(one.add_s_m < NEAR_M for one in self.parsed),
             "objects": len(self.parsed),
             "learned": {name: asdict(one) for name, one in self.learned.items()},
-            "parsed": [asdict(one) for one in self.parsed],
+            "parsed": [_plain(one) for one in self.parsed],
         }
 
     @property
@@ -107,6 +107,11 @@ class DemoResult:
             and found["iou"] >= IOU_GATE
             and found["under_1cm"] >= NEAR_GATE
         )
+
+
+def _plain(error: ObjectError) -> dict[str, Any]:
+    """The error's fields as JSON has them."""
+    return {**asdict(error), "estimate": None if error.estimate is None else error.estimate.tolist()}
 
 
 def demonstrate(folder: Path, common: Common) -> DemoResult:

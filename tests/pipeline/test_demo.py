@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -32,7 +33,7 @@ def result(*, error_cm: float = 0.1, iou: float = 0.95, far: int = 0) -> DemoRes
     }
     errors = [0.02] * far + [0.001] * (5 - far)
     parsed = [
-        ObjectError(name=str(number), add_s_m=error, found=True, visible_fraction=1.0)
+        ObjectError(name=str(number), add_s_m=error, found=True, visible_fraction=1.0, estimate=np.eye(4))
         for number, error in enumerate(errors)
     ]
     return DemoResult(learned=learned, parsed=parsed)
