@@ -217,9 +217,8 @@ def _write(
         if json.loads(record.read_text()) == {"made_from": made_from, "hash": file_hash(path)}:
             log.info("filming %s: unchanged", name)
             return
-    path.unlink(missing_ok=True)  # the demonstration's own, whatever damage made of it
     with common.progress(f"filming {name}", "frames") as progress:
-        write_recording(film_of(scene, seed), path, progress)
+        write_recording(film_of(scene, seed), path, progress, mends=True)
     write_json(record, {"made_from": made_from, "hash": file_hash(path)})
 
 

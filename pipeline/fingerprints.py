@@ -35,10 +35,10 @@ def recording_hash(path: Path) -> str:
     Raises:
         RecordingError: the folder holds no recording.
     """
-    from recordings.mcap_files.bag import files_of  # takes 0.3 s with NumPy, and folders are seldom
-
     if not path.is_dir():
         return file_hash(path)
+    from recordings.mcap_files.bag import files_of  # takes 0.3 s with NumPy, and folders are seldom
+
     digest = hashlib.sha256()
     for member in sorted(files_of(path)):
         digest.update(f"{member.name}\0{file_hash(member)}\0".encode())

@@ -22,11 +22,12 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from pipeline.atomic import write_json
-from pipeline.config import plain_values
+from pipeline.config import build, plain_values
 from pipeline.errors import PipelineError
 from pipeline.fingerprints import canonical_hash, file_hash
 from pipeline.logs import log
 from pipeline.machine import machine
+from recordings.options import ReadOptions
 
 FORMAT = 4
 """Raised whenever a stage's value would differ for the same inputs, settings and sources."""
@@ -83,6 +84,11 @@ class StageRecord:
     machine: Mapping[str, Any]
     seconds: float
     compile_s: float
+
+    @property
+    def read_options(self) -> ReadOptions:
+        """How it read its recording."""
+        return build(ReadOptions, self.settings.get("recording", {}), "recording")
 
 
 class Committed(Generic[V]):

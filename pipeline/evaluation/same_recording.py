@@ -7,15 +7,12 @@ keeps (`room.npz`) are held against the frames of the same stamps in the recordi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config import build
 from pipeline.errors import PipelineError
 from pipeline.evaluation.trajectories import is_trajectory_file
 from pipeline.fingerprints import recording_hash
@@ -63,7 +60,7 @@ def truth_options(run: RunFolder, *stages: str) -> ReadOptions:
     They are of all frames, and no depth is looked at.
     """
     record = next(filter(None, map(run.record, stages)), None)
-    return replace(_of_all_frames({} if record is None else record.settings), sensor=None)
+    return replace(_of_all_frames(record.read_options if record else ReadOptions()), sensor=None)
 
 
 def check_recording(run: RunFolder, recording: Path) -> None:
@@ -114,15 +111,14 @@ def _equal_share(run: RunFolder, source: Path) -> float | None:
     room = RoomView.load(run.value_path("room"))
     equal = [
         share
-        for view, frame in _frames_of_views(room, source, _of_all_frames(record.settings))
+        for view, frame in _frames_of_views(room, source, _of_all_frames(record.read_options))
         if (share := _alike(room, view, frame)) is not None
     ]
     return float(np.mean(equal)) if equal else None
 
 
-def _of_all_frames(settings: Mapping[str, Any]) -> ReadOptions:
-    """The options of reading among a stage's settings, without those that leave something out."""
-    options = build(ReadOptions, settings.get("recording", {}), "recording")
+def _of_all_frames(options: ReadOptions) -> ReadOptions:
+    """The same without those that leave something out."""
     return replace(options, start_s=0.0, end_s=math.inf, every=1, mask=None)
 
 

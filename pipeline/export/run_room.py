@@ -11,7 +11,6 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pipeline.config import build
 from pipeline.errors import PipelineError
 from pipeline.evaluation.same_recording import check_recording
 from pipeline.export.room_mesh import MOST_FRAMES, room_mesh
@@ -67,10 +66,9 @@ def tracked_frames(run: Path, recording: Path | None = None) -> TrackedFrames:
     result = SlamResult.load(folder.value_path("slam"))
     if result.lost.all():
         raise PipelineError(f"slam lost every frame of {run}, there is no room to fuse")
-    options = build(ReadOptions, record.settings.get("recording", {}), "recording")
     path = _checked(run, recording)
     poses = dict(zip(result.times_ns[~result.lost].tolist(), result.mean[~result.lost], strict=True))
-    return TrackedFrames(recording=open_recording(path, options), poses=poses)
+    return TrackedFrames(recording=open_recording(path, record.read_options), poses=poses)
 
 
 def open_parsed(run: Path, recording: Path | None = None) -> McapRecording:
@@ -84,8 +82,7 @@ def open_parsed(run: Path, recording: Path | None = None) -> McapRecording:
         PipelineError: it is not found, or another.
     """
     record = RunFolder(run, force=False).record("parse")
-    read = record.settings.get("recording", {}) if record else {}
-    return open_recording(_checked(run, recording), build(ReadOptions, read, "recording"))
+    return open_recording(_checked(run, recording), record.read_options if record else ReadOptions())
 
 
 def run_room(run: Path, recording: Path | None, pitch_m: float, common: Common) -> trimesh.Trimesh:

@@ -155,7 +155,7 @@ def _make_image(wanted: ChallengingSet, out: Path, kind: str, number: int) -> No
     numbers = DatasetNumbers(
         scene_id=scene_id(kind), image_ids={frame.time_ns: number}, object_ids=wanted.shapes.ids
     )
-    write_recording(recording, path, numbers=numbers)
+    write_recording(recording, path, numbers=numbers, mends=True)
     entry |= {"kind": kind, "target": image.target, "names": [one.name for one in recording.truth.objects]}
     _entry_path(out, kind, number).parent.mkdir(parents=True, exist_ok=True)
     write_json(_entry_path(out, kind, number), entry)

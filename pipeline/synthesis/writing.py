@@ -18,6 +18,8 @@ def write_recording(
     path: Path,
     progress: Callable[[int, int], None] | None = None,
     numbers: DatasetNumbers | None = None,
+    *,
+    mends: bool = False,
 ) -> None:
     """Write an MCAP file whole or not at all.
 
@@ -28,13 +30,14 @@ def write_recording(
         path: of the file.
         progress: is told frames done and frames in all.
         numbers: of the scene, image and objects, where it belongs to a data set.
+        mends: as `RecordingWriter` has it.
 
     Raises:
         RecordingError: the file cannot be written.
     """
     poses = recording.trajectory.reference_from_camera
     unit_m = MILLIMETRE_M if recording.sensor.in_millimetres else None
-    with RecordingWriter(path, recording.intrinsics, depth_unit_m=unit_m) as writer:
+    with RecordingWriter(path, recording.intrinsics, depth_unit_m=unit_m, mends=mends) as writer:
         write_scene_truth(writer, recording.truth, int(recording.trajectory.times_ns[0]))
         if numbers is not None:
             write_dataset_numbers(writer, numbers, int(recording.trajectory.times_ns[0]))

@@ -85,9 +85,9 @@ def test_films_that_are_there_are_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
     filmed: list[str] = []
     write = demo.write_recording
 
-    def write_and_tell(film: SyntheticRecording, path: Path, *more: Any) -> None:
+    def write_and_tell(film: SyntheticRecording, path: Path, *more: Any, **options: Any) -> None:
         filmed.append(path.stem)
-        write(film, path, *more)
+        write(film, path, *more, **options)
 
     monkeypatch.setattr(demo, "write_recording", write_and_tell)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,6 @@ from pipeline.options import AnyPath, Common, common_options
 
 if TYPE_CHECKING:
     from pipeline.run_folder import RunFolder
-    from recordings.options import ReadOptions
     from recordings.types import Trajectory
     from shapes.prior import ShapePrior
     from slam.result import SlamResult
@@ -82,22 +80,15 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
 def _path(folder: RunFolder, name: str, slam: SlamResult | None, recording: Path) -> Trajectory:
     """The camera's path that a shape was learned with, in the run's reference frame."""
     from pipeline.stages.learn import recorded_path
+    from recordings.options import ReadOptions
 
     record = folder.record(f"learn/{name}")
     if slam is not None and (record is None or "slam" in record.uses):
         return slam.tracked_path
-    recorded = recorded_path(recording, _read_options({} if record is None else record.settings))
+    recorded = recorded_path(recording, record.read_options if record else ReadOptions())
     if recorded is None:
         raise PipelineError(f"{recording} has no recorded poses, with which {name} was learned")
     return recorded
-
-
-def _read_options(settings: Mapping[str, Any]) -> ReadOptions:
-    """How a stage with these settings read its recording."""
-    from pipeline.config import build
-    from recordings.options import ReadOptions
-
-    return build(ReadOptions, settings.get("recording", {}), "recording")
 
 
 def _agreement(
@@ -118,6 +109,7 @@ def _held_back(
     from pipeline.config import build
     from pipeline.evaluation.held_back import held_back_errors, held_back_times
     from pipeline.evaluation.trajectories import FramesAt
+    from recordings.options import ReadOptions
     from shapes.learning.config import LearnConfig
 
     record = folder.record(f"learn/{name}")
@@ -125,7 +117,7 @@ def _held_back(
     times_ns = held_back_times(path, build(LearnConfig, settings.get("learn", {}), "learn"))
     if not len(times_ns):
         raise PipelineError(f"{name} was learned from every frame; hold some back with -s learn.views=N")
-    frames = FramesAt(recording, _read_options(settings), times_ns)
+    frames = FramesAt(recording, record.read_options if record else ReadOptions(), times_ns)
     found = held_back_errors(shape, frames, frames.intrinsics, path)
     if not found.frames:
         raise PipelineError(f"no frame of {recording} that was held back shows {name}")

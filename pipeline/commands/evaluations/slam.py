@@ -65,7 +65,6 @@ def command(
     Aligned (ATE), from the first pose, and of each step (RPE). Each peer is run with several settings, and
     its best result counts. With -o, evo and other programs can go on from what is written.
     """
-    from pipeline.config import build
     from pipeline.evaluation.error_files import check_comparison, write_comparison
     from pipeline.evaluation.same_recording import check_truth
     from pipeline.evaluation.trajectories import (
@@ -76,7 +75,6 @@ def command(
         slam_errors,
     )
     from pipeline.run_folder import RunFolder
-    from recordings.options import ReadOptions
     from slam.result import SlamResult
 
     if output:
@@ -89,7 +87,7 @@ def command(
         )
     peers, files = _others(against)
     result = SlamResult.load(run.value_path("slam"))
-    options = build(ReadOptions, record.settings.get("recording", {}), "recording")
+    options = record.read_options
     truth = reference_trajectory(reference, options)
     ours = compared_run(result, truth)
     check_truth(run, reference)

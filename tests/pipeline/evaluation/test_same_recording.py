@@ -32,6 +32,7 @@ from recordings.reading import open_recording
 from recordings.types import Frame
 from recordings.writer import CAMERA_TOPIC, RecordingWriter
 from slam.result import SlamResult
+from tests.pipeline.publishing.test_any_value import some_frames
 
 
 @pytest.fixture
@@ -99,18 +100,7 @@ def test_a_truth_is_read_as_the_run_read_its_recording(
     camera = open_recording(mug_file).intrinsics
     said = {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy), "every": 2}
     common = Common(as_json=False, quiet=True, settings=Settings({}))
-    frames = (
-        "times_ns",
-        "mean",
-        "covariance",
-        "hypotheses",
-        "log_evidence",
-        "resampled",
-        "lost",
-        "explained",
-    )
-    every_other = {name: getattr(true_trajectory, name)[::2] for name in frames}
-    half = replace(true_trajectory, draws=true_trajectory.draws[:, ::2], **every_other)
+    half = some_frames(true_trajectory, slice(None, None, 2))
     with open_session(common, RecordingSource(path=untold, said=said), tmp_path / "half") as session:
         session.stage("slam", SlamResult.load, lambda: half, {})
 

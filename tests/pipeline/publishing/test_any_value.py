@@ -81,8 +81,8 @@ def test_evidence_of_minus_infinity_is_null_with_a_sentence(
     assert summary["slam"]["warnings"] == ["log_evidence is -inf, told as null"]
 
 
-def first_frames(result: SlamResult, count: int) -> SlamResult:
-    """The path's first frames."""
+def some_frames(result: SlamResult, chosen: slice) -> SlamResult:
+    """The path of some of its frames."""
     per_frame = (
         "times_ns",
         "mean",
@@ -93,13 +93,13 @@ def first_frames(result: SlamResult, count: int) -> SlamResult:
         "lost",
         "explained",
     )
-    changed = {name: getattr(result, name)[:count] for name in per_frame}
-    return replace(result, draws=result.draws[:, :count], **changed)
+    changed = {name: getattr(result, name)[chosen] for name in per_frame}
+    return replace(result, draws=result.draws[:, chosen], **changed)
 
 
 def test_one_frame_is_published(true_trajectory: SlamResult, tmp_path: Path) -> None:
     """With a path of one pose."""
-    published(tmp_path, RunValues(slam=first_frames(true_trajectory, 1), room=None, shapes={}))
+    published(tmp_path, RunValues(slam=some_frames(true_trajectory, slice(1)), room=None, shapes={}))
 
     assert len((tmp_path / "trajectory.tum").read_text().splitlines()) == 1
 

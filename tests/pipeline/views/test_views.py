@@ -37,7 +37,7 @@ from recordings.dataset_numbers import DatasetNumbers
 from recordings.truth import SceneTruth, TrueObject
 from recordings.types import Trajectory
 from slam.result import SlamResult
-from tests.pipeline.publishing.test_any_value import first_frames
+from tests.pipeline.publishing.test_any_value import some_frames
 from tests.scene.results import scene_result
 
 rr.set_strict_mode(True)
@@ -370,7 +370,7 @@ def test_objects_of_a_single_frame_have_a_truth(
     """Where slam ran on it alone, as in a project, there is no error of the camera to show."""
     assert parsed_run.slam is not None
     assert parsed_run.scene is not None
-    slam = first_frames(parsed_run.slam, 1)
+    slam = some_frames(parsed_run.slam, slice(1))
     single = replace(parsed_run, slam=slam, scene=replace(parsed_run.scene, frames=np.array([0])))
     true = TrueObject(name="cup", shape="mug", world_from_object=parsed_run.scene.camera_from_object[0])
     known = SimpleNamespace(scene=SceneTruth(objects=(true,)), camera_from_world=lambda _: np.eye(4))
