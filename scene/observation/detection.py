@@ -27,6 +27,10 @@ FITTED_POINTS = 20000
 BEND_M, SETTLED_M = 0.012, 0.003
 """Scales of the robust fit of the bend, first and last."""
 
+BEND_PER_M2 = 0.01
+"""Standard deviation of what a camera bends a plane by at its edge, over the squared distance: `WARPED_M` at
+two metres. It decides where no point of a view tells the bend."""
+
 NARROWEST_HALF_M, SHORTEST_HALF_M = 0.09, 0.12
 """A plane less than 18 cm wide or 24 cm long is a face of what a hand holds."""
 
@@ -337,14 +341,21 @@ def least_rectangle(
 
 
 def _settled(table: SupportPlane, points_m: NDArray[np.floating]) -> SupportPlane:
-    """The same table with its bend, by iterated reweighting: what stands on it does not pull it up."""
+    """The same table with its bend, by iterated reweighting: what stands on it does not pull it up.
+
+    A view of one corner tells the bend there alone. Slopes and curvatures have a Gaussian prior, the height
+    has none.
+    """
     inside = table.in_table_frame(points_m)
     close = (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1) & (np.abs(inside[:, 2]) < BEND_M)
     terms, height = _quadratic(inside[close, :2]), inside[close, 2]
+    at_edge = np.append(0.0, _quadratic(table.half_size_m)[1:])
+    prior = np.diag(at_edge / (BEND_PER_M2 * (table.camera_from_table[:3, 3] ** 2).sum()))
     bend = np.zeros(6)
     for scale in np.geomspace(BEND_M, SETTLED_M, 12):
-        weights = (1 + ((height - terms @ bend) / scale) ** 2) ** -2
-        bend = np.linalg.lstsq(terms * np.sqrt(weights)[:, None], height * np.sqrt(weights), rcond=None)[0]
+        root = np.sqrt((1 + ((height - terms @ bend) / scale) ** 2) ** -2)
+        rows = np.concatenate([terms * root[:, None], scale * prior])
+        bend = np.linalg.lstsq(rows, np.append(height * root, np.zeros(6)), rcond=None)[0]
     return replace(table, bend=bend)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scene.observation.detection import SupportPlane, clusters, support_planes
+from scene.observation.detection import SupportPlane, as_seen, clusters, support_planes
 
 CAMERA_FROM_TABLE = np.array([[1, 0, 0, 0.02], [0, -0.8, -0.6, 0.1], [0, 0.6, -0.8, 0.9], [0, 0, 0, 1.0]])
 
@@ -46,6 +46,20 @@ def test_another_rectangle_is_of_the_same_surface(seed: int) -> None:
     points = in_camera(rng.uniform([-0.4, -0.3, -0.1], [0.4, 0.3, 0.3], (100, 3)))
     np.testing.assert_allclose(wider.heights(points), bent.heights(points), atol=1e-12)
     np.testing.assert_allclose(wider.half_size_m, [0.55, 0.4])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_view_of_a_corner_leaves_the_rest_flat(seed: int) -> None:
+    """A corner of 15 x 10 cm, bent as cameras do at .9 m: there to 3 mm, elsewhere to 3 sd of the prior."""
+    rng = np.random.default_rng(seed)
+    whole = SupportPlane(
+        camera_from_table=CAMERA_FROM_TABLE, half_size_m=np.array([0.4, 0.3]), bend=np.zeros(6)
+    )
+    flat = surface(rng, 0.008)
+    corner = flat[(flat[:, 0] > 0.25) & (flat[:, 1] > 0.2)] + rng.normal(0, 0.002, 3) * [0, 0, 1]
+    shown = as_seen(whole, in_camera(corner))
+    assert np.abs(shown.heights(in_camera(corner))).max() < 0.003 + 4 * 0.001
+    assert np.abs(shown.heights(in_camera(flat))).max() < 0.024
 
 
 def test_what_hides_a_table_does_not_part_it(seed: int) -> None:
