@@ -47,10 +47,12 @@ class Timing:
 
     Attributes:
         seconds: without the compile phase.
+        processor_s: processor time of all threads, less the length of the compile phase.
         compile_s: tracing, lowering and compiling, or fetching from the persistent cache.
     """
 
     seconds: float = 0.0
+    processor_s: float = 0.0
     compile_s: float = 0.0
 
 
@@ -67,14 +69,15 @@ def timed() -> Iterator[Timing]:
 
     timing = Timing()
     jax.monitoring.register_event_time_span_listener(note)
-    begun_s = wall_clock()
+    begun_s, begun_processor_s = wall_clock(), processor_clock()
     try:
         yield timing
     finally:
-        elapsed_s = wall_clock() - begun_s
+        elapsed_s, processor_s = wall_clock() - begun_s, processor_clock() - begun_processor_s
         jax.monitoring.unregister_event_time_span_listener(note)
         timing.compile_s = _covered_s(spans)
         timing.seconds = max(elapsed_s - timing.compile_s, 0.0)
+        timing.processor_s = max(processor_s - timing.compile_s, 0.0)
 
 
 def _covered_s(spans: list[tuple[float, float]]) -> float:

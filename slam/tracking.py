@@ -139,17 +139,10 @@ class _Tracker:
             detailed = view_of_frame(frame, intrinsics, FINE_CANVAS)
             self.details.append(self.pages.hold(keyframe_detail(detailed, self.noise)))
             if is_due(state):
-                state = refined_so_far(state, self._images(state), self.on_phase)
+                images = KeyframeImages.of(state, self.details, self.noise)
+                state = refined_so_far(state, images, self.on_phase)
         self.state = state
         return [*told, info]
-
-    def _images(self, state: FilterState) -> KeyframeImages:
-        return KeyframeImages(
-            keyframe_map=state.keyframe_map,
-            details=self.details,
-            noise=replace(self.noise, max_range_m=state.calibration.noise.max_range_m),
-            first_new=state.refined_keyframes,
-        )
 
     def result(self, intrinsics: CameraIntrinsics, sensor: SensorProfile | None) -> SlamResult:
         """After the last frame.
@@ -173,7 +166,7 @@ class _Tracker:
             self.details = [
                 self.pages.hold(detail.value.with_plane_segments(self.noise)) for detail in self.details
             ]
-        images = self._images(state)
+        images = KeyframeImages.of(state, self.details, self.noise)
         maps = choose_map(keys[0], state, config, images, prior)
         self.on_phase("refining the map")
         sd, scales = np.full((NODE_ROWS, NODE_COLUMNS), PRIOR_SD_PER_M), SCALES

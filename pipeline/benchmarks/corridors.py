@@ -16,8 +16,6 @@ from pipeline.synthesis.sensor import DepthSensor
 from pipeline.synthesis.solids import block, surface_of, union
 from pipeline.synthesis.world import Part
 
-LENGTH_M = 20.0
-"""Once round, its corners not cut."""
 WIDTH_M, HEIGHT_M, WALL_M = 1.8, 2.4, 0.1
 EYE_M, PITCH_RAD = 1.4, 0.35
 """Height of the camera, and how far it looks down: a robot's."""
@@ -37,12 +35,16 @@ DISTORTION_PER_M = 1.5e-3
 """Standard deviation of the field of the sensors that have one: the 7-Scenes kitchen's."""
 
 
-def corridor_rows() -> list[Row]:
-    """Judged where the camera ends: at its start again, where a loop can be closed, or on the third side."""
+def corridor_rows(length_m: float) -> list[Row]:
+    """Judged where the camera ends: at its start again, where a loop can be closed, or on the third side.
+
+    Args:
+        length_m: once round, its corners not cut.
+    """
     return [
         Row(
-            name=f"corridor of {LENGTH_M:.0f} m, {way}{sensor}",
-            case=partial(corridor, LENGTH_M, returns=returns, distortion_per_m=distortion),
+            name=f"corridor of {length_m:.0f} m, {way}{sensor}",
+            case=partial(corridor, length_m, returns=returns, distortion_per_m=distortion),
             judged_by="end",
         )
         for sensor, distortion in (("", 0.0), (", distorted", DISTORTION_PER_M))

@@ -83,6 +83,7 @@ def _ours(row: Row, case: Case, config: SlamConfig, number: int) -> Errors:
     return {
         **_errors(row, case, result.mean),
         "frames_per_second": len(case.frames) / timing.seconds,
+        "processor_ms_a_frame": 1e3 * timing.processor_s / len(case.frames),
         "compile_s": timing.compile_s,
         "lost_frames": int(result.lost.sum()),
         "coverage_95": coverage(truth, float(result.degrees_of_freedom))[0.95],

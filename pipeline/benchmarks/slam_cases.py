@@ -82,17 +82,19 @@ class Row:
 
 def real_rows(data: Path) -> list[Row]:
     """Hand-held recordings under the folder `data`."""
-    kitchen = data / "sevenscenes_redkitchen"
     rows = [
-        Row(
-            name=f"real: redkitchen, every {every}",
-            case=partial(_imported, kitchen, every),
-            real=True,
-        )
+        Row(name=f"real: redkitchen, every {every}", case=kitchen(data, every), real=True)
         for every in (1, 5, 10)
     ]
-    shelf = partial(_imported, data / "apc_shelf_handheld", 1)
-    return [*rows, Row(name="real: apc_shelf_handheld", case=shelf, real=True)]
+    shelf = data / "apc_shelf_handheld"
+    for every, name in ((1, "real: apc_shelf_handheld"), (4, "real: apc_shelf_handheld, every 4")):
+        rows.append(Row(name=name, case=partial(_imported, shelf, every), real=True))
+    return rows
+
+
+def kitchen(data: Path, every: int) -> Callable[[int], Case]:
+    """Every so many-th frame of the kitchen under the folder `data`, whatever the number."""
+    return partial(_imported, data / "sevenscenes_redkitchen", every)
 
 
 def synthetic_rows() -> list[Row]:

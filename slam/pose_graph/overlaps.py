@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import NO_RETURN, DepthNoise
 from shapes.geometry.poses import matrices_of, relative_pose
+from slam.filter.state import FilterState
 from slam.keyframes.covisibility import held_together
 from slam.keyframes.depth_view import CanvasView, framing
 from slam.keyframes.keyframe_map import KeyframeMap, selected_keyframes
@@ -172,6 +173,18 @@ class KeyframeImages:
     noise: DepthNoise
     known: NDArray[np.int32] | None = None
     first_new: int = 1
+
+    @classmethod
+    def of(
+        cls, state: FilterState, details: Sequence[Paged[KeyframeDetail]], noise: DepthNoise
+    ) -> KeyframeImages:
+        """Those of the filter's map. The sensor reaches as far as the filter has seen it reach."""
+        return cls(
+            keyframe_map=state.keyframe_map,
+            details=details,
+            noise=replace(noise, max_range_m=state.calibration.noise.max_range_m),
+            first_new=state.refined_keyframes,
+        )
 
     def with_known(self, pairs: NDArray[np.integer]) -> KeyframeImages:
         """The same with more pairs (n, 2) that are known to see the same."""

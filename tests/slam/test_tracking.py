@@ -13,6 +13,7 @@ from slam.config import SlamConfig
 from slam.filter.state import FrameInfo
 from slam.keyframes.depth_view import view_of_frame
 from slam.keyframes.pages import PageFile
+from slam.pose_graph.overlaps import KeyframeImages
 from slam.result import SlamResult
 from slam.tracking import _Tracker, track
 from tests.slam import box_room
@@ -53,7 +54,8 @@ def test_returns_beyond_the_range_of_the_sensor_widen_it_wherever_keyframes_are_
     assert far.depth_m.max() > 10.0
     assert tracker.state is not None
     assert tracker.state.calibration.noise.max_range_m == far.depth_m.max()
-    assert tracker._images(tracker.state).noise.max_range_m == far.depth_m.max()
+    images = KeyframeImages.of(tracker.state, tracker.details, tracker.noise)
+    assert images.noise.max_range_m == far.depth_m.max()
 
 
 def test_a_noisy_walk_is_followed_and_told(key):

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from pipeline.benchmarks.corridors import LENGTH_M, _path, corridor
+from pipeline.benchmarks.corridors import _path, corridor
 from recordings.types import NO_RETURN
 
 
 def test_the_way_round_comes_back_to_its_start():
     """After each side it has turned by a quarter; poses are rotations."""
-    side = LENGTH_M / 4
+    side = 5.0
     poses = _path(side, side * np.arange(5.0))
 
     np.testing.assert_allclose(poses[4], poses[0], atol=1e-9)

@@ -52,7 +52,7 @@ def test_missing_data_is_skipped_with_its_reason(tmp_path):
 
     measured = list(bench.slam_rows(rows, [], 1, 0, Mock()))
 
-    assert len(measured) == 4
+    assert len(measured) == 5
     assert all("nowhere" in row["skipped"] for row in measured)
 
 
