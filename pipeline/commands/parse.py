@@ -24,7 +24,10 @@ MOST_FRAMES = 1000
 """All are held in memory and compared at once."""
 
 MENTIONED = 0.05
-"""Presence from which the terminal tells of an object that was not found."""
+"""Presence from which the terminal tells where an object may be that was not found."""
+
+NAMED = 6
+"""Of the others that were not found; one line holds them."""
 
 REGIONS = 3
 """Of such an object that the terminal tells."""
@@ -201,7 +204,7 @@ def command(
         damage = session.damage
     document = stage_document(session.run, "parse")
     lines = [_line(one, document["graph"]) for one in document["objects"]] or ["no object was found"]
-    lines += [_hidden_line(one) for one in document["not_found"] if one["presence"] >= MENTIONED]
+    lines += _not_found_lines(document["not_found"])
     lines += [_count_line(one) for one in document["counts"]]
     lines += [
         f"{document['seconds']:.1f} s, compiled in {document['compile_s']:.1f} s{_rates(document)}",
@@ -232,6 +235,16 @@ def _names(option: str, text: str) -> tuple[str, ...]:
 def _requested(text: str) -> tuple[str, ...]:
     """Entries of --objects; none for any."""
     return () if text == "any" else _names("--objects", text)
+
+
+def _not_found_lines(objects: list[dict[str, Any]]) -> list[str]:
+    """Where what was not found may be, and one line of what is improbable."""
+    improbable = [one["name"] for one in objects if one["presence"] < MENTIONED]
+    lines = [_hidden_line(one) for one in objects if one["presence"] >= MENTIONED]
+    if improbable:
+        more = f" and {len(improbable) - NAMED} more" if len(improbable) > NAMED else ""
+        lines.append(f"not found, presence under {MENTIONED:g}: {', '.join(improbable[:NAMED])}{more}")
+    return lines
 
 
 def _hidden_line(one: dict[str, Any]) -> str:

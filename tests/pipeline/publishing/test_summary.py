@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.commands.parse import _count_line
+from pipeline.commands.parse import _count_line, _not_found_lines
 from pipeline.publishing.summary import summary_of
 from pipeline.publishing.values import RunValues
 from pipeline.surfaces import SceneSurface, Surfaces
@@ -37,3 +37,17 @@ def test_numbers_of_copies_are_told_where_some_were_asked_for(parsed_run: RunVal
     assert told == [{"name": name, "probabilities": [0.1, 0.7, 0.2]}]
     assert _count_line(told[0]) == "mug, so many of 2: 0 (0.10), 1 (0.70), 2 (0.20)"
     assert summary_of(parsed_run)["parse"]["counts"] == []
+
+
+def test_every_requested_shape_is_told_of() -> None:
+    """Where it may be if that is likely enough; else its name, of many the first ones and how many more."""
+    hidden = {"name": "mug", "presence": 0.2, "presence_std": 0.01, "regions": []}
+    absent = [{"name": f"box {number}", "presence": 0.01} for number in range(8)]
+
+    assert _not_found_lines([]) == []
+    assert _not_found_lines([hidden]) == ["mug: not seen, presence 0.200 +- 0.010"]
+    assert _not_found_lines([absent[0], hidden, absent[1]])[1:] == [
+        "not found, presence under 0.05: box 0, box 1"
+    ]
+    (line,) = _not_found_lines(absent)
+    assert line.endswith("box 5 and 2 more")
