@@ -48,6 +48,7 @@ class Presence:
         number: (N, N + 1) probabilities that so many are there of the shape of each.
         standard_error: (N,) of it, from how chains differ, and from the draws of hidden poses.
         out_of_sight: (N,) probability that each is there, given that it is not in sight.
+        out_of_sight_error: (N,) standard error of that.
         seen: (N,) which are more probably there in sight than not.
         poses: (N, 7) world_from_box of these, of one chain as far as it has them.
     """
@@ -56,6 +57,7 @@ class Presence:
     number: NDArray[np.float64]
     standard_error: NDArray[np.float64]
     out_of_sight: NDArray[np.float64]
+    out_of_sight_error: NDArray[np.float64]
     seen: NDArray[np.bool_]
     poses: NDArray[np.float64]
 
@@ -65,11 +67,12 @@ class Presence:
         Of copies of a shape as many are there as are told to be: in order, as `Copies` has them.
         """
         told, number = np.where(left, self.out_of_sight, self.probability), self.number.copy()
+        error = np.where(left, self.out_of_sight_error, self.standard_error)
         for one in np.flatnonzero((alike & left).any(axis=1)):
             at_least = np.sort(told[alike[one]])[::-1]
             number[one] = 0.0
             number[one, : len(at_least) + 1] = -np.diff(at_least, prepend=1.0, append=0.0)
-        return replace(self, probability=told, number=number, seen=self.seen & ~left)
+        return replace(self, probability=told, standard_error=error, number=number, seen=self.seen & ~left)
 
     def with_exact(
         self, exact: Mapping[int, tuple[float, float]], both: float, alike: NDArray[np.bool_]
@@ -287,23 +290,34 @@ def presence_posterior(
     by_chain, last, visits = zip(*runs, strict=True)
     there, unseen = np.moveaxis(np.stack(by_chain)[:, :objects], 2, 0)
     copies = Copies.of(alike, found)
-    in_sight = copies.shared(there - unseen).mean(axis=0)
+    in_sight = copies.shared(there - unseen)
     there = copies.with_number(there, np.stack([number_probabilities(run, alike) for run in visits]))
-    told, not_in_sight = there.mean(axis=0), 1 - in_sight
-    unseen_share = (told - in_sight).clip(0)
+    told, seen = there.mean(axis=0), in_sight.mean(axis=0) >= 0.5
+    unseen_share = (told - in_sight.mean(axis=0)).clip(0)
     of_share = unseen_share * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
-    of_chains = there.std(axis=0, ddof=1) / np.sqrt(chains)
-    seen = in_sight >= 0.5
+    not_in_sight = _or_one(1 - in_sight.mean(axis=0))
+    out_of_sight = ((there - in_sight) / _or_one(1 - in_sight)).clip(0, 1)
     poses = np.stack([one.chosen for one in last])[:, :objects, :7]
     in_use = np.stack([one.in_use for one in last])[:, :objects]
     return Presence(
         probability=told,
         number=number_probabilities([one for run in visits for one in run], alike),
-        standard_error=np.hypot(of_chains, of_share),
-        out_of_sight=(unseen_share / np.where(not_in_sight > 0, not_in_sight, 1)).clip(0, 1),
+        standard_error=np.hypot(_error_of_mean(there), of_share),
+        out_of_sight=(unseen_share / not_in_sight).clip(0, 1),
+        out_of_sight_error=np.hypot(_error_of_mean(out_of_sight), of_share / not_in_sight),
         seen=seen,
         poses=_in_one_scene(*copies.in_order(poses, in_use), seen),
     )
+
+
+def _or_one(divisors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same where they are positive, else one: what they divide is zero there."""
+    return np.where(divisors > 0, divisors, 1)
+
+
+def _error_of_mean(by_chain: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard error (N,) of the mean over chains (C, N)."""
+    return by_chain.std(axis=0, ddof=1) / np.sqrt(len(by_chain))
 
 
 def _in_doubt(in_sight: NDArray[np.float64]) -> NDArray[np.bool_]:

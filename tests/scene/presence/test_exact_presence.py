@@ -16,6 +16,7 @@ def by_moves() -> Presence:
         number=np.array([[0.2, 0.5, 0.3, 0.0], [0.2, 0.5, 0.3, 0.0], [0.3, 0.7, 0.0, 0.0]]),
         standard_error=np.full(3, 0.1),
         out_of_sight=np.array([0.1, 0.2, 0.3]),
+        out_of_sight_error=np.array([0.01, 0.02, 0.03]),
         seen=np.array([False, True, True]),
         poses=np.zeros((3, 7)),
     )
@@ -44,12 +45,13 @@ def test_one_exact_object_has_a_number_of_its_own() -> None:
 
 
 def test_what_chains_show_nowhere_is_told_as_out_of_sight() -> None:
-    """It is not seen, and there with the probability that it has out of sight."""
+    """It is not seen; presence and standard error are those that it has out of sight."""
     before = by_moves()
 
     told = before.without_sight_of(np.array([False, False, True]), ALIKE)
 
     np.testing.assert_allclose(told.probability, [0.5, 0.6, 0.3])
+    np.testing.assert_allclose(told.standard_error, [0.1, 0.1, 0.03])
     np.testing.assert_allclose(told.number[2], [0.7, 0.3, 0.0, 0.0])
     assert told.seen.tolist() == [False, True, False]
     assert before.seen.tolist() == [False, True, True]
