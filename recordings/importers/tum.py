@@ -81,7 +81,7 @@ def _listed(path: Path) -> list[tuple[int, list[str]]]:
             raise RecordingError(f"{path}, line {number}: {words[0]!r} is no time") from error
         if not (seconds.is_finite() and 0 <= seconds < _LATEST_S):
             raise RecordingError(f"{path}, line {number}: {words[0]} is no time in seconds")
-        time_ns = int(seconds * 1_000_000_000)
+        time_ns = round(seconds * 1_000_000_000)
         if len(words) < 2:
             raise RecordingError(f"{path}, line {number} lacks what follows the time")
         entries[time_ns] = words[1:]
