@@ -120,6 +120,7 @@ def _summary(
         most_probable=poses[int(samples.log_posterior.argmax())],
         presence=shares.mean(axis=1),
         presence_std=shares.std(axis=1, ddof=int(chains > 1)) / np.sqrt(chains),
+        hidden_presence=np.zeros(len(slots)),
         number_probabilities=_numbers(shares.mean(axis=1).reshape(-1, world.most)),
         hidden_share=np.zeros(len(slots)),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(slots), 1, 1)),

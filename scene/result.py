@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -33,6 +34,7 @@ class SceneResult(Archived):
         presence: (N,) probability that the object is there.
         presence_std: (N,) its standard error: of how chains of presence differ, and of the number of poses at
             which hidden objects were tried.
+        hidden_presence: (N,) probability that it is there and not in sight; NaN in files of format 7.
         number_probabilities: (N, N + 1) that so many are there of the shape of each object.
         hidden_share: (N,) of an object not found the mean likelihood ratio over prior poses, about the share
             of them that no image shows; 0 of those found.
@@ -56,8 +58,10 @@ class SceneResult(Archived):
             they are certain.
     """
 
-    FORMAT_VERSION: ClassVar[int] = 7
+    FORMAT_VERSION: ClassVar[int] = 8
     TITLE: ClassVar[str] = "scene result"
+    OLDER_FORMATS: ClassVar[Mapping[int, Mapping[str, str]]] = {7: {}}
+    ADDED: ClassVar[Mapping[str, float]] = {"hidden_presence": np.nan}
     names: NDArray[np.str_]
     frames: NDArray[np.int64]
     camera_from_object: NDArray[np.float64]
@@ -65,6 +69,7 @@ class SceneResult(Archived):
     most_probable: NDArray[np.float64]
     presence: NDArray[np.float64]
     presence_std: NDArray[np.float64]
+    hidden_presence: NDArray[np.float64]
     number_probabilities: NDArray[np.float64]
     hidden_share: NDArray[np.float64]
     hidden_poses: NDArray[np.float64]
@@ -90,6 +95,12 @@ class SceneResult(Archived):
     def found(self) -> NDArray[np.bool_]:
         """(N,) objects more probably there than not, and seen."""
         return (self.presence >= 0.5) & (self.visible_fraction > 0)
+
+    @property
+    def out_of_sight(self) -> NDArray[np.float64]:
+        """(N,) `hidden_presence`, of files that do not tell it all of the presence."""
+        told = np.nan_to_num(self.hidden_presence, nan=np.inf)
+        return np.minimum(told, self.presence)
 
     @property
     def supports(self) -> list[str]:

@@ -104,6 +104,7 @@ def summarise(
         most_probable=most_probable,
         presence=presence.probability,
         presence_std=presence.standard_error,
+        hidden_presence=presence.hidden,
         number_probabilities=presence.number,
         hidden_share=np.where(start.found & ~left, 0.0, hidden.share),  # moves may have put it in since
         hidden_poses=poses_of(np.linalg.inv(world_from_camera) @ hidden.poses @ box_from_object[:, None]),

@@ -26,6 +26,9 @@ MOST_FRAMES = 1000
 MENTIONED = 0.05
 """Presence from which the terminal tells where an object may be that was not found."""
 
+IN_SIGHT = 0.005
+"""Probability of being in sight, and taken for something else, from which it is told."""
+
 NAMED = 6
 """Of the others that were not found; one line holds them."""
 
@@ -248,8 +251,10 @@ def _not_found_lines(objects: list[dict[str, Any]]) -> list[str]:
 
 
 def _hidden_line(one: dict[str, Any]) -> str:
-    """What a person wants to know of an object that nobody sees."""
-    text = f"{one['name']}: not seen, presence {one['presence']:.3f} +- {one['presence_std']:.3f}"
+    """What a person wants to know of an object that was not found, and may be there."""
+    text = f"{one['name']}: not found, presence {one['presence']:.3f} +- {one['presence_std']:.3f}"
+    if one["in_sight"] >= IN_SIGHT:
+        text += f", {one['in_sight']:.2f} of it in sight"
     places = [
         f"{region['probability']:.2f} in ({_corner(region['low_m'])}) to ({_corner(region['high_m'])}) cm"
         for region in one["regions"][:REGIONS]

@@ -281,7 +281,7 @@ def _objects(page: Page, run: ReportedRun) -> None:
     page.table([*header, "rests on"], rows)
     if parse["not_found"]:
         told = ", ".join(f"{one['name']} ({presence_text(one)})" for one in parse["not_found"])
-        page.text(f"Not found, with the probability that it is there unseen: {told}.", soft=True)
+        page.text(f"Not found, with the probability that it is there all the same: {told}.", soft=True)
 
 
 def _settings(page: Page, run: ReportedRun) -> None:

@@ -119,7 +119,8 @@ def _log_hidden(
     recording: rr.RecordingStream, values: RunValues, scene: SceneResult, surfaces: Surfaces
 ) -> None:
     """Outlines of where objects that nobody sees may be, behind what hides them, a label at the first."""
-    for one in np.flatnonzero(~scene.found & (scene.hidden_share > 0) & (scene.presence >= LIKELY)).tolist():
+    hidden = scene.out_of_sight
+    for one in np.flatnonzero(~scene.found & (scene.hidden_share > 0) & (hidden >= LIKELY)).tolist():
         name, surface = str(scene.names[one]), surfaces.by_name[str(scene.names[one])]
         poses = values.reference_from_parsed @ matrices_of(scene.hidden_poses[one])
         path, colour = f"world/hidden/{rr.escape_entity_path_part(name)}", UNSEEN
@@ -128,7 +129,7 @@ def _log_hidden(
             [poses[0, :3, :3] @ surface.middle_m + poses[0, :3, 3]],
             radii=LABEL_RADIUS_M,
             colors=WHITE,
-            labels=f"{name} {scene.presence[one]:.0%}, not seen",
+            labels=f"{name} {hidden[one]:.0%}, not seen",
         )
         recording.log(f"{path}/label", label, static=True)
 

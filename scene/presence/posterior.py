@@ -47,6 +47,7 @@ class Presence:
         probability: (N,).
         number: (N, N + 1) probabilities that so many are there of the shape of each.
         standard_error: (N,) of it, from how chains differ, and from the draws of hidden poses.
+        hidden: (N,) probability that each is there and not in sight.
         out_of_sight: (N,) probability that each is there, given that it is not in sight.
         out_of_sight_error: (N,) standard error of that.
         seen: (N,) which are more probably there in sight than not.
@@ -56,6 +57,7 @@ class Presence:
     probability: NDArray[np.float64]
     number: NDArray[np.float64]
     standard_error: NDArray[np.float64]
+    hidden: NDArray[np.float64]
     out_of_sight: NDArray[np.float64]
     out_of_sight_error: NDArray[np.float64]
     seen: NDArray[np.bool_]
@@ -68,11 +70,13 @@ class Presence:
         """
         told, number = np.where(left, self.out_of_sight, self.probability), self.number.copy()
         error = np.where(left, self.out_of_sight_error, self.standard_error)
+        hidden = np.where(left, self.out_of_sight, self.hidden)
         for one in np.flatnonzero((alike & left).any(axis=1)):
             at_least = np.sort(told[alike[one]])[::-1]
             number[one] = 0.0
             number[one, : len(at_least) + 1] = -np.diff(at_least, prepend=1.0, append=0.0)
-        return replace(self, probability=told, standard_error=error, number=number, seen=self.seen & ~left)
+        seen = self.seen & ~left
+        return replace(self, probability=told, standard_error=error, hidden=hidden, number=number, seen=seen)
 
     def with_exact(
         self, exact: Mapping[int, tuple[float, float]], both: float, alike: NDArray[np.bool_]
@@ -85,8 +89,9 @@ class Presence:
             alike: (N, N) which objects are copies of one shape, each of itself.
         """
         told, error, number = self.probability.copy(), self.standard_error.copy(), self.number.copy()
+        hidden = self.hidden.copy()
         for one, (presence, standard_error) in exact.items():
-            told[one], error[one] = presence, standard_error
+            told[one], error[one], hidden[one] = presence, standard_error, presence
         for one in exact:
             copies = np.flatnonzero(alike[one])
             if set(copies.tolist()) <= set(exact):
@@ -95,7 +100,7 @@ class Presence:
                 number[one] = 0.0
                 number[one, :2] = 1 - one_there - all_there, one_there
                 number[one, len(copies)] += all_there
-        return replace(self, probability=told, standard_error=error, number=number)
+        return replace(self, probability=told, standard_error=error, hidden=hidden, number=number)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -303,6 +308,7 @@ def presence_posterior(
         probability=told,
         number=number_probabilities([one for run in visits for one in run], alike),
         standard_error=np.hypot(_error_of_mean(there), of_share),
+        hidden=unseen_share,
         out_of_sight=(unseen_share / not_in_sight).clip(0, 1),
         out_of_sight_error=np.hypot(_error_of_mean(out_of_sight), of_share / not_in_sight),
         seen=seen,

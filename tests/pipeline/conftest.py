@@ -87,6 +87,7 @@ def parsed_run(true_trajectory: SlamResult) -> RunValues:
         covariance=np.tile(1e-6 * np.eye(6), (3, 1, 1)),
         presence=np.array([0.99, 0.98, 0.1]),
         presence_std=np.array([0.0, 0.0, 0.002]),
+        hidden_presence=np.array([0.0, 0.0, 0.1]),
         number_probabilities=np.array([[0.01, 0.99, 0, 0], [0.02, 0.98, 0, 0], [0.9, 0.1, 0, 0]]),
         hidden_share=np.array([0.0, 0.0, 0.01]),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0.2, 0, 0.9], (3, 4, 1)),

@@ -22,6 +22,7 @@ def scene_result(names: Sequence[str], poses: ArrayLike, parents: Sequence[int])
         covariance=np.tile(np.eye(6), (count, 1, 1)),
         presence=np.ones(count),
         presence_std=np.zeros(count),
+        hidden_presence=np.zeros(count),
         number_probabilities=np.tile(np.arange(count + 1) == 1, (count, 1)).astype(np.float64),
         hidden_share=np.zeros(count),
         hidden_poses=np.tile([1.0, 0, 0, 0, 0, 0, 0], (count, 1, 1)),

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scene.result import SceneResult
+from shapes.archive import load_arrays, save_arrays
 from shapes.geometry.poses import poses_of
 from tests.scene.results import scene_result
 
@@ -40,3 +43,18 @@ def test_the_spread_of_the_origin_is_a_distance_where_samples_spin() -> None:
     spun = replace(scene, sample_poses=poses_of(samples @ aside)[:, None])
 
     np.testing.assert_allclose(spun.position_std_m, 0.05 * np.sqrt(2))
+
+
+def test_a_file_of_the_format_before_tells_all_presence_as_out_of_sight(tmp_path: Path) -> None:
+    """It did not say which part of a presence is in sight."""
+    scene = scene_result(["mug", "can"], np.tile(np.eye(4), (2, 1, 1)), [2, 2])
+    scene = replace(scene, presence=np.array([0.3, 0.2]), hidden_presence=np.array([0.1, 0.2]))
+    scene.save(tmp_path / "now.npz")
+    arrays = load_arrays(tmp_path / "now.npz")
+    del arrays["hidden_presence"]
+    save_arrays(tmp_path / "before.npz", {**arrays, "format_version": np.array(7)})
+
+    now, before = (SceneResult.load(tmp_path / name) for name in ("now.npz", "before.npz"))
+
+    np.testing.assert_allclose(now.out_of_sight, [0.1, 0.2])
+    np.testing.assert_allclose(before.out_of_sight, [0.3, 0.2])

@@ -41,11 +41,11 @@ def test_numbers_of_copies_are_told_where_some_were_asked_for(parsed_run: RunVal
 
 def test_every_requested_shape_is_told_of() -> None:
     """Where it may be if that is likely enough; else its name, of many the first ones and how many more."""
-    hidden = {"name": "mug", "presence": 0.2, "presence_std": 0.01, "regions": []}
+    hidden = {"name": "mug", "presence": 0.2, "presence_std": 0.01, "in_sight": 0.1, "regions": []}
     absent = [{"name": f"box {number}", "presence": 0.01} for number in range(8)]
 
     assert _not_found_lines([]) == []
-    assert _not_found_lines([hidden]) == ["mug: not seen, presence 0.200 +- 0.010"]
+    assert _not_found_lines([hidden]) == ["mug: not found, presence 0.200 +- 0.010, 0.10 of it in sight"]
     assert _not_found_lines([absent[0], hidden, absent[1]])[1:] == [
         "not found, presence under 0.05: box 0, box 1"
     ]

@@ -15,6 +15,7 @@ def by_moves() -> Presence:
         probability=np.array([0.5, 0.6, 0.7]),
         number=np.array([[0.2, 0.5, 0.3, 0.0], [0.2, 0.5, 0.3, 0.0], [0.3, 0.7, 0.0, 0.0]]),
         standard_error=np.full(3, 0.1),
+        hidden=np.array([0.05, 0.1, 0.02]),
         out_of_sight=np.array([0.1, 0.2, 0.3]),
         out_of_sight_error=np.array([0.01, 0.02, 0.03]),
         seen=np.array([False, True, True]),
@@ -30,6 +31,7 @@ def test_numbers_follow_exact_presences() -> None:
 
     np.testing.assert_allclose(told.probability, [0.4, 0.3, 0.7])
     np.testing.assert_allclose(told.standard_error, [0.01, 0.02, 0.1])
+    np.testing.assert_allclose(told.hidden, [0.4, 0.3, 0.02])
     np.testing.assert_allclose(told.number[:2], [[0.4, 0.5, 0.1, 0.0]] * 2)
     np.testing.assert_allclose(told.number[2], before.number[2])
     np.testing.assert_allclose(before.probability, [0.5, 0.6, 0.7])
@@ -52,6 +54,7 @@ def test_what_chains_show_nowhere_is_told_as_out_of_sight() -> None:
 
     np.testing.assert_allclose(told.probability, [0.5, 0.6, 0.3])
     np.testing.assert_allclose(told.standard_error, [0.1, 0.1, 0.03])
+    np.testing.assert_allclose(told.hidden, [0.05, 0.1, 0.3])
     np.testing.assert_allclose(told.number[2], [0.7, 0.3, 0.0, 0.0])
     assert told.seen.tolist() == [False, True, False]
     assert before.seen.tolist() == [False, True, True]
