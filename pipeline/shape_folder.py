@@ -26,7 +26,7 @@ def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSu
     A run folder stands for the shapes that were learned in it.
 
     Raises:
-        PipelineError: there is none, or one cannot be used.
+        PipelineError: there is none, one cannot be used, or units are given of learned ones.
     """
     from pipeline.meshes import load_meshes, vertex_rgb
 
@@ -40,6 +40,8 @@ def load_surfaces(folder: Path, units: Units | None = None) -> dict[str, SceneSu
             )
             for name, mesh in meshes.items()
         }
+    if units is not None:
+        raise PipelineError(f"{folder} holds learned shapes, which are in metres: leave --units out")
     return {path.stem: _learned_surface(path) for path in learned}
 
 

@@ -115,3 +115,10 @@ def test_a_folder_holds_meshes_or_learned_shapes(tmp_path: Path) -> None:
     assert not holds_learned_shapes(folder(tmp_path))
     (tmp_path / "box.npz").touch()
     assert holds_learned_shapes(tmp_path)
+
+
+def test_learned_shapes_have_no_units_to_give(tmp_path: Path) -> None:
+    """They are in metres; millimetres asked of them would be taken for granted otherwise."""
+    (tmp_path / "mug.npz").touch()
+    with pytest.raises(PipelineError, match="leave --units out"):
+        load_surfaces(tmp_path, "mm")
