@@ -1,1 +1,1 @@
-"""What a camera saw: reading and writing recordings, with nothing heavier than NumPy, Pillow and readers of files."""
+"""What a camera saw: reading and writing recordings, with NumPy, Pillow and readers of files alone."""
