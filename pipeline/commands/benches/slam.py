@@ -85,9 +85,10 @@ def command(
     Bare and furnished rooms, views round an object and whole circles; a corridor round a block of rooms;
     things that move before the camera or with it. Every peer is tuned, in rooms of other seeds or on the real
     recording itself. With all rows, peers and ten rooms it takes more than an hour. "told" is the share of
-    frames that are within 2 cm, lost, or inside their 95% region: on average, and in the worst run. Of the
-    kitchen also: what refinement leaves of a drift of its keyframes, and by how much less overlapping frames
-    of one half disagree where they are corrected by the distortion that was learned on the other.
+    frames that are within 2 cm, lost, or inside their 95% region: on average, and in the worst run. CPU
+    time is the median over the frames while they are tracked. Of the kitchen also: what refinement leaves of
+    a drift of its keyframes, and by how much less overlapping frames of one half disagree where they are
+    corrected by the distortion that was learned on the other.
     """
     from pipeline.benchmarks.corridors import corridor_rows
     from pipeline.benchmarks.moving_cases import moving_rows
