@@ -15,6 +15,9 @@ from typing import TextIO
 
 import click
 
+Report = Callable[[int, int | None], None]
+"""Is told how many of how many steps are done; None where nobody knows how many there are."""
+
 SILENT_S = 2.0
 """Work that ends sooner shows nothing."""
 TERMINAL_INTERVAL_S = 0.2

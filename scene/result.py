@@ -97,7 +97,7 @@ class SceneResult(Archived):
         return (self.presence >= 0.5) & (self.visible_fraction > 0)
 
     @property
-    def out_of_sight(self) -> NDArray[np.float64]:
+    def presence_out_of_sight(self) -> NDArray[np.float64]:
         """(N,) `hidden_presence`, of files that do not tell it all of the presence."""
         told = np.nan_to_num(self.hidden_presence, nan=np.inf)
         return np.minimum(told, self.presence)

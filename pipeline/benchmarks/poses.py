@@ -24,6 +24,7 @@ from pipeline.evaluation.scenes import ObjectError, object_errors
 from pipeline.fingerprints import COMPUTES, source_hash
 from pipeline.jax_setup import set_up_jax
 from pipeline.mesh_source import MeshSource
+from pipeline.progress import Report
 from pipeline.quiet_stdout import stdout_to_stderr
 from pipeline.task_engine import Executors, Task, run_tasks
 from recordings.truth import TABLE
@@ -215,7 +216,7 @@ class RemainingTime:
         progress: is told images done and in all as well.
     """
 
-    def __init__(self, say: Callable[[str], None], progress: Callable[[int, int | None], None]) -> None:
+    def __init__(self, say: Callable[[str], None], progress: Report) -> None:
         self._say, self._progress = say, progress
         self._begun: tuple[float, int] | None = None
 

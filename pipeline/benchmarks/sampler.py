@@ -8,7 +8,7 @@ Independent draws from the exact distribution set the floor.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pipeline.benchmarks.cubes import code_of, cube_kernel, cube_model, start_chains
 from pipeline.benchmarks.enumerated_target import GraphTable
 from pipeline.benchmarks.involution_error import largest_involution_error
+from pipeline.progress import Report
 from scene.mcmc.kernel import run_block
 from scene.model.posterior import ChainState, SceneModel
 from scene.model.scene_graph import all_trees, tree_code
@@ -60,9 +61,7 @@ class SamplerFigures:
     trees: int
 
 
-def measure_sampler(
-    seed: int, moves: int, report: Callable[[int, int | None], None]
-) -> dict[int, SamplerFigures]:
+def measure_sampler(seed: int, moves: int, report: Report) -> dict[int, SamplerFigures]:
     """Figures by number of objects; `report` is told how many of how many are done."""
     figures = {}
     for index, count in enumerate(OBJECTS):

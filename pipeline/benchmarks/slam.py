@@ -6,7 +6,7 @@ real rows with the one that does best on the recording itself, which favours the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -23,6 +23,7 @@ from pipeline.evaluation.trajectory_errors import (
 )
 from pipeline.logs import log
 from pipeline.peers.registry import Track, settings_of
+from pipeline.progress import Report
 from pipeline.timing import processor_clock, timed
 from recordings.errors import RecordingError
 from shapes.geometry.pose_sets import within_reach
@@ -37,8 +38,6 @@ NEAR_M = 0.02
 """What a user is not misled by."""
 MODE_REACH = 0.05, 0.05
 """Metres and radians from the truth within which a path stays that is the true mode's."""
-
-Report = Callable[[int, int | None], None]
 Errors = dict[str, float]
 
 

@@ -15,6 +15,7 @@ from scipy import stats
 
 from pipeline.benchmarks.slam_cases import Case, short_walk
 from pipeline.evaluation.trajectory_errors import LEVELS, level_of, squared_distances
+from pipeline.progress import Report
 from slam.config import SlamConfig
 from slam.tracking import track
 
@@ -26,7 +27,7 @@ INTERVAL = 0.999
 
 
 def coverage_row(
-    runs: int, seed: int, report: Callable[[int, int | None], None], case: Callable[[int], Case] = short_walk
+    runs: int, seed: int, report: Report, case: Callable[[int], Case] = short_walk
 ) -> dict[str, Any]:
     """The row of the table: shares inside the regions of 50, 90 and 95%, with their intervals.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import resource
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.benchmarks.flats import flat_film
 from pipeline.memory import give_back_free_memory
+from pipeline.progress import Report
 from pipeline.timing import kernels_counted, own_processor_clock, processor_clock
 from recordings.types import Frame
 from slam.config import SlamConfig
@@ -24,7 +25,7 @@ STARTED = 1000
 """Frames by which every kernel of tracking should have been compiled."""
 
 
-def hour_row(frames: int, seed: int, report: Callable[[int, int | None], None]) -> dict[str, Any]:
+def hour_row(frames: int, seed: int, report: Report) -> dict[str, Any]:
     """Figures of one film.
 
     Args:

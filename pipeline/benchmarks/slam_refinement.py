@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.benchmarks.slam_cases import Case
+from pipeline.calibration.field import corrected_frames
+from pipeline.progress import Report
 from recordings.distortion_field import NODE_COLUMNS, NODE_ROWS, PRIOR_SD_PER_M
 from recordings.errors import RecordingError
 from recordings.sensor_profile import SensorProfile
@@ -37,8 +39,6 @@ COMPARED_FRAMES, COMPARED_PIXELS = 10, 4
 """Frames of a half between which depths are compared, and every so many-th row and column of them."""
 LARGEST_GAP_M = 0.1
 """A larger one is another surface."""
-
-Report = Callable[[int, int | None], None]
 
 
 def drift_row(case: Callable[[int], Case], seed: int, report: Report) -> dict[str, Any]:
@@ -123,7 +123,7 @@ def halves_row(case: Callable[[int], Case], report: Report) -> dict[str, Any]:
     rows = []
     for used, (frames, result, other) in enumerate(zip(halves, measured, measured[::-1], strict=True)):
         learned = other.sensor
-        corrected = [replace(one, depth_m=learned.corrected(one.depth_m)) for one in frames]
+        corrected = list(corrected_frames(frames, learned))
         again = _tracked(corrected, whole.intrinsics, learned)
         before, after = (
             frame_gaps(images, found.mean, whole.intrinsics)

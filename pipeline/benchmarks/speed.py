@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pipeline.benchmarks.hypotheses import BACKGROUND_M, NOISE, Problem, posed, problem
 from pipeline.benchmarks.lathe import mug
 from pipeline.benchmarks.roofline import measure_roofline
+from pipeline.progress import Report
 from scene.likelihood.one_object import gain_over_rest, log_likelihood_ratio
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.object_library import join, library_of_mesh
@@ -34,8 +35,6 @@ HYPOTHESES = {50: 8192, 100: 4096, 200: 1024}
 """Of one call: enough that starting it costs nothing."""
 ROUNDS = 5
 PEER_HYPOTHESES = 256
-
-Report = Callable[[int, int | None], None]
 Rate = dict[str, float]
 
 

@@ -68,7 +68,7 @@ def tracked_field(
     field = replace(known, noise=None, unknown=None, correlation=None)
     result = track(
         key,
-        _corrected(itertools.islice(recording, total), known),
+        corrected_frames(itertools.islice(recording, total), known),
         recording.intrinsics,
         config,
         lambda _: on_frame(next(done), total),
@@ -78,6 +78,6 @@ def tracked_field(
     return result, replace(known, distortion=result.sensor.distortion)
 
 
-def _corrected(frames: Iterable[Frame], known: SensorProfile) -> Iterator[Frame]:
+def corrected_frames(frames: Iterable[Frame], known: SensorProfile) -> Iterator[Frame]:
     """The frames without the distortion, as far as it is known."""
     return (replace(frame, depth_m=known.corrected(frame.depth_m)) for frame in frames)

@@ -164,7 +164,7 @@ def _scene(scene: SceneResult, surfaces: Surfaces) -> dict[str, Any]:
                 "name": names[one],
                 "presence": float(scene.presence[one]),
                 "presence_std": float(scene.presence_std[one]),
-                "in_sight": float(scene.presence[one] - scene.out_of_sight[one]),
+                "in_sight": float(scene.presence[one] - scene.presence_out_of_sight[one]),
                 "hidden_share": float(scene.hidden_share[one]),
                 "regions": _regions(scene, one, middles_m[one]),
             }
@@ -202,7 +202,9 @@ def _regions(scene: SceneResult, one: int, middle_m: NDArray[np.float64]) -> lis
     if not scene.hidden_share[one] > 0:
         return []
     poses = matrices_of(scene.hidden_poses[one][are_poses(scene.hidden_poses[one])])
-    regions = regions_of(float(scene.out_of_sight[one]), poses[:, :3, :3] @ middle_m + poses[:, :3, 3])
+    regions = regions_of(
+        float(scene.presence_out_of_sight[one]), poses[:, :3, :3] @ middle_m + poses[:, :3, 3]
+    )
     return [
         {"probability": each.probability, "low_m": each.low_m.tolist(), "high_m": each.high_m.tolist()}
         for each in regions

@@ -119,7 +119,7 @@ def _log_hidden(
     recording: rr.RecordingStream, values: RunValues, scene: SceneResult, surfaces: Surfaces
 ) -> None:
     """Outlines of where objects that nobody sees may be, behind what hides them, a label at the first."""
-    hidden = scene.out_of_sight
+    hidden = scene.presence_out_of_sight
     for one in np.flatnonzero(~scene.found & (scene.hidden_share > 0) & (hidden >= LIKELY)).tolist():
         name, surface = str(scene.names[one]), surfaces.by_name[str(scene.names[one])]
         poses = values.reference_from_parsed @ matrices_of(scene.hidden_poses[one])

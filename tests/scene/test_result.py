@@ -56,5 +56,5 @@ def test_a_file_of_the_format_before_tells_all_presence_as_out_of_sight(tmp_path
 
     now, before = (SceneResult.load(tmp_path / name) for name in ("now.npz", "before.npz"))
 
-    np.testing.assert_allclose(now.out_of_sight, [0.1, 0.2])
-    np.testing.assert_allclose(before.out_of_sight, [0.3, 0.2])
+    np.testing.assert_allclose(now.presence_out_of_sight, [0.1, 0.2])
+    np.testing.assert_allclose(before.presence_out_of_sight, [0.3, 0.2])

@@ -12,7 +12,7 @@ import click
 
 from pipeline.options import AnyPath, Common, OutputFile, common_options, words
 from pipeline.peers import PEERS
-from pipeline.progress import tell
+from pipeline.progress import Report, tell
 
 
 @click.command(name="slam")
@@ -107,13 +107,15 @@ def command(
         raise PipelineError(f"--only {only}: no row has that in its name")
     measured: list[dict[str, Any]] = []
 
+    talking = not (common.as_json or common.quiet)
+
     def add(row: dict[str, Any]) -> None:
         measured.append(row)
-        if not (common.as_json or common.quiet):
+        if talking:
             for cells in _cells(row):
                 tell(_line(cells))
 
-    if not (common.as_json or common.quiet):
+    if talking:
         tell(_line(HEADINGS))
     with common.progress("slam", "recordings") as progress:
         remaining = slam_rows(rows, peers, rooms, common.seed, progress)
@@ -144,7 +146,7 @@ class _OtherRow:
 
     name: str
     counted: str
-    measure: Callable[[Callable[[int, int | None], None]], dict[str, Any]]
+    measure: Callable[[Report], dict[str, Any]]
     is_long: bool = False
 
     def is_asked(self, only: str) -> bool:
