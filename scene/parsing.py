@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Event
 
 import jax
 import numpy as np
@@ -50,8 +52,8 @@ def parse_scene(
 ) -> SceneResult:
     """Parse the scene that the frames show: it is judged by all of them.
 
-    Where moves put an object where chains have not been, or leave out one that chains held, these run again
-    over the scene that moves tell.
+    The search's poses are refined, moves tell from there which objects are in sight, and chains sample these.
+    Poses are refined once more where moves put an object elsewhere, or leave out one that was found.
 
     Args:
         key: random key.
@@ -68,8 +70,8 @@ def parse_scene(
     Raises:
         ValueError: the frames show nothing to parse, or the profile does not know such pixels.
     """
-    keys = jax.random.split(key, 6)
-    support_key, search_key, chain_key, again_key, hidden_key, presence_key = keys
+    keys = jax.random.split(key, 7)
+    support_key, search_key, other_key, hidden_key, presence_key, chain_key, moved_key = keys
     seed = int(jax.random.randint(support_key, (), 0, 2**31 - 1))
     views = _views(frames, first_camera_from_camera, intrinsics, seed, config)
     renderer = ObjectRenderer.of(objects)
@@ -82,40 +84,31 @@ def parse_scene(
     tell = progress.phase if progress else _untold
     tell("searching, compiling once")
     joint = search_frames(
-        (search_key, again_key), views, first_camera_from_camera, objects, renderer, noise, learned, config
+        (search_key, other_key), views, first_camera_from_camera, objects, renderer, noise, learned, config
     )
     rng = np.random.default_rng(np.asarray(jax.random.key_data(presence_key)))
     seen_noise = with_surface_error(noise, config.model_error_m)
-    sampler = _Sampler(rng, joint, objects, renderer, seen_noise, config, progress)
-    compared, start = joint.compared, joint.start
-    sampled = sampler.sampled(chain_key, start)
-    tell("weighing where objects may be out of sight")
-    hidden = sampler.hidden(hidden_key)
-    tell("weighing which objects are there")
-    presence = presence_in_scene(
-        rng, compared, joint.searched, objects, start, sampled.found, sampled.chains, hidden, config
+    sampler = _Sampler(joint, objects, renderer, seen_noise, config)
+    hidden, presence, start, sampled = sampler.weighed_and_sampled(
+        rng, (hidden_key, chain_key, moved_key), progress
     )
-    moved = _stand_elsewhere(presence, sampled, objects)
-    if moved.any() or (start.found & ~presence.seen).any():
-        in_camera = poses_of(np.linalg.inv(compared.world_from_camera) @ matrices_of(presence.poses))
-        start = start.with_scene(presence.seen, in_camera, moved)
-        tell("sampling the scene that moves tell")
-        sampled = sampler.sampled(jax.random.key(int(rng.integers(2**31))), start)
     numbers = np.asarray(frame_indices)
     scene = summarise(
-        rng, sampled, start, hidden, presence, compared.world_from_camera, objects, numbers, config
+        rng, sampled, start, hidden, presence, joint.compared.world_from_camera, objects, numbers, config
     )
-    return scene.in_camera(first_camera_from_camera[compared.searched])
+    return scene.in_camera(first_camera_from_camera[joint.compared.searched])
 
 
 def _stand_elsewhere(
-    presence: Presence, sampled: Sampled, objects: Sequence[SceneObject]
+    presence: Presence,
+    found: NDArray[np.bool_],
+    particles: NDArray[np.float64],
+    objects: Sequence[SceneObject],
 ) -> NDArray[np.bool_]:
-    """Which objects (N,) moves have where chains have not been."""
-    last = sampled.chains.samples.poses[-1]
+    """Which objects (N,) moves have where those `found` (N,) have no particle (N, P, 7)."""
     elsewhere = presence.seen.copy()
-    for slot, one in enumerate(sampled.found.indices):
-        elsewhere[one] &= is_elsewhere(presence.poses[one][None], last[:, slot], objects[one])[0]
+    for one in np.flatnonzero(found & presence.seen).tolist():
+        elsewhere[one] = is_elsewhere(presence.poses[one][None], particles[one], objects[one])[0]
     return elsewhere
 
 
@@ -133,22 +126,69 @@ class _Sampler:
         noise: of the sensor and the surfaces together.
     """
 
-    rng: np.random.Generator
     joint: JointStart
     objects: Sequence[SceneObject]
     renderer: ObjectRenderer
     noise: DepthNoise
     config: ParseConfig
-    progress: Progress | None
 
-    def sampled(self, key: jax.Array, start: Initialisation) -> Sampled:
-        """Chains over the objects of a scene, refined first; colours tell how what is round is turned."""
+    def weighed_and_sampled(
+        self, rng: np.random.Generator, keys: Sequence[jax.Array], progress: Progress | None
+    ) -> tuple[HiddenPlaces, Presence, Initialisation, Sampled]:
+        """Where objects may be out of sight, which are there, the best scene of these, and its samples.
+
+        Moves seldom change the scene of the search, and leave cores free: its chains run beside them.
+
+        Args:
+            rng: random numbers.
+            keys: of hidden places, of these chains, and of those of a scene that moves have changed.
+            progress: as `parse_scene` takes it.
+        """
+        hidden_key, chain_key, moved_key = keys
+        start, tell, weighed = self.joint.start, progress.phase if progress else _untold, Event()
+
+        def tell_blocks(done: int, total: int) -> None:
+            if progress and weighed.is_set():
+                progress(done, total)
+
+        tell("refining poses")
+        particles = self.refined(rng, start)
+        tell("weighing where objects may be out of sight")
+        hidden = self.hidden(hidden_key)
+        tell("weighing which objects are there")
+        with ThreadPoolExecutor(1) as beside:
+            sampling = beside.submit(self.sampled, chain_key, start, particles, tell_blocks)
+            presence = self.weighed(rng, start, particles, hidden)
+            tell("sampling scenes")
+            weighed.set()
+        moved = _stand_elsewhere(presence, start.found, particles, self.objects)
+        if not moved.any() and not (start.found & ~presence.seen).any():
+            return hidden, presence, start, sampling.result()
+        camera_from_world = np.linalg.inv(self.joint.compared.world_from_camera)
+        in_camera = poses_of(camera_from_world @ matrices_of(presence.poses))
+        start = start.with_scene(presence.seen, in_camera, moved)
+        tell("sampling the scene that moves tell")
+        sampled = self.sampled(moved_key, start, self.refined(rng, start), progress)
+        return hidden, presence, start, sampled
+
+    def refined(self, rng: np.random.Generator, start: Initialisation) -> NDArray[np.float64]:
+        """Particles (N, P, 7) of each object's pose, as `refine_poses` draws them."""
+        return refine_poses(rng, self.joint.compared, self.objects, self.renderer, start, self.config)
+
+    def sampled(
+        self,
+        key: jax.Array,
+        start: Initialisation,
+        particles: NDArray[np.float64],
+        progress: Callable[[int, int], None] | None,
+    ) -> Sampled:
+        """Chains over the objects of a scene from particles; colours tell how what is round is turned."""
+        chain_key, turn_key = jax.random.split(key)
         compared, found = self.joint.compared, FoundObjects.of(start.found)
         chosen, mine = found.taken(self.objects), start.of_slots(found)
-        particles = refine_poses(self.rng, compared, self.objects, self.renderer, start, self.config)
         poses = particles[found.placed]
         with jax.enable_x64(True):
-            chains = sample_posterior(key, compared, chosen, mine, poses, self.config, self.progress)
+            chains = sample_posterior(chain_key, compared, chosen, mine, poses, self.config, progress)
         nats = np.zeros(len(self.objects))
         if compared.colours is not None:
             seen = SeenColours(
@@ -161,10 +201,23 @@ class _Sampler:
                 self.config.colour_weight,
             )
             nats[found.indices] = seen.log_factors()
-            turned = with_drawn_turns(self.rng, seen, compared.world_from_camera, chains.samples)
+            rng = np.random.default_rng(np.asarray(jax.random.key_data(turn_key)))
+            turned = with_drawn_turns(rng, seen, compared.world_from_camera, chains.samples)
             chains = replace(chains, samples=turned)
         visible = visible_fractions(self.joint, self.renderer, start.found, particles[:, 0])
         return Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
+
+    def weighed(
+        self,
+        rng: np.random.Generator,
+        start: Initialisation,
+        particles: NDArray[np.float64],
+        hidden: HiddenPlaces,
+    ) -> Presence:
+        """Which objects are there, by moves from particles."""
+        return presence_in_scene(
+            rng, self.joint.compared, self.joint.searched, self.objects, start, particles, hidden, self.config
+        )
 
     def hidden(self, key: jax.Array) -> HiddenPlaces:
         """Where objects may be out of sight beside those that the search found."""

@@ -20,7 +20,7 @@ from scipy.special import softmax
 from scene.config import ParseConfig
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
-from scene.mcmc.chain_model import carrying, pose_prior, prior_space
+from scene.mcmc.chain_model import carrying
 from scene.mcmc.local_multiple_try import LEAST_SPIN_RAD, MOST_SPIN_RAD, SPIN_SHARE
 from scene.objects.scene_object import SceneObject
 from scene.objects.symmetry import turns_alike
@@ -80,8 +80,7 @@ def refine_poses(
     best = poses_of(world_from_camera @ matrices_of(start.poses))
     particles = np.repeat(best[:, None], PARTICLES, axis=1)
     supports = carrying(compared.data.supports, objects, start)
-    prior = pose_prior(supports, prior_space(compared.data.table, best[start.found, 4:]), config)
-    priors = PosePriors.over(prior, compared, supports, objects, len(objects), config)
+    priors = PosePriors.over(compared, supports, objects, len(objects), best[start.found, 4:], config)
     frames = PresenceFrames(compared=compared, renderer=renderer, log_half=priors.sizes.log_half)
     for one in np.flatnonzero(start.found).tolist():
         log_density = _log_density_beside(frames, priors, one, best, start.found)

@@ -20,7 +20,6 @@ from scene.config import ParseConfig
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
-from scene.mcmc.chain_model import pose_prior, prior_space
 from scene.objects.orientations import cube_rotations
 from scene.objects.scene_object import SceneObject
 from scene.observation.segmentation import scene_data
@@ -108,9 +107,8 @@ class PlaceEvidence:
     def _priors(self, count: int, camera_from_box: NDArray[np.float64]) -> PosePriors:
         """Of scenes with one of the places at most."""
         supports, objects = self.compared.data.supports[:1], [self.one] * count
-        space = prior_space(self.compared.data.table, self._in_world(camera_from_box)[:, 4:])
-        prior = pose_prior(supports, space, self.config)
-        return PosePriors.over(prior, self.compared, supports, objects, 1, self.config)
+        centres_m = self._in_world(camera_from_box)[:, 4:]
+        return PosePriors.over(self.compared, supports, objects, 1, centres_m, self.config)
 
     def _in_world(self, camera_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
         return poses_of(self.compared.world_from_camera @ camera_from_box)

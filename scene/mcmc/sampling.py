@@ -217,6 +217,7 @@ def _advanced(
     def run(key: jax.Array, states: ChainState) -> tuple[ChainState, Samples]:
         with jax.enable_x64(True):  # of this thread
             states, scenes, accepted = run_block(key, states, model, kernel, count, _scene_and_value)
+            states = jax.tree.map(np.asarray, states)  # what a device holds would be compiled for once more
             return states, _samples(scenes, np.mean(np.asarray(accepted), axis=-1))
 
     with ThreadPoolExecutor(len(groups)) as cores:

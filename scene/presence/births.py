@@ -1,4 +1,4 @@
-"""Where candidates are drawn: Gaussians round states of chains, and rejected poses."""
+"""Where candidates are drawn: Gaussians round refined poses, and rejected ones."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ UNFREE = 1e-6
 """Of steps that change nothing."""
 
 FIRST_STEPS = np.repeat([0.002, 0.02], [6, 3])
-"""Of faces (metres) and turns (radians) round states of chains and of the search: longer ones leave a good
+"""Of faces (metres) and turns (radians) round poses of the search, refined or not: longer ones leave a good
 start."""
 
 DRAWS, TURNS = 48, 2

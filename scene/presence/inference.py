@@ -1,4 +1,4 @@
-"""Presence in a parsed scene: candidates from the chains and from what the search rejected, then moves."""
+"""Presence in a scene: candidates from refined poses and from what the search rejected, then moves."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from scene.hidden.hidden_places import HiddenPlaces
 from scene.likelihood.compared_frames import ComparedFrames
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.mcmc.chain_model import carrying
-from scene.mcmc.sampling import SampledScenes
 from scene.objects.scene_object import SceneObject
-from scene.objects.slots import FoundObjects
 from scene.observation.frame_data import SceneData
 from scene.presence.births import born_near, sites_of
 from scene.presence.depth_candidates import PresenceFrames
@@ -34,6 +32,10 @@ PROPOSED_ELSEWHERE = 8
 """The same of an object that it found. Of 24 tables with decoys on two it had laid what was requested into a
 larger box's face, with the true place in its pool (`bench poses --decoys`, seeds 130042 and 140042)."""
 
+PLACES = 16
+"""Particles of an object round which candidates are sought, evenly in the order of their densities: most are
+near each other, and count once."""
+
 CHAINS = 4
 """Whose differences tell the standard error."""
 
@@ -44,8 +46,7 @@ def presence_in_scene(
     novel: Mapping[int, SceneData],
     objects: Sequence[SceneObject],
     start: Initialisation,
-    found: FoundObjects,
-    chains: SampledScenes,
+    particles: NDArray[np.float64],
     hidden: HiddenPlaces,
     config: ParseConfig,
 ) -> Presence:
@@ -57,18 +58,18 @@ def presence_in_scene(
         novel: of them, by number, with the foreground in which unknown solids are looked for.
         objects: all N.
         start: the best scene of the search, and its pools.
-        found: which of the objects chains looked at.
-        chains: what they left.
+        particles: (N, P, 7) world_from_box of the poses of what it found, the densest first.
         hidden: what is known of objects out of sight.
         config: settings.
     """
     draws = ObjectRenderer.of_draws(objects) if config.shape_samples else ObjectRenderer.of(objects)
     supports = carrying(compared.data.supports, objects, start)
-    priors = PosePriors.over(chains.model.prior, compared, supports, objects, len(objects), config)
+    centres_m = particles[start.found, :, 4:].reshape(-1, 3)
+    priors = PosePriors.over(compared, supports, objects, len(objects), centres_m, config)
     frames = PresenceFrames(compared=compared, renderer=draws, log_half=priors.sizes.log_half)
     places = [np.zeros((0, 7))] * len(objects)
-    for slot, one in enumerate(found.indices):
-        places[one] = distinct(chains.samples.poses[-1, :, slot])
+    for one in np.flatnonzero(start.found).tolist():
+        places[one] = distinct(particles[one, :: particles.shape[1] // PLACES])
     sites = _sites(compared.world_from_camera, objects, start, places)
     lines = np.stack([one.spin_line for one in objects])
     counts = np.array([len(at) for at in places])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scene.config import ParseConfig
 from scene.execution import FAST_COMPILE
 from scene.likelihood.compared_frames import ComparedFrames
-from scene.mcmc.chain_model import half_sizes, slabs_under
+from scene.mcmc.chain_model import half_sizes, pose_prior, prior_space, slabs_under
 from scene.model.contact import TOP_FACE
 from scene.model.number_prior import UncertainBinomialNumber
 from scene.model.prior import PosePrior, densities_on, log_floating
@@ -69,16 +69,26 @@ class PosePriors:
     @classmethod
     def over(
         cls,
-        prior: PosePrior,
         compared: ComparedFrames,
         supports: Sequence[SupportPlane],
         objects: Sequence[SceneObject],
         most: int,
+        centres_m: NDArray[np.float64],
         config: ParseConfig,
     ) -> PosePriors:
-        """The priors of scenes of so many of the objects at most, on supports in the searched frame."""
+        """The priors of scenes of so many of the objects at most.
+
+        Args:
+            compared: the frames.
+            supports: on which objects may stand, in the searched frame.
+            objects: all N.
+            most: of them.
+            centres_m: (P, 3) in the world, of objects that float where the prior has to hold them.
+            config: settings.
+        """
+        space = prior_space(compared.data.table, centres_m)
         return cls(
-            prior=jax.device_get(prior),
+            prior=jax.device_get(pose_prior(supports, space, config)),
             sizes=SizePrior.of(objects, config.model_error_m),
             supports=slabs_under(supports, compared.world_from_camera),
             slab_half_m=half_sizes(supports),

@@ -1,7 +1,7 @@
 """What the images say of which objects are there: moves among candidates that are drawn anew between them.
 
-Candidates are drawn from what chains learned of an object's pose, and from Gaussians round the places that
-the search had for it. Every chain has candidates of its own.
+Candidates are drawn from Gaussians round the refined poses of an object, and round other places that the
+search had for it. Every chain has candidates of its own.
 """
 
 from __future__ import annotations
