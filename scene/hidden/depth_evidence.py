@@ -121,40 +121,19 @@ class DepthImages:
         world_from_other: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """The same where another object, at its pose (n, 4, 4) of the same number, is there for certain."""
-        parts = range(0, len(world_from_box), PAIRS_TOGETHER)
-        return np.concatenate(
-            [
-                self._behind(
-                    one, world_from_box[first:][:PAIRS_TOGETHER], other, world_from_other[first:], first
-                )
-                for first in parts
-            ]
-        )
-
-    def _behind(
-        self,
-        one: SceneObject,
-        world_from_box: NDArray[np.float64],
-        other: SceneObject,
-        world_from_other: NDArray[np.float64],
-        first: int,
-    ) -> NDArray[np.float64]:
-        count = len(world_from_box)
-        filled = np.minimum(np.arange(PAIRS_TOGETHER), count - 1)
-        draw, total = (first + filled) % self.draws, np.zeros(PAIRS_TOGETHER)
-        for image in self.images:
-            known = _posed(image.camera_from_world, world_from_other[filled], np.zeros(PAIRS_TOGETHER, int))
-            layers_m = render_layers(
-                _library(other), known, _cameras(image.camera, 1), *image.observed_m.shape
-            )
-            rest_m = jnp.minimum(layers_m, jnp.asarray(image.rest_m)[draw])
-            cameras = _cameras(image.camera, PAIRS_TOGETHER)
-            evidence: DepthEvidence = depth_evidence(
-                self.noise, cameras, jnp.asarray(image.observed_m)[None], rest_m
-            )
-            posed = _posed(image.camera_from_world, world_from_box[filled], np.arange(PAIRS_TOGETHER))
-            total += image.weight * log_likelihood_ratio(_library(one), self.noise, evidence, posed)
-        return total[:count]
+        count, pairs, total = len(world_from_box), np.arange(PAIRS_TOGETHER), np.zeros(len(world_from_box))
+        for first in range(0, count, PAIRS_TOGETHER):
+            filled = np.minimum(first + pairs, count - 1)
+            for image in self.images:
+                camera, pose = image.camera, image.camera_from_world
+                layers_m = rendered_m(camera, pose, other, world_from_other[filled], image.observed_m.shape)
+                rest_m = np.minimum(layers_m, image.rest_m[filled % self.draws])
+                cameras, observed_m = _cameras(camera, PAIRS_TOGETHER), jnp.asarray(image.observed_m)[None]
+                evidence: DepthEvidence = depth_evidence(self.noise, cameras, observed_m, rest_m)
+                posed = _posed(pose, world_from_box[filled], pairs)
+                ratios = image.weight * log_likelihood_ratio(_library(one), self.noise, evidence, posed)
+                total[first : first + PAIRS_TOGETHER] += ratios[: count - first]
+        return total
 
 
 def rendered_m(

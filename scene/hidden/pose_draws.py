@@ -89,10 +89,7 @@ class RouletteDraws:
 
     def _rendered(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log ratios (n,), in batches of one size: one kernel serves them all."""
-        filled = poses[
-            np.arange(-(-len(poses) // RENDERED_TOGETHER) * RENDERED_TOGETHER) % max(len(poses), 1)
-        ]
-        batches = filled.reshape(-1, RENDERED_TOGETHER, 4, 4)
+        batches = np.resize(poses, (-(-len(poses) // RENDERED_TOGETHER), RENDERED_TOGETHER, 4, 4))
         ratios = [np.zeros(0), *(self.images.log_ratios(self.one, batch) for batch in batches)]
         return np.concatenate(ratios)[: len(poses)]
 
