@@ -107,8 +107,7 @@ def exchanged(rng: np.random.Generator, scene: Scene, things: Things) -> tuple[S
         return scene, -np.inf
     gone = rng.choice(len(scene), going, replace=False)
     kinds, poses = things.draw(rng, coming)
-    rest = scene.without(*gone.tolist())
-    after = Scene(np.concatenate([rest.kinds, kinds]), np.concatenate([rest.poses, poses]))
+    after = scene.without(*gone.tolist()).joined(kinds, poses)
     back = things.log_density(scene.kinds[gone], scene.poses[gone])
     forth = things.log_density(kinds, poses)
     return after, exchange_weight(len(scene), back, forth)
@@ -133,7 +132,7 @@ def exchange_weight(things: int, back: NDArray[np.float64], forth: NDArray[np.fl
 
 def kinds_of(states: Iterable[State]) -> dict[tuple[int, ...], float]:
     """Share of the states with each set of kinds, ascending."""
-    every = Counter(tuple(sorted(state.scene.kinds.tolist())) for state in states)
+    every = Counter(state.scene.kinds_there for state in states)
     return {kinds: every[kinds] / every.total() for kinds in sorted(every)}
 
 

@@ -47,9 +47,14 @@ class Scene:
         """The others."""
         return Scene(np.delete(self.kinds, things), np.delete(self.poses, things, axis=0))
 
-    def joined(self, kind: int, pose: NDArray[np.float64]) -> Scene:
-        """With one more."""
-        return Scene(np.append(self.kinds, kind), np.concatenate([self.poses, pose[None]]))
+    def joined(self, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> Scene:
+        """With more things (B,) at poses (B, 3)."""
+        return Scene(np.concatenate([self.kinds, kinds]), np.concatenate([self.poses, poses]))
+
+    @property
+    def kinds_there(self) -> tuple[int, ...]:
+        """Numbers of the kinds, ascending: scenes of the same things have the same."""
+        return tuple(sorted(self.kinds.tolist()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ Chains begin at scenes in proportion to the search's evidence: where they do not
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -78,19 +77,18 @@ def sampled(
     poses, values, kinds, moved = [], [], [], 0
     for start in _starts(rng, found, chains):
         state = State(start.scene, usual, target(start.scene, usual))
-        states = list(sample_scenes(rng, target, state, things, len(world.kinds), lamps.log_shares, sweeps))[
-            dropped:
-        ]
+        every = sample_scenes(rng, target, state, things, len(world.kinds), lamps.log_shares, sweeps)
+        states = list(every)[dropped:]
         moved += sum(one.scene is not other.scene for one, other in pairwise(states))
         kinds.append(kinds_of(states))
         own_poses, own_values = _of_best(world, states, found.best)
         poses.append(own_poses)
         values.append(own_values)
-    every = np.stack(poses, axis=1)
+    by_sweep = np.stack(poses, axis=1)
     spins = world.spins[found.best.scene.kinds]
-    every[..., spins, 2] = rng.uniform(0, 2 * np.pi, (*every.shape[:2], sum(spins)))
+    by_sweep[..., spins, 2] = rng.uniform(0, 2 * np.pi, (*by_sweep.shape[:2], sum(spins)))
     share = moved / max(chains * (sweeps - dropped - 1), 1)
-    return SceneSamples(np.concatenate(every), np.stack(values, axis=1).ravel(), share, kinds)
+    return SceneSamples(np.concatenate(by_sweep), np.stack(values, axis=1).ravel(), share, kinds)
 
 
 def _target(world: TableWorld, image: ColourImage, lamps: LampShares) -> Target:
@@ -100,7 +98,7 @@ def _target(world: TableWorld, image: ColourImage, lamps: LampShares) -> Target:
 
 def _starts(rng: np.random.Generator, found: FoundScene, chains: int) -> list[Weighed]:
     """Scenes found, systematically in proportion to their shares, the best one first."""
-    by_kinds = {tuple(sorted(one.scene.kinds.tolist())): one for one in found.weighed}
+    by_kinds = {one.scene.kinds_there: one for one in found.weighed}
     ordered = sorted(found.kinds, key=lambda kinds: -found.kinds[kinds])
     chosen = draw_systematically(rng, np.array([found.kinds[kinds] for kinds in ordered]), chains)
     return [by_kinds[ordered[one]] for one in chosen]
@@ -110,9 +108,8 @@ def _of_best(
     world: TableWorld, states: Sequence[State], best: Weighed
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Poses (S, T, 3) and log densities (S,) of as many states, of those with the best scene's kinds."""
-    same = [one for one in states if Counter(one.scene.kinds.tolist()) == Counter(best.scene.kinds.tolist())]
-    if not same:
-        same = [State(best.scene, 0, best.log_density)]
+    same = [one for one in states if one.scene.kinds_there == best.scene.kinds_there]
+    same = same or [State(best.scene, 0, best.log_density)]
     chosen = np.linspace(0, len(same) - 1, len(states)).round().astype(np.int64)
     paired = [_paired(world, one.scene, best.scene) for one in same]
     values = np.array([one.log_density for one in same])

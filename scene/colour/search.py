@@ -8,7 +8,7 @@ gives p(N | image). A search: what it misses it does not count.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -62,6 +62,10 @@ class _Table:
         """Of the lattice."""
         return self.lattice.world
 
+    def _around(self, *scenes: Scene) -> Surroundings:
+        """What stands in scenes to which a thing is to be added."""
+        return Surroundings.of(self.world, self.image, scenes)
+
     def weigh(self, posed: Sequence[Posed]) -> list[Weighed]:
         """By Laplace; each is kept if it is the best of its number and kinds."""
         gains = laplace_gains(self.world, self.image, [scene for scene, _ in posed])
@@ -69,7 +73,7 @@ class _Table:
         for (scene, covariance), gain in zip(posed, gains, strict=True):
             one = weighed_scene(self.world, scene, covariance, log_prior(self.world, scene) + float(gain))
             weighed.append(one)
-            key = tuple(sorted(scene.kinds.tolist()))
+            key = scene.kinds_there
             if key not in self.found or one.log_evidence > self.found[key].log_evidence:
                 self.found[key] = one
         return weighed
@@ -82,7 +86,7 @@ class _Table:
         return self.grown[key]
 
     def _added(self, base: Weighed) -> list[Weighed]:
-        around = Surroundings.of(self.world, self.image, [base.scene])
+        around = self._around(base.scene)
         self.excess[_key(base.scene)] = around.excess[0]
         room = self.world.most - len(base.scene)
         found = candidates(self.lattice, around)
@@ -117,87 +121,58 @@ class _Table:
         ]
         if len(first) > 1:
             sets += [first[:1]]
-        return [
-            (
-                parted(
-                    self.world,
-                    Scene(
-                        np.concatenate([base.scene.kinds, kinds[some]]),
-                        np.concatenate([base.scene.poses, refined.poses[some]]),
-                    ),
-                ),
-                np.concatenate([base.covariance, refined.covariance[some]]),
-            )
-            for some in sets
-            if some
-        ]
+        posed = [_with_things(base, refined, kinds, some) for some in sets if some]
+        return [(parted(self.world, scene), covariance) for scene, covariance in posed]
 
     def of_each_kind(self, base: Weighed) -> list[Weighed]:
         """The best scenes with one thing more, one of each kind, where most is unexplained; best first."""
-        around = Surroundings.of(self.world, self.image, [base.scene])
+        around = self._around(base.scene)
         wanted = OF_EACH_KIND * len(self.world.kinds)
         states = candidates(self.lattice, around, 1, wanted).states
         if not len(states) or len(base.scene) == self.world.most:
             return []
         kinds, images = self.lattice.kinds[states], np.zeros(len(states), np.int64)
         refined = refine(self.world, around, kinds, self.lattice.poses[states], images, kinds, 1)
-        every = self.weigh(
-            [
-                (
-                    base.scene.joined(int(kinds[which]), refined.poses[one]),
-                    np.concatenate([base.covariance, refined.covariance[one : one + 1]]),
-                )
-                for one, which in enumerate(refined.which)
-            ]
-        )
+        kinds = kinds[refined.which]
+        every = self.weigh([_with_things(base, refined, kinds, [one]) for one in range(len(kinds))])
         return sorted(every, key=_evidence, reverse=True)[:ALTERNATIVES]
 
     def settled(self, weighed: Weighed) -> Weighed:
         """All things refined at once, each among the others as they are, as long as that is worth it."""
-        for _ in range(SETTLED if len(weighed.scene) else 0):
-            before, weighed = weighed, self._settled(weighed)
-            if weighed.log_evidence < before.log_evidence + WORTH_NATS:
-                break
-        return weighed
+        return _as_long_as_worth_it(self._settled, weighed)
 
     def _settled(self, weighed: Weighed) -> Weighed:
-        things = len(weighed.scene)
-        around = Surroundings.of(
-            self.world, self.image, [weighed.scene.without(one) for one in range(things)]
-        )
-        kinds, poses = weighed.scene.kinds, weighed.scene.poses
-        own = refine(self.world, around, kinds, poses, np.arange(things), np.arange(things), 1, ())
-        if len(own.which) < things:  # one is worth less than nothing where it is
+        kinds, every = weighed.scene.kinds, np.arange(len(weighed.scene))
+        around = self._around(*map(weighed.scene.without, range(len(kinds))))
+        own = refine(self.world, around, kinds, weighed.scene.poses, every, every, 1, ())
+        if len(own.which) < len(every):  # one is worth less than nothing where it is
             return weighed
         (one,) = self.weigh([(parted(self.world, Scene(kinds, own.poses)), own.covariance)])
         return max(weighed, one, key=_evidence)
 
     def shaken(self, weighed: Weighed) -> Weighed:
         """All things at the best of a few poses nearby, as long as that is worth it."""
-        kinds, things = weighed.scene.kinds, len(weighed.scene)
-        for _ in range(SETTLED if things else 0):
-            rests = [weighed.scene.without(one) for one in range(things)]
-            around = Surroundings.of(self.world, self.image, rests)
-            poses = shaken(self.world, around, kinds, weighed.scene.poses, weighed.covariance)
-            if (poses == weighed.scene.poses).all():
-                break
-            (one,) = self.weigh([(parted(self.world, Scene(kinds, poses)), weighed.covariance)])
-            before, weighed = weighed, max(weighed, self.settled(one), key=_evidence)
-            if weighed.log_evidence < before.log_evidence + WORTH_NATS:
-                break
-        return weighed
+        return _as_long_as_worth_it(self._shaken, weighed)
+
+    def _shaken(self, weighed: Weighed) -> Weighed:
+        kinds = weighed.scene.kinds
+        around = self._around(*map(weighed.scene.without, range(len(kinds))))
+        poses = shaken(self.world, around, kinds, weighed.scene.poses, weighed.covariance)
+        if (poses == weighed.scene.poses).all():
+            return weighed
+        (one,) = self.weigh([(parted(self.world, Scene(kinds, poses)), weighed.covariance)])
+        return max(weighed, self.settled(one), key=_evidence)
 
     def turned(self, weighed: Weighed, one: int) -> list[Weighed]:
         """One thing turned in place: the best of many yaws, refined."""
         kind = self.world.kinds[weighed.scene.kinds[one]]
         if not kind.turns:
             return []
-        around = Surroundings.of(self.world, self.image, [weighed.scene.without(one)])
+        around = self._around(weighed.scene.without(one))
         count = FINER_YAWS * YAWS // kind.turns
-        poses = np.repeat(weighed.scene.poses[one : one + 1], count, axis=0)
+        poses = np.tile(weighed.scene.poses[one], (count, 1))
         poses[:, 2] += np.arange(count) * (2 * np.pi / kind.turns / count)
-        kinds = np.repeat(weighed.scene.kinds[one : one + 1], count)
-        same = np.zeros(count, np.int64)
+        kinds, same = np.full(count, weighed.scene.kinds[one]), np.zeros(count, np.int64)
         own = refine(self.world, around, kinds, poses, same, same, COMPARED, TURNED)
         if not len(own.which):
             return []
@@ -217,10 +192,7 @@ class _Table:
 
     def lessened(self, weighed: Weighed) -> list[Weighed]:
         """Without each of its things."""
-        every = range(len(weighed.scene))
-        return self.weigh(
-            [(weighed.scene.without(one), np.delete(weighed.covariance, one, axis=0)) for one in every]
-        )
+        return self.weigh([_without(weighed, one) for one in range(len(weighed.scene))])
 
     def moves(self, weighed: Weighed) -> Iterator[Weighed]:
         """Joint moves: turn, replace (kind and place), drop, split, merge, replace two that are near.
@@ -239,8 +211,7 @@ class _Table:
         for pair in combinations(range(len(weighed.scene)), 2):
             apart = np.subtract(*weighed.scene.poses[list(pair), :2])
             if np.linalg.norm(apart) < MERGED_M and not suspects.isdisjoint(pair):
-                rest = weighed.scene.without(*pair), np.delete(weighed.covariance, pair, axis=0)
-                (base,) = self.weigh([rest])
+                (base,) = self.weigh([_without(weighed, *pair)])
                 merged = self.of_each_kind(base)
                 yield from merged
                 for other in merged:
@@ -285,6 +256,25 @@ class _Table:
 
 def _evidence(weighed: Weighed) -> float:
     return weighed.log_evidence
+
+
+def _without(weighed: Weighed, *things: int) -> Posed:
+    return weighed.scene.without(*things), np.delete(weighed.covariance, things, axis=0)
+
+
+def _with_things(base: Weighed, refined: Refined, kinds: NDArray[np.int64], some: list[int]) -> Posed:
+    """A scene and some of the things (B,), of these kinds, that were refined beside it."""
+    scene = base.scene.joined(kinds[some], refined.poses[some])
+    return scene, np.concatenate([base.covariance, refined.covariance[some]])
+
+
+def _as_long_as_worth_it(better: Callable[[Weighed], Weighed], weighed: Weighed) -> Weighed:
+    """A scene after some steps, the last of which gained less than `WORTH_NATS`; none of the empty table."""
+    for _ in range(SETTLED if len(weighed.scene) else 0):
+        before, weighed = weighed, better(weighed)
+        if weighed.log_evidence < before.log_evidence + WORTH_NATS:
+            break
+    return weighed
 
 
 def _key(scene: Scene) -> bytes:
