@@ -25,7 +25,6 @@ from recordings.sensor_profile import UnknownTable
 from recordings.types import CameraIntrinsics, DepthNoise, Frame
 from scene.common_errors import with_common_errors
 from scene.config import ParseConfig
-from scene.hidden.depth_evidence import project_into
 from scene.hidden.pose_priors import meet
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.pixel_density import EDGE_PX
@@ -35,6 +34,7 @@ from scene.model.contact import TOP_FACE
 from scene.model.number_prior import SHAPES
 from scene.model.scene_graph import ROOT, Bodies
 from scene.objects.scene_object import SceneObject
+from scene.observation.depth_view import pixels_at
 from scene.observation.detection import SupportPlane
 from scene.observation.pixel_window import PITCH_RAD, window_of
 from scene.observation.segmentation import support_depth
@@ -248,7 +248,7 @@ def _is_possible(objects: Sequence[SceneObject], table_from_box: NDArray[np.floa
 
 def _is_in_sight(camera_from_box: NDArray[np.float64]) -> bool:
     """Whether the middles of objects (n, 4, 4) project into the image."""
-    return bool(project_into(intrinsics(), (HEIGHT, WIDTH), camera_from_box[:, :3, 3]).all())
+    return bool(pixels_at(camera_from_box[:, :3, 3], intrinsics(), (HEIGHT, WIDTH))[2].all())
 
 
 def _lies(one: SceneObject, table_from_box: NDArray[np.float64], config: ParseConfig) -> bool:

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.types import CameraIntrinsics, DepthNoise
+from recordings.types import DepthNoise
 from scene.likelihood.one_object import DepthEvidence, depth_evidence, log_likelihood_ratio
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import project
+from scene.observation.depth_view import pixels_at
 from shapes import depth_noise
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import transform_points
@@ -50,16 +50,6 @@ class SeenImage:
     weight: float = 1.0
 
 
-def project_into(
-    camera: Camera | CameraIntrinsics, shape: tuple[int, ...], points_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Whether points (n, 3) in a camera's frame project into its image of that shape (H, W)."""
-    height, width = shape
-    row, column, ahead = project(points_m, camera)
-    inside = (np.abs(column - (width - 1) / 2) <= width / 2) & (np.abs(row - (height - 1) / 2) <= height / 2)
-    return ahead & inside
-
-
 class DepthImages:
     """All images together: pixels and images are independent given the scene."""
 
@@ -82,7 +72,7 @@ class DepthImages:
     def seen(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether world points (n, 3) project into any image."""
         seen = [
-            project_into(one.camera, one.observed_m.shape, transform_points(one.camera_from_world, points_m))
+            pixels_at(transform_points(one.camera_from_world, points_m), one.camera, one.observed_m.shape)[2]
             for one in self.images
         ]
         return np.any(seen, axis=0)

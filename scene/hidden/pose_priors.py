@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from scene.objects.orientations import resting_rotations
 from scene.objects.scene_object import SceneObject
+from shapes.geometry.poses import placed_points
 
 POINTS = 128
 """Of an object's surface, that are tested for lying in another's box."""
@@ -186,7 +187,7 @@ def _reaches(
     one: SceneObject, poses: NDArray[np.float64], other: SceneObject, others: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """(n,) whether a surface point of the first lies in the second's box."""
-    points = one.points_m[:POINTS] @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+    points = placed_points(poses, one.points_m[:POINTS])
     inside = np.abs((points - others[:, None, :3, 3]) @ others[:, :3, :3])
     return np.asarray((inside < other.half_extents_m - TOUCHING_M).all(axis=-1).any(axis=-1))
 

@@ -28,7 +28,7 @@ from scene.likelihood.unknown_surfaces import (
     UnknownWeights,
     told_otherwise,
 )
-from scene.observation.depth_view import project, unproject
+from scene.observation.depth_view import pixels_at, unproject
 from scene.observation.frame_data import SceneData
 from shapes.depth_noise import standard_deviation
 from shapes.geometry.poses import transform_points
@@ -69,11 +69,9 @@ def _seen_from(
     """
     window, measured = view.window, other.depth_m != NO_RETURN
     points_m = transform_points(camera_from_other, unproject(other.depth_m, other.intrinsics)[measured])
-    row, column, ahead = project(points_m, window.camera)
-    rows, columns = np.rint(row), np.rint(column)
     height, width = window.depth_m.shape
-    use = ahead & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    pixels, depth_m = (rows * width + columns)[use].astype(np.intp), points_m[use, 2]
+    rows, columns, use = pixels_at(points_m, window.camera, (height, width))
+    pixels, depth_m = (rows * width + columns)[use], points_m[use, 2]
     first_m = np.full(height * width, np.inf)
     np.minimum.at(first_m, pixels, depth_m)
     joined = depth_m < first_m[pixels] + JOINED_M
@@ -99,12 +97,8 @@ def _is_hidden(
     points_m = transform_points(
         np.asarray(np.linalg.inv(camera_from_other), np.float64), rays[:, :, None] * lengths_m[..., None]
     )
-    *places, ahead = project(points_m, other.intrinsics)
-    row, column = map(np.rint, places)
-    height, width = other.depth_m.shape
-    inside = ahead & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    seen_at = (np.where(inside, place, 0).astype(np.intp) for place in (row, column))
-    measured_m = other.depth_m[tuple(seen_at)]
+    rows, columns, inside = pixels_at(points_m, other.intrinsics, other.depth_m.shape)
+    measured_m = other.depth_m[rows, columns]
     behind = points_m[..., 2] > measured_m + JOINED_M
     return (inside & (measured_m != NO_RETURN) & behind).any(axis=-1)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.objects.scene_object import SceneObject
-from shapes.geometry.poses import matrices_of
+from shapes.geometry.poses import matrices_of, placed_points
 from shapes.rendering.object_library import signed_distances_m
 
 SURFACE_POINTS = 128
@@ -80,7 +80,5 @@ def _deepest_m(
     world_from_other: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Depth (S,) of the deepest point of one surface in the other object, at poses (S or 1, 4, 4)."""
-    other_from_one = np.linalg.inv(world_from_other) @ world_from_one
-    turns, offsets_m = other_from_one[:, :3, :3], other_from_one[:, None, :3, 3]
-    points_m = one.points_m @ np.swapaxes(turns, 1, 2) + offsets_m
+    points_m = placed_points(np.linalg.inv(world_from_other) @ world_from_one, one.points_m)
     return other.depths_m(points_m).max(axis=1).astype(np.float64)

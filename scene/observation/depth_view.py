@@ -45,16 +45,6 @@ class PooledView:
         """Points (H, W, 3) in the camera frame."""
         return unproject(np.asarray(self.depth_m), self.camera)
 
-    def pixels(
-        self, points_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Row and column of camera points (..., 3), 0 outside the image, and whether they are inside."""
-        height, width = self.depth_m.shape
-        *places, ahead = project(points_m, self.camera)
-        rows, columns = (np.rint(place).astype(np.intp) for place in places)
-        inside = ahead & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
-
 
 def pooled_view(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics, width: int) -> PooledView:
     """The view with about `width` columns: medians of square blocks, and their normals."""
@@ -76,6 +66,17 @@ def project(
     ahead = z > 0
     z = np.where(ahead, z, np.inf)
     return y / z * float(camera.fy) + float(camera.cy), x / z * float(camera.fx) + float(camera.cx), ahead
+
+
+def pixels_at(
+    points_m: NDArray[np.float64], camera: CameraIntrinsics | Camera, shape: tuple[int, ...]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Row and column of camera points (..., 3) in an image (H, W), 0 outside it; whether they are inside."""
+    *places, ahead = project(points_m, camera)
+    row, column = map(np.rint, places)
+    inside = ahead & (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    rows, columns = (np.where(inside, place, 0).astype(np.intp) for place in (row, column))
+    return rows, columns, inside
 
 
 def unproject(depth_m: NDArray[np.float32], camera: CameraIntrinsics | Camera) -> NDArray[np.float64]:

@@ -87,6 +87,11 @@ class SupportPlane:
         rotation, origin = self.camera_from_table[:3, :3], self.camera_from_table[:3, 3]
         return (points_m - origin) @ rotation
 
+    def covers(self, inside_m: NDArray[np.float64], margin_m: float = 0.0) -> NDArray[np.bool_]:
+        """Which points (..., 3) of the table's frame are over or under it, or so far beside it."""
+        over = np.abs(inside_m[..., :2]) < self.half_size_m + margin_m
+        return np.asarray(over.all(axis=-1))
+
     def heights(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """Heights (...) of camera points (..., 3) over the surface that the camera sees."""
         inside = self.in_table_frame(points_m)
@@ -198,7 +203,7 @@ def as_seen(support: SupportPlane, points_m: NDArray[np.floating]) -> SupportPla
 def _lies_in(table: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which points (N, 3) are as near to a table's surface as warps of it are."""
     inside = table.in_table_frame(points_m)
-    return (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1) & (np.abs(inside[:, 2]) < LOWEST_M)
+    return table.covers(inside) & (np.abs(inside[:, 2]) < LOWEST_M)
 
 
 def _is_another(table: SupportPlane, first: SupportPlane) -> bool:
@@ -347,7 +352,7 @@ def _settled(table: SupportPlane, points_m: NDArray[np.floating]) -> SupportPlan
     has none.
     """
     inside = table.in_table_frame(points_m)
-    close = (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1) & (np.abs(inside[:, 2]) < BEND_M)
+    close = table.covers(inside) & (np.abs(inside[:, 2]) < BEND_M)
     terms, height = _quadratic(inside[close, :2]), inside[close, 2]
     at_edge = np.append(0.0, _quadratic(table.half_size_m)[1:])
     prior = np.diag(at_edge / (BEND_PER_M2 * (table.camera_from_table[:3, 3] ** 2).sum()))
@@ -368,8 +373,7 @@ def _quadratic(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
 def _count_standing(table: SupportPlane, points_m: NDArray[np.floating]) -> float:
     """Points over the table; walls, which face the camera as tables do from above, count less."""
     inside = table.in_table_frame(points_m)
-    over = (np.abs(inside[:, :2]) < table.half_size_m).all(axis=1)
-    count = (over & (inside[:, 2] > LOWEST_M) & (inside[:, 2] < HIGHEST_M)).sum()
+    count = (table.covers(inside) & (inside[:, 2] > LOWEST_M) & (inside[:, 2] < HIGHEST_M)).sum()
     upward = -table.camera_from_table[1, 2]
     return float(count * max(upward, 0.1))
 

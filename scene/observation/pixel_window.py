@@ -56,16 +56,8 @@ def window_of(depth_m: NDArray[np.float32], intrinsics: CameraIntrinsics) -> Pix
     """
     stride = stride_of(intrinsics)
     rows, columns = compared(depth_m.shape, stride)
-    camera = Camera(
-        *(
-            jax.device_put(np.float32(value))
-            for value in (
-                intrinsics.fx / stride,
-                intrinsics.fy / stride,
-                (intrinsics.cx - columns[0]) / stride,
-                (intrinsics.cy - rows[0]) / stride,
-            )
-        )
-    )
+    focal_px = intrinsics.fx / stride, intrinsics.fy / stride
+    centre_px = (intrinsics.cx - columns[0]) / stride, (intrinsics.cy - rows[0]) / stride
+    camera = Camera(*(jax.device_put(np.float32(value)) for value in (*focal_px, *centre_px)))
     measured = depth_m[np.ix_(rows, columns)]
     return PixelWindow(camera=camera, stride=stride, depth_m=measured, rows=rows, columns=columns)

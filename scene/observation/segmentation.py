@@ -9,16 +9,10 @@ from functools import partial
 import jax
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import (
-    binary_dilation,
-    label,
-    maximum_filter,
-    median_filter,
-    minimum_filter,
-)
+from scipy.ndimage import binary_dilation, label, maximum_filter, median_filter, minimum_filter
 
 from recordings.types import NO_RETURN, CameraIntrinsics
-from scene.observation.depth_view import PooledView, pooled_view, unproject
+from scene.observation.depth_view import PooledView, pixels_at, pooled_view, unproject
 from scene.observation.detection import SupportPlane, as_seen, given_support, joined, support_planes
 from scene.observation.frame_data import SceneData
 from scene.observation.pixel_window import PixelWindow, window_of
@@ -44,8 +38,6 @@ FARTHEST_M = 2.5
 
 FEWEST_PIXELS = 100
 
-_SAME = np.eye(4)
-
 
 def shows_enough(depth_m: NDArray[np.float32]) -> bool:
     """Whether a depth image (H, W) can be parsed."""
@@ -65,7 +57,7 @@ def scene_data(
     region: tuple[float, ...] = (),
 ) -> SceneData:
     """The supports, the foreground and the background of a depth image (H, W), as `scene_views`."""
-    return scene_views([depth_m], _SAME[None], intrinsics, seed, support, region)[0]
+    return scene_views([depth_m], np.eye(4)[None], intrinsics, seed, support, region)[0]
 
 
 def scene_views(
@@ -243,8 +235,7 @@ def _plane_depth(table: SupportPlane, rays: NDArray[np.float64], margin_m: float
         bend_m = -table.heights(rays * depth[..., None])  # of the plane under the surface that is seen
         depth = (normal @ origin + bend_m) / (rays @ normal)
         inside = table.in_table_frame(rays * depth[..., None])
-    on_table = (depth > 0) & (np.abs(inside[..., :2]) < table.half_size_m + margin_m).all(axis=-1)
-    return np.where(on_table, depth, np.inf)
+    return np.where((depth > 0) & table.covers(inside, margin_m), depth, np.inf)
 
 
 def _is_mostly_shown(surface_m: NDArray[np.float64], observed_m: NDArray[np.float32]) -> bool:
@@ -257,9 +248,9 @@ def height_over_next(table: SupportPlane, supports: Sequence[SupportPlane]) -> f
     """Metres of a support over the next one below; +inf of those that are over none."""
     heights_m = [np.inf]
     for below in supports:
-        *beside_m, height_m = below.in_table_frame(table.camera_from_table[:3, 3])
-        if height_m > LOWEST_M and (np.abs(beside_m) < below.half_size_m).all():
-            heights_m.append(height_m)
+        middle_m = below.in_table_frame(table.camera_from_table[:3, 3])
+        if middle_m[2] > LOWEST_M and below.covers(middle_m):
+            heights_m.append(middle_m[2])
     return min(heights_m)
 
 
@@ -289,11 +280,12 @@ def _continued(table: SupportPlane, view: PooledView) -> SupportPlane:
     """The table, going on beyond the image under what is seen at the border and has its foot out of sight."""
     points_m = view.points_m[_near(np.asarray(view.depth_m))]
     inside = table.in_table_frame(points_m)
-    round_it = (np.abs(inside[:, :2]) < table.half_size_m + UNSEEN_M).all(axis=-1)
+    round_it = table.covers(inside, UNSEEN_M)
     heights = table.heights(points_m[round_it])
     feet = inside[round_it, :2][(heights > LOWEST_M) & (heights < HIGHEST_M)]
     rotation, origin = table.camera_from_table[:3, :3], table.camera_from_table[:3, 3]
-    feet = feet[~view.pixels(feet @ rotation[:, :2].T + origin)[2]]
+    in_camera = feet @ rotation[:, :2].T + origin
+    feet = feet[~pixels_at(in_camera, view.camera, view.depth_m.shape)[2]]
     if len(feet) < FEWEST_PIXELS:
         return table
     half = table.half_size_m
@@ -336,7 +328,7 @@ def _surface_of(
         normals: (H, W, 3).
     """
     depth = points[..., 2]
-    inside = (np.abs(table.in_table_frame(points)[..., :2]) < table.half_size_m + UNSEEN_M).all(axis=-1)
+    inside = table.covers(table.in_table_frame(points), UNSEEN_M)
     heights = np.where((depth > 0) & inside, table.heights(points), np.inf)
     upward = normals @ table.camera_from_table[:3, 2]
     low = np.abs(heights) < WARP_M

@@ -91,9 +91,7 @@ def pieces_on(
 ) -> Pieces:
     """The pieces of an image's points (H, W, 3) beside the supports' surfaces (H, W)."""
     heights_m = np.stack([one.heights(points_m) for one in supports])
-    inside = np.stack(
-        [(np.abs(one.in_table_frame(points_m)[..., :2]) < one.half_size_m).all(axis=-1) for one in supports]
-    )
+    inside = np.stack([one.covers(one.in_table_frame(points_m)) for one in supports])
     lies_in = inside & (np.abs(heights_m) < LOWEST_M)
     shown = (points_m[..., 2] != NO_RETURN) & ~surface & ~lies_in.any(axis=0)
 

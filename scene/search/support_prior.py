@@ -21,10 +21,10 @@ from recordings.types import NO_RETURN
 from scene.execution import FAST_COMPILE, map_parallel, score_on_all_cores
 from scene.model.prior import FLOATING_HEIGHT_M, gap_density
 from scene.objects.scene_object import SceneObject
-from scene.observation.depth_view import PooledView
+from scene.observation.depth_view import PooledView, pixels_at
 from scene.observation.detection import SupportPlane
 from scene.search.support_table import SupportTable
-from shapes.geometry.poses import matrices_of, transform_points
+from shapes.geometry.poses import matrices_of, placed_points, transform_points
 
 UNKNOWN_CARRIER = 0.1
 """Odds of resting on something that is seen but not known against resting on what is. Chosen on five
@@ -115,12 +115,8 @@ def _log_alone(gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array) -> jax
 
 def _undersides(objects: Sequence[SceneObject], table_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points (N, K, C, 3) of the underside of each pose (N, K, 4, 4), the lowest first."""
-    return np.stack(
-        [
-            undersides(one.points_m @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3])
-            for one, poses in zip(objects, table_from_box, strict=True)
-        ]
-    )
+    each = zip(objects, table_from_box, strict=True)
+    return np.stack([undersides(placed_points(poses, one.points_m)) for one, poses in each])
 
 
 def _heights(table: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -222,7 +218,7 @@ def gaps_to_seen(
     down_m = STEP_M * (np.arange(STEPS) + 0.5)
     below_m = undersides_m[:, :, None] - down_m[:, None] * np.array([0.0, 0.0, 1.0])
     in_camera = transform_points(table.camera_from_table, below_m)
-    rows, columns, inside = view.pixels(in_camera)
+    rows, columns, inside = pixels_at(in_camera, view.camera, depth_m.shape)
     seen_m, gaps_m = depth_m[rows, columns], undersides_m[:, :1, None, 2] - heights_m[rows, columns]
     told = inside & (below_m[..., 2] > 0) & (seen_m != NO_RETURN)
     empty = told & (seen_m > in_camera[..., 2] + BEHIND_M)
@@ -253,9 +249,7 @@ def log_not_buried(
     camera_from_box = matrices_of(poses)
     deepest_m = np.empty(poses.shape[:2])
     for number, one in enumerate(objects):
-        turn, offset = camera_from_box[number, :, :3, :3], camera_from_box[number, :, None, :3, 3]
-        points = one.points_m.astype(np.float64) @ np.swapaxes(turn, 1, 2) + offset
-        beside = np.abs(table.in_table_frame(points)[..., :2]) - table.half_size_m
-        below_m = np.where((beside < 0).all(axis=-1), -table.heights(points), 0.0)
+        points = placed_points(camera_from_box[number], one.points_m.astype(np.float64))
+        below_m = np.where(table.covers(table.in_table_frame(points)), -table.heights(points), 0.0)
         deepest_m[number] = below_m.max(axis=1).clip(0)
     return -0.5 * (deepest_m / sigma_m) ** 2

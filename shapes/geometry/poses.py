@@ -67,6 +67,11 @@ def transform_points(
     return points @ target_from_source[:3, :3].T + target_from_source[:3, 3]
 
 
+def placed_points(matrices: NDArray[np.floating], points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Points (S, P, 3) of a source (P, 3) where each of rigid transforms (S, 4, 4) puts them, on the host."""
+    return points @ np.swapaxes(matrices[:, :3, :3], 1, 2) + matrices[:, None, :3, 3]
+
+
 def transformed(pose: jax.Array, points: jax.Array) -> jax.Array:
     """Points (3, ...) of a source where target_from_source (7,) puts them."""
     motion = jaxlie.SE3(pose)
