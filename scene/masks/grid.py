@@ -126,13 +126,16 @@ def seen_space(data: SceneData, radius_m: float) -> SeenSpace | None:
 
 def _in_company(points_m: NDArray[np.float64], edge_m: float) -> NDArray[np.float64]:
     """Points (N, 3) that share a cell with some others, all if none does: strays must not widen the grid."""
-    cells = np.floor(points_m / edge_m).astype(np.int64)
-    cells -= cells.min(axis=0)
-    _, cell, count = np.unique(
-        np.ravel_multi_index(tuple(cells.T), cells.max(axis=0) + 1), return_inverse=True, return_counts=True
-    )
+    _, cell, count = np.unique(cell_numbers(points_m, edge_m), return_inverse=True, return_counts=True)
     accompanied = count[cell] >= COMPANY
     return points_m[accompanied] if accompanied.any() else points_m
+
+
+def cell_numbers(points_m: NDArray[np.floating], edge_m: float) -> NDArray[np.intp]:
+    """Number (N,) of the cube of this edge in which each of points (N, 3) lies, the same for those in one."""
+    cells = np.floor(points_m / edge_m).astype(np.int64)
+    cells -= cells.min(axis=0)
+    return np.asarray(np.ravel_multi_index(tuple(cells.T), cells.max(axis=0) + 1))
 
 
 def _bounds(

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax, softmax
 
 from scene.masks.convolution import FlatGrid, best_places, scores_in
-from scene.masks.detector import Detector, detector, is_thin
 from scene.masks.grid import EvidenceGrid, SeenSpace, seen_space
+from scene.masks.shape_masks import Detector, detector, is_thin
 from scene.objects.scene_object import SceneObject
 from scene.observation.frame_data import SceneData
 from shapes.geometry.poses import poses_of

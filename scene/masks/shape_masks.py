@@ -2,6 +2,9 @@
 
 Globally sparse, locally dense: HEADS places on the surface, and round each all surface cells within one
 cell. Just outside each head are cells that are expected free, which count with the opposite sign.
+
+A detector is the masks of a shape in both sizes of cells, kept in the user's cache folder: making them takes
+about half a second a shape, reading them a hundredth.
 """
 
 from __future__ import annotations
@@ -12,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from scene.objects import orientations
 from scene.objects.orientations import tried_rotations
 from scene.objects.scene_object import SceneObject
+from shapes.array_cache import Arrays, cached_arrays
 from shapes.rendering.object_library import WORDS, unpack
 
 HEADS = 16
@@ -30,6 +35,9 @@ SURFACE, OUTSIDE = 2, -1
 
 OUTSIDE_CELLS, CLEAR_CELLS = 2.0, 1.5
 """Distances from the surface at which a head's outer cells lie, and which they keep."""
+
+THINNEST_CELLS = 0.5
+"""Of what is thinner in all its orientations no cell is filled: both of its sides lie in one."""
 
 _CROSS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
 
@@ -121,3 +129,51 @@ def _unique(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """The different ones of cells (N, 3), whose components are less than 128."""
     codes = np.unique((cells + 128) @ np.array([1 << 16, 1 << 8, 1]))
     return np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=1) - 128
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Detector:
+    """Masks of one shape.
+
+    Attributes:
+        coarse: for cells twice as large as the fine ones.
+        fine: the same orientations.
+    """
+
+    coarse: ShapeMasks
+    fine: ShapeMasks
+
+
+def is_thin(one: SceneObject, pitch_m: float) -> bool:
+    """Whether an object is too thin for cells of this edge."""
+    return bool(2 * one.half_extents_m.min() < THINNEST_CELLS * pitch_m)
+
+
+def detector(one: SceneObject, pitch_m: float, *, standing: bool) -> Detector:
+    """The detector of a shape, from the cache folder or made and kept there.
+
+    Args:
+        one: the object.
+        pitch_m: edge of a fine cell.
+        standing: whether resting orientations come first, in a grid with z up.
+    """
+    rotations = tried_rotations(one.rests if standing else None)
+    cells = 2, len(rotations), MOST_CELLS
+    shapes = {"offsets": (*cells, 3), "weights": cells}
+
+    def make() -> Arrays:
+        sizes = [shape_masks(one, pitch, standing=standing) for pitch in (2 * pitch_m, pitch_m)]
+        return {part: np.stack([getattr(masks, part) for masks in sizes]) for part in shapes}
+
+    def is_whole(arrays: Arrays) -> bool:
+        return arrays.keys() == shapes.keys() and all(
+            arrays[part].shape == shape and arrays[part].dtype == np.int8 for part, shape in shapes.items()
+        )
+
+    made_from = one.points_m, one.normals, one.rests, one.library.table, pitch_m, standing
+    arrays = cached_arrays("masks", made_from, [__file__, orientations.__file__], make, is_whole)
+    coarse, fine = (
+        ShapeMasks(rotations=rotations, offsets=offsets, weights=weights)
+        for offsets, weights in zip(arrays["offsets"], arrays["weights"], strict=True)
+    )
+    return Detector(coarse=coarse, fine=fine)

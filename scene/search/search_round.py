@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.execution import map_parallel
+from scene.masks.grid import cell_numbers
 from scene.masks.proposal import Atoms, MaskSearch, log_boltzmann
 from scene.objects.orientations import tried_rotations
-from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
-from scene.observation.detection import SupportPlane, clusters
+from scene.observation.detection import clusters
 from scene.search.assignment import PoseLayers, choose, log_conditional
 from scene.search.competing_scenes import best_of
 from scene.search.hypotheses import PosePools
@@ -70,7 +70,11 @@ class SearchRound:
     @classmethod
     def of(cls, pools: PosePools, rng: np.random.Generator) -> SearchRound:
         """The round for the pools' objects, in resting orientations first where there is a table."""
-        rotations = [_orientations(one, pools.data.table) for one in pools.objects]
+        table = pools.data.table
+        camera_from_table = table and table.camera_from_table[:3, :3]
+        rotations = [
+            tried_rotations(one.rests if table else None, camera_from_table) for one in pools.objects
+        ]
         second = FROM_MASKS[pools.config.proposals] > 0
         return cls(rotations, MaskSearch.of(pools.data, pools.objects) if second else None, rng)
 
@@ -150,13 +154,6 @@ def _apart(atoms: Atoms, count: int) -> NDArray[np.integer]:
     return np.asarray(best_distinct(rotations, atoms.poses[:, 4:], atoms.scores, count))
 
 
-def _orientations(one: SceneObject, table: SupportPlane | None) -> NDArray[np.float32]:
-    """Camera_from_box rotations (O, 3, 3): resting, the cube's 24, and an even spread."""
-    if table is None:
-        return tried_rotations(None)
-    return tried_rotations(one.rests, table.camera_from_table[:3, :3])
-
-
 def _annealed(key: jax.Array, layers: PoseLayers) -> NDArray[np.int32]:
     """The best scene (N,) of all particles, groups of which are annealed side by side."""
 
@@ -173,7 +170,8 @@ def _drawn(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The points (M, 3) in random order, and as random ones (A, 3) spread over them."""
     points_m = points_m[rng.permutation(len(points_m))]
-    return points_m, points_m[rng.permutation(_one_a_cell(points_m))]
+    one_a_cell = np.unique(cell_numbers(points_m, ANCHOR_SPACING_M), return_index=True)[1]
+    return points_m, points_m[rng.permutation(one_a_cell)]
 
 
 def _places(
@@ -183,13 +181,6 @@ def _places(
     centres = clusters(anchors_m, CLUSTER_SCALES_M, fewest=3)
     centres = np.concatenate([centres, points_m.mean(axis=0)[None]])
     return np.resize(anchors_m, (ANCHORS, 3)), np.resize(centres, (CENTRES, 3)).astype(np.float32)
-
-
-def _one_a_cell(points_m: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Places of the first of the points (N, 3) in each cell of ANCHOR_SPACING_M."""
-    cells = np.floor(points_m / ANCHOR_SPACING_M).astype(np.int64)
-    cells -= cells.min(axis=0)
-    return np.unique(np.ravel_multi_index(tuple(cells.T), cells.max(axis=0) + 1), return_index=True)[1]
 
 
 @jax.jit

@@ -11,12 +11,11 @@ from scipy.spatial import KDTree
 
 from pipeline.mesh_source import MeshSource
 from pipeline.synthesis.objects import built_in_object
-from scene.masks import detector as detector_source
 from scene.masks import proposal
-from scene.masks.detector import Detector, detector, is_thin
+from scene.masks import shape_masks as masks_source
 from scene.masks.grid import FREE, PITCH_M, STEPS, EvidenceGrid, SeenSpace
 from scene.masks.proposal import Atoms, MaskSearch, best_atoms
-from scene.masks.shape_masks import OUTSIDE, SURFACE, ShapeMasks
+from scene.masks.shape_masks import OUTSIDE, SURFACE, Detector, ShapeMasks, detector, is_thin
 from scene.objects.scene_object import SceneObject, scene_object
 from shapes import array_cache
 from shapes.geometry.poses import matrices_of
@@ -127,7 +126,7 @@ def test_a_detector_is_kept_and_read(
     made = detector(bottle, PITCH_M, standing=True)
     (path,) = cache.iterdir()
     with monkeypatch.context() as patch:
-        patch.setattr(detector_source, "shape_masks", None)
+        patch.setattr(masks_source, "shape_masks", None)
         assert same(detector(bottle, PITCH_M, standing=True), made)
         with pytest.raises(TypeError):
             detector(bottle, PITCH_M, standing=False)
