@@ -64,10 +64,11 @@ def shifted(image: jax.Array, down: int, across: int) -> jax.Array:
 
 
 def shifts(image: jax.Array) -> Callable[[int, int], jax.Array]:
-    """The pixels (H, W) so many rows above each and columns to its left, `NO_RETURN` beyond the border."""
-    height, width = image.shape
+    """Pixels (H, W, ...) so many rows above each and columns to its left, `NO_RETURN` beyond the border."""
+    height, width = image.shape[:2]
     sides = (COLUMNS_BESIDE, max(COLUMNS_BESIDE, LEANING_PX))
-    wide = jnp.pad(image, ((ROWS_BEFORE, 0), sides), constant_values=NO_RETURN)
+    rest = ((0, 0),) * (image.ndim - 2)
+    wide = jnp.pad(image, ((ROWS_BEFORE, 0), sides, *rest), constant_values=NO_RETURN)
     wide = jax.lax.optimization_barrier(wide)  # else every use pads anew, pixel by pixel
 
     def at(down: int, across: int) -> jax.Array:

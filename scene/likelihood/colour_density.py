@@ -29,10 +29,11 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from scene.execution import FAST_COMPILE
+from scene.likelihood.causal_planes import shifts
 from scene.likelihood.pixel_factors import CHANGES
 from scene.objects.surface_colour import components_of_light
 from scene.observation.pixel_window import PixelWindow
@@ -149,9 +150,9 @@ def _learned(
     observed: NDArray[np.floating], known: NDArray[np.bool_], mean: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weights and scales under which an image is most probable, by expectation maximisation."""
-    before = [(_shifted(observed, *by), _shifted(known, *by)) for by in BEFORE]
-    use = np.logical_and.reduce([known, *(np.asarray(there) for _, there in before)])
-    differences = np.repeat([(observed - np.asarray(colour))[use] for colour, _ in before], 2, axis=0)
+    colours, there = (shifts(jnp.asarray(image)) for image in (observed, known))
+    use = np.logical_and.reduce([known, *(np.asarray(there(*by)) for by in BEFORE)])
+    differences = np.repeat([(observed - np.asarray(colours(*by)))[use] for by in BEFORE], 2, axis=0)
     fresh = _log_normal(observed[use] - mean, np.array(ANY_SD))
     typical = np.maximum(differences.std(axis=1), LEAST_SCALE) if use.any() else np.ones((2 * len(BEFORE), 3))
     scales = np.maximum(np.tile(FIRST_SCALES, len(BEFORE))[:, None] * typical, LEAST_SCALE)
@@ -231,16 +232,6 @@ def _sums_before(values: jax.Array) -> jax.Array:
     along = jnp.einsum("ij,hjc->hic", jnp.tril(jnp.ones((width, width), values.dtype), -1), values)
     rows = jnp.tril(jnp.ones((height, height), values.dtype), -1) @ jnp.sum(values, axis=1)
     return along + rows[:, None]
-
-
-def _shifted(image: ArrayLike, down: int, across: int) -> jax.Array:
-    """For every pixel (H, W, ...) that so far above and to the left (or right) of it, 0 beyond the border."""
-    image = jnp.asarray(image)
-    height, width = image.shape[:2]
-    right = max(-across, 0)
-    rest = [(0, 0)] * (image.ndim - 2)
-    wide = jnp.pad(image, ((down, 0), (max(across, 0), right), *rest))
-    return wide[:height, right : right + width]
 
 
 def _before(image: jax.Array) -> list[jax.Array]:

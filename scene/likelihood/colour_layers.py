@@ -18,7 +18,7 @@ from scene.likelihood.pixel_density import PixelDensity
 from scene.objects.scene_object import SceneObject
 from scene.objects.surface_colour import SPINS
 from scene.observation.frame_data import SceneData
-from shapes.geometry.camera import Camera
+from shapes.geometry.camera import Camera, pixel_rays
 from shapes.geometry.poses import matrices_of, poses_of
 
 COMPARED = 384
@@ -192,11 +192,9 @@ class ComparedColours:
 
 def _in_box(camera: Camera, camera_from_box: jax.Array, layer_m: jax.Array) -> jax.Array:
     """Points (H, W, 3) of a layer (H, W), in the frame of the box at a pose (4, 4)."""
-    columns, rows = jnp.meshgrid(jnp.arange(layer_m.shape[1]), jnp.arange(layer_m.shape[0]))
     depth_m = jnp.where(jnp.isfinite(layer_m), layer_m, 1.0)
-    rays = [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, jnp.ones_like(depth_m)]
-    points_m = jnp.stack(rays, axis=-1) * depth_m[..., None] - camera_from_box[None, None, :3, 3]
-    return points_m @ camera_from_box[:3, :3]
+    rays = pixel_rays(camera, *layer_m.shape)
+    return (rays * depth_m[..., None] - camera_from_box[None, None, :3, 3]) @ camera_from_box[:3, :3]
 
 
 def _log_factors(
