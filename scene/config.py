@@ -10,8 +10,17 @@ import numpy as np
 from recordings.settings import check_finite, check_within
 from scene.copies import asked_copies, slot_names
 
-MOST = {"rounds": 100, "pool": 4096, "shape_samples": 1024, "chains": 1024, "sweeps": 10_000_000}
-"""Beyond these nobody has the memory or the time: a slip of the hand."""
+BOUNDS = {
+    "rounds": (0, 100),
+    "pool": (1, 4096),
+    "shape_samples": (0, 1024),
+    "chains": (1, 1024),
+    "sweeps": (1, 10_000_000),
+    "most": (1, 8),
+    "gamma": (0.2, 5.0),
+    "colour_weight": (0.0, 1.0),
+}
+"""Below these is nothing to do; beyond them nobody has the memory or the time: a slip of the hand."""
 
 Graph = Literal["infer", "fixed", "search"]
 
@@ -125,8 +134,8 @@ class ParseConfig:
 
     def __post_init__(self) -> None:
         check_finite(self)
-        for name, most in MOST.items():
-            check_within(self, 0, most, (name,))
+        for name, (low, high) in BOUNDS.items():
+            check_within(self, low, high, (name,))
         for name, known in ((name, get_args(kind)) for name, kind in WORDS.items()):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} must be {' or '.join(known)}, got {getattr(self, name)!r}")
@@ -151,8 +160,6 @@ class ParseConfig:
             raise ValueError(f"table must be HEIGHT,PITCH or HEIGHT,PITCH,ROLL, got {self.table}")
         if self.light and (len(self.light) != 4 or not any(self.light[:3]) or not 0 <= self.light[3] <= 1):
             raise ValueError(f"light must be a direction and a share of ambient light, got {self.light}")
-        if not 1 <= self.most <= 8 or not 0.2 <= self.gamma <= 5:
-            raise ValueError("most must lie between 1 and 8, gamma between 0.2 and 5")
         if not 0 < self.presence < 1:
             raise ValueError(f"presence must lie between 0 and 1, got {self.presence}")
         if len(set(self.exact)) != len(self.exact) or len(self.exact) > MOST_EXACT:
@@ -168,9 +175,6 @@ class ParseConfig:
             raise ValueError("exact needs depth images; it does not go with colour only")
         if self.likelihood == "cloud" and self.colour == "add":
             raise ValueError("colour add compares images; it does not go with likelihood cloud")
-        check_within(self, 0.0, 1.0, ("colour_weight",))
-        if min(self.rounds + 1, self.shape_samples + 1, self.pool, self.chains, self.sweeps) < 1:
-            raise ValueError("rounds and shape_samples must not be negative; pool, chains, sweeps at least 1")
         scales = self.contact_sigma_m, self.loose_sigma_m, self.contact_concentration, self.search_error_m
         if min(self.model_error_m, self.scale_error) < 0:
             raise ValueError("model_error_m and scale_error must not be negative")
