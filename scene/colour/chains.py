@@ -19,6 +19,7 @@ from scipy.special import gammaln
 
 from scene.colour.posterior import Scene
 from scene.colour.world import TableWorld
+from scene.model.number_prior import log_choices
 
 EXCHANGES = ((0, 1), (1, 0), (1, 1), (1, 2), (2, 1), (2, 2))
 """How many things go and come; each as often as its reverse."""
@@ -124,8 +125,8 @@ def exchange_weight(things: int, back: NDArray[np.float64], forth: NDArray[np.fl
     after = things - len(back) + len(forth)
     return (
         float(back.sum() - forth.sum())
-        + _log_choices(things, len(back))
-        - _log_choices(after, len(forth))
+        + float(log_choices(things, len(back)))
+        - float(log_choices(after, len(forth)))
         + float(gammaln(len(back) + 1) - gammaln(len(forth) + 1))
     )
 
@@ -134,10 +135,6 @@ def kinds_of(states: Iterable[State]) -> dict[tuple[int, ...], float]:
     """Share of the states with each set of kinds, ascending."""
     every = Counter(state.scene.kinds_there for state in states)
     return {kinds: every[kinds] / every.total() for kinds in sorted(every)}
-
-
-def _log_choices(things: int, chosen: int) -> float:
-    return float(gammaln(things + 1) - gammaln(chosen + 1) - gammaln(things - chosen + 1))
 
 
 def _other_kind(rng: np.random.Generator, scene: Scene, kinds: int) -> Scene:

@@ -104,13 +104,10 @@ def refine(
         step, value, done = here.steps, here.gains, False
         if blur == 1.0:
             gained = np.maximum(here.gains, LEAST_GAIN) - best[going]
-            up = going[gained > 0]
-            poses[up], best[up], covariance[up] = (
-                middle[up],
-                here.gains[gained > 0],
-                here.covariance[gained > 0],
-            )
-            step = np.where((gained > 0)[:, None], step, (poses[going] - middle[going]) / 2)
+            better = gained > 0
+            up = going[better]
+            poses[up], best[up], covariance[up] = middle[up], here.gains[better], here.covariance[better]
+            step = np.where(better[:, None], step, (poses[going] - middle[going]) / 2)
             value, done = best[going], bool((np.minimum(gained, here.promise) < WORTH_NATS).all())
         if blur <= COMPARED_AT:
             keep = _leading(value, here.promise, rivals[going], wanted)

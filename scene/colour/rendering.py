@@ -158,13 +158,12 @@ def render_with_motion(
     layers, normals = _layers(world, kinds, poses, fragments)
     camera = world.camera
     row, column = np.divmod(layers.pixel, camera.width)
-    points = camera.rays(column, row) * layers.depth_m[:, None]
-    velocity = image_velocities(points[:, None], 1 / layers.depth_m[:, None], twists[layers.owner], camera)[
-        :, 0
-    ]
+    depth_m = layers.depth_m[:, None]
+    points = camera.rays(column, row) * depth_m
+    velocity = image_velocities(points[:, None], 1 / depth_m, twists[layers.owner], camera)
     shade = np.zeros((len(points), 3))
     shade[:, 2] = world.light.turned_shade(normals)
-    return layers, Motion(fragments.fill_change, shade, velocity)
+    return layers, Motion(fragments.fill_change, shade, velocity[:, 0])
 
 
 def _unspun(world: TableWorld, kinds: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.float64]:

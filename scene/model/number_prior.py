@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaln, gammaln, xlog1py, xlogy
 
 SHAPES = 2.0
@@ -90,7 +90,7 @@ class NumberBesideOthers:
     def log_set_probabilities(self, slots: int) -> NDArray[np.float64]:
         """Of sets of the further slots, given that the others are taken."""
         with_others = self.number.log_set_probabilities(self.others + slots)[self.others :]
-        of_size = with_others + _log_sets(slots)
+        of_size = with_others + log_choices(slots, np.arange(slots + 1))
         return with_others - np.logaddexp.reduce(of_size)
 
 
@@ -99,10 +99,10 @@ def _check_presence(presence: float) -> None:
         raise ValueError(f"presence must lie between 0 and 1, got {presence}")
 
 
-def _log_sets(slots: int) -> NDArray[np.float64]:
-    """Log number (slots + 1,) of the sets of each size."""
-    there = np.arange(slots + 1)
-    return gammaln(slots + 1) - gammaln(there + 1) - gammaln(slots - there + 1)
+def log_choices(things: int, chosen: ArrayLike) -> NDArray[np.float64]:
+    """Log numbers (...) of the sets of so many (...) among things."""
+    size = np.asarray(chosen)
+    return np.asarray(gammaln(things + 1) - gammaln(size + 1) - gammaln(things - size + 1))
 
 
 def log_prior_odds(presence: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from scene.observation.frame_data import SceneData
 from scene.search.assignment import PoseLayers, gain_of, nearest_layer
 from scene.search.pixel_sample import ComparedPixels
 from scene.search.support_prior import Gravity, log_not_buried
+from scene.search.support_table import SupportTable
 from scene.search.template_matching import best_distinct
 from shapes.geometry.poses import matrices_of
 
@@ -100,10 +100,15 @@ class PosePools:
                 depth_m[anew] = self.renderer.layers(numbers[anew], turned[anew], self.data.window)
             log_colour = self.config.colour_weight * self.colours.log_factors(numbers, turned, depth_m)
             found, log_shares = turned.reshape(found.shape), shares.reshape(found.shape[:2])
-        poses = self.poses.copy()
-        poses[which, first : first + found.shape[1]] = found
-        layers = self._with_layers(depth_m, log_colour, log_shares, poses, found, which, first)
-        return replace(self, poses=poses, layers=layers)
+        table, mine = self.data.table, [self.objects[one] for one in which.tolist()]
+        spins = np.where([one.spin_line.any() for one in mine], LOG_SPINS, 0.0)
+        log_prior = spins[:, None] + log_not_buried(table, mine, found, self.config.contact_sigma_m)
+        log_prior = log_prior + log_shares
+        layers = self.pixels.with_layers(self.layers, depth_m, log_prior, which, first, log_colour)
+        poses, changed = self.poses.copy(), np.zeros(self.poses.shape[:2], bool)
+        places = which[:, None], first + np.arange(found.shape[1])
+        poses[places], changed[places] = found, True
+        return replace(self, poses=poses, layers=replace(layers, rests=self._rests(poses, changed)))
 
     def densest(
         self, found: NDArray[np.float32], scene: NDArray[np.integer], objects: Sequence[int]
@@ -130,33 +135,17 @@ class PosePools:
         near = np.array([one.colour is not None and not one.colour.exact for one in self.objects])
         return np.flatnonzero(near[numbers] & (np.abs(turned - found).max(axis=1) > 1e-4)).tolist()
 
-    def _with_layers(
-        self,
-        depth_m: NDArray[np.float32],
-        log_colour: jax.Array | None,
-        log_shares: NDArray[np.float64],
-        poses: NDArray[np.float32],
-        found: NDArray[np.float32],
-        which: NDArray[np.intp],
-        first: int,
-    ) -> PoseLayers:
-        config, table = self.config, self.data.table
-        objects = [self.objects[one] for one in which]
-        spins = np.where([one.spin_line.any() for one in objects], LOG_SPINS, 0.0)
-        log_prior = spins[:, None] + log_not_buried(table, objects, found, config.contact_sigma_m)
-        log_prior = log_prior + log_shares
-        layers = self.pixels.with_layers(self.layers, depth_m, log_prior, which, first, log_colour)
+    def _rests(self, poses: NDArray[np.float32], changed: NDArray[np.bool_]) -> SupportTable:
+        """How poses (N, K, 7) rest, some of which (N, K) have changed."""
+        config = self.config
         gravity = Gravity(
             contact_sigma_m=config.contact_sigma_m,
             loose_sigma_m=config.loose_sigma_m,
             slack_share=config.slack_share,
             floating_weight=config.floating_weight,
         )
-        below = None if config.graph == "fixed" else table
-        changed = np.zeros(poses.shape[:2], bool)
-        changed[which, first : first + found.shape[1]] = True
-        rests = gravity.rests(self.data.view, below, self.objects, poses, changed, self.layers.rests)
-        return replace(layers, rests=rests)
+        table = None if config.graph == "fixed" else self.data.table
+        return gravity.rests(self.data.view, table, self.objects, poses, changed, self.layers.rests)
 
     def placed(self, scene: NDArray[np.integer]) -> NDArray[np.float32]:
         """The chosen poses (N, 7) of a scene (N,), of the absent ones any."""
