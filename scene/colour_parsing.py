@@ -16,7 +16,7 @@ from scene.colour.camera_view import pooled_image, square_in_view
 from scene.colour.density import ColourNoise
 from scene.colour.lattice import Lattice
 from scene.colour.light import LampShares
-from scene.colour.posterior import ColourImage, Scene, View, colour_image, seen_together, visible_gain
+from scene.colour.posterior import ColourImage, View, colour_image, seen_together, visible_gain
 from scene.colour.rendering import render
 from scene.colour.scene_samples import SceneSamples, sampled
 from scene.colour.search import find, find_under_any_lamp
@@ -76,7 +76,8 @@ def parse_colour(
     world, seen = lattice.world, colour_image(lattice.world, image)
     rng = np.random.default_rng(seed)
     samples = sampled(rng, world, seen, found, lamps, config.sweeps, config.chains)
-    return _summary(world, seen, found, samples, frame), _strange_share(world, seen, found.best.scene)
+    strange_share = float((Surroundings.of(world, seen, [found.best.scene]).excess > 0).mean())
+    return _summary(world, seen, found, samples, frame), strange_share
 
 
 def _light(config: ParseConfig) -> Light:
@@ -146,11 +147,6 @@ def _numbers(at_least: NDArray[np.float64]) -> NDArray[np.float64]:
     told = np.zeros((kinds, kinds * most + 1))
     told[:, : most + 1] = -np.diff(at_least, axis=1, prepend=1.0, append=0.0)
     return np.repeat(told, most, axis=0)
-
-
-def _strange_share(world: TableWorld, image: ColourImage, scene: Scene) -> float:
-    """Share of the pixels that the scene does not explain."""
-    return float((Surroundings.of(world, image, [scene]).excess > 0).mean())
 
 
 def _slots_of(kinds: NDArray[np.int64], copies: int) -> list[int]:

@@ -327,13 +327,10 @@ def _(
     axis_size: int, in_batched: tuple, images: DepthLikelihood, shapes: jax.Array, poses: jax.Array
 ) -> tuple[tuple[jax.Array, jax.Array], tuple[bool, bool]]:
     """Chains side by side are more objects to the engine, whose loops then stay full."""
-    return _layers(images, *_broadcast(axis_size, in_batched, (shapes, poses))), (True, True)
-
-
-def _broadcast(axis_size: int, in_batched: tuple, values: Sequence[jax.Array]) -> list[jax.Array]:
-    """All values with the chains' axis, which the likelihood before them has not."""
-    assert not any(jax.tree.leaves(in_batched[0]))
-    return [
+    of_images, *of_given = in_batched
+    assert not any(jax.tree.leaves(of_images))  # all chains have one likelihood
+    given = [
         value if batched else jnp.broadcast_to(value, (axis_size, *value.shape))
-        for value, batched in zip(values, in_batched[1:], strict=True)
+        for value, batched in zip((shapes, poses), of_given, strict=True)
     ]
+    return _layers(images, *given), (True, True)

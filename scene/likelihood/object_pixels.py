@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import jax
@@ -38,7 +39,7 @@ class ObjectPixels:
         """Of depth (..., H, W) of an object alone, +inf beside it, before supports of depth (..., H, W)."""
         covers = layer_m < rest_m
         layer_m = jnp.where(covers, layer_m, jnp.inf)
-        nearest_m = _nearest_beside(layer_m)
+        nearest_m = functools.reduce(jnp.minimum, _four_beside(layer_m, jnp.inf))
         wide_m = jnp.where(covers, layer_m, jnp.where(nearest_m < rest_m, nearest_m, jnp.inf))
         just_before = jnp.where(jnp.isfinite(rest_m), rest_m * JUST_BEFORE, FAR_M)
         touches = jnp.isfinite(wide_m)
@@ -48,14 +49,7 @@ class ObjectPixels:
 
 def all_beside(mask: jax.Array) -> jax.Array:
     """Whether a mask (..., H, W) holds the four pixels beside each; what is beyond the border is held."""
-    above, below, left, right = _four_beside(mask, True)
-    return above & below & left & right
-
-
-def _nearest_beside(layer_m: jax.Array) -> jax.Array:
-    """The least depth (..., H, W) of the four pixels beside each."""
-    above, below, left, right = _four_beside(layer_m, jnp.inf)
-    return jnp.minimum(jnp.minimum(above, below), jnp.minimum(left, right))
+    return functools.reduce(jnp.logical_and, _four_beside(mask, True))
 
 
 def _touched_before(touches: jax.Array) -> jax.Array:

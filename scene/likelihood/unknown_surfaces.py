@@ -281,7 +281,9 @@ def _kinds(depth_m: jax.Array, means_m: jax.Array, known: jax.Array, noise: Dept
     edge = jnp.where(measured, edge, EDGES - 1)
     told = (depth_m != NO_RETURN) & (known[EITHER] > 0)
     error_m = jnp.where(told, depth_m - means_m[EITHER], 0.0)
-    return edge + EDGES * _surprised(error_m, standard_deviation(noise, means_m[EITHER])).astype(jnp.int32)
+    large = is_surprising(error_m, standard_deviation(noise, means_m[EITHER])).astype(error_m.dtype)
+    surprised = (shifted(large, 0, 1) > 0) | (shifted(large, 1, 0) > 0)
+    return edge + EDGES * surprised.astype(jnp.int32)
 
 
 def told_otherwise(
@@ -298,17 +300,6 @@ def told_otherwise(
     seen_m = jnp.where(earlier_m == NO_RETURN, 1.0, earlier_m)
     near = known & ~is_surprising(foretold_m - seen_m, standard_deviation(noise, seen_m))
     return seen_m, 1 - near.astype(jnp.int32)
-
-
-def _surprised(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:
-    """Whether the pixel to the left of each (H, W) or that above was badly foretold.
-
-    Args:
-        error_m: (H, W) depth less its prediction, 0 where there is none.
-        sensor_m: (H, W) the sensor's standard deviation.
-    """
-    large = is_surprising(error_m, sensor_m).astype(error_m.dtype)
-    return (shifted(large, 0, 1) > 0) | (shifted(large, 1, 0) > 0)
 
 
 def is_surprising(error_m: jax.Array, sensor_m: jax.Array) -> jax.Array:

@@ -9,7 +9,7 @@ of parameters given the auxiliary variables is an isometry of the base measure.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -42,9 +42,17 @@ _CONTACT_GROUPS = np.array(
 """The same for a contact: a, b, z, rotation of eta (3), phi."""
 
 
+class Symmetric:
+    """A move whose auxiliary variables are as likely both ways."""
+
+    def log_density(self, context: Any, auxiliary: Any) -> jax.Array:  # noqa: ARG002
+        """Zero."""
+        return jnp.zeros(())
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class WalkMove:
+class WalkMove(Symmetric):
     """A random walk in the active parametrisation.
 
     The size of a step is log-uniform between `scale` and `scale / spread`, and some groups of
@@ -79,14 +87,6 @@ class WalkMove:
         step = scale * groups[group].astype(dtype) * units * dice.normal[:7]
         return step, choices[2] < 0.5
 
-    def log_density(
-        self,
-        context: tuple[jax.Array, ...],  # noqa: ARG002
-        auxiliary: tuple[jax.Array, jax.Array],
-    ) -> jax.Array:
-        """Zero: a step and its opposite are equally likely."""
-        return jnp.zeros((), auxiliary[0].dtype)
-
     def involution(
         self,
         model: SceneModel,
@@ -112,7 +112,7 @@ class WalkMove:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class FlipMove:
+class FlipMove(Symmetric):
     """Half a turn about an axis of the bounding box: upside down or back to front in the same place.
 
     Faces are renamed with the turn, so that what was flush stays flush.
@@ -129,10 +129,6 @@ class FlipMove:
     def sample(self, dice: Variates, context: tuple[()]) -> tuple[jax.Array, jax.Array]:  # noqa: ARG002
         """An axis of the box, and the coin."""
         return (3 * dice.uniform[0]).astype(jnp.int32), dice.uniform[1] < 0.5
-
-    def log_density(self, context: tuple[()], auxiliary: tuple[jax.Array, jax.Array]) -> jax.Array:  # noqa: ARG002
-        """Zero: the axis is uniform."""
-        return jnp.zeros(())
 
     def involution(
         self,

@@ -78,12 +78,8 @@ def improve_pairs(layers: PoseLayers, choice: jax.Array, candidates: int) -> jax
     objects = jnp.arange(len(layers.log_alone))
 
     def improve(choice: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        return jax.lax.cond(
-            jnp.all(choice[jnp.stack(pair)] == no_object(layers)), keep, put, choice, *pair
-        ), None
-
-    def keep(choice: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:  # noqa: ARG001
-        return choice
+        neither = jnp.all(choice[jnp.stack(pair)] == no_object(layers))
+        return jax.lax.cond(neither, lambda choice, *_: choice, put, choice, *pair), None
 
     def put(choice: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
         others = nearest_layer(layers, choice, (objects != a) & (objects != b))

@@ -116,7 +116,8 @@ class SearchRound:
 
         def find(index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             one, view = pools.objects[index], replace(data.view, unexplained=masks[index])
-            beside = self._from_masks(index, enough[index], FROM_MASKS[pools.config.proposals])
+            atoms = self.by_masks.atoms(index, enough[index]) if self.by_masks else Atoms.none()
+            beside = atoms.poses[_apart(atoms, FROM_MASKS[pools.config.proposals])]
             places = _places(*drawn[index])
             return jax.device_get(
                 match_templates(view, one.points_m, one.normals, self.rotations[index], *places, beside)
@@ -124,11 +125,6 @@ class SearchRound:
 
         refined, candidates = zip(*map_parallel(find, masks), strict=True)
         return np.stack(refined), np.stack(candidates)
-
-    def _from_masks(self, index: int, mask: NDArray[np.bool_], count: int) -> NDArray[np.float32]:
-        """An object's poses (count, 7) of high score that differ, none where masks tell of none."""
-        atoms = self.by_masks.atoms(index, mask) if self.by_masks else Atoms.none()
-        return atoms.poses[_apart(atoms, count)]
 
     def boltzmann_atoms(self, pools: PosePools, wanted: NDArray[np.bool_]) -> BoltzmannAtoms | None:
         """Atoms of the objects `wanted` (N,) on the whole foreground; None where no masks were asked for."""

@@ -72,7 +72,8 @@ class Gravity:
         if table is None:
             return before
         table_from_box = np.linalg.inv(table.camera_from_table) @ matrices_of(poses)
-        undersides_m = _undersides(objects, table_from_box)
+        each = zip(objects, table_from_box, strict=True)
+        undersides_m = np.stack([undersides(placed_points(mine, one.points_m)) for one, mine in each])
         lowest_m = undersides_m[:, :, 0]
         heights_m = _heights(table, lowest_m)
         hanging = heights_m > 0
@@ -111,12 +112,6 @@ def _log_alone(gravity: Gravity, heights_m: jax.Array, seen_m: jax.Array) -> jax
     floating = gravity.floating_weight / FLOATING_HEIGHT_M / gap_density(gravity, jnp.zeros_like(heights_m))
     log_unknown = jnp.log(UNKNOWN_CARRIER) + _log_over_none(gravity, seen_m)
     return jnp.maximum(jnp.maximum(_log_over_none(gravity, heights_m), jnp.log(floating)), log_unknown)
-
-
-def _undersides(objects: Sequence[SceneObject], table_from_box: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (N, K, C, 3) of the underside of each pose (N, K, 4, 4), the lowest first."""
-    each = zip(objects, table_from_box, strict=True)
-    return np.stack([undersides(placed_points(poses, one.points_m)) for one, poses in each])
 
 
 def _heights(table: SupportPlane, points_m: NDArray[np.float64]) -> NDArray[np.float64]:

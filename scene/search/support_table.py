@@ -38,9 +38,9 @@ class SupportTable:
 
     def given(self, choice: jax.Array, index: jax.Array) -> jax.Array:
         """Log prior (K,) of a scene's objects together with each pose of one, given the others' choice."""
-        return self._own(choice, index) + jnp.sum(
-            jnp.maximum(self._without(choice, index)[:, None], self._on(choice, index)), axis=0
-        )
+        without = self.of(choice.at[index].set(self.log_alone.shape[1] - 1))
+        others = jnp.maximum(without[:, None], self._on(choice, index))
+        return self._own(choice, index) + jnp.sum(others, axis=0)
 
     def of_pair(
         self, choice: jax.Array, one: tuple[jax.Array, jax.Array], other: tuple[jax.Array, jax.Array]
@@ -65,7 +65,3 @@ class SupportTable:
     def _on(self, choice: jax.Array, index: jax.Array) -> jax.Array:
         """Log prior (N, K) of every object on each pose of one."""
         return self.log_on[jnp.arange(len(choice)), choice, index]
-
-    def _without(self, choice: jax.Array, index: jax.Array) -> jax.Array:
-        """Log prior (N,) of each object in the scene without one."""
-        return self.of(choice.at[index].set(self.log_alone.shape[1] - 1))
