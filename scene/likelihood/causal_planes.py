@@ -7,9 +7,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from recordings.types import NO_RETURN
+from scene.observation.depth_view import Sums, solved_plane, with_pixel
 
 ROWS_BEFORE, COLUMNS_BESIDE = 2, 2
 """The pixels before one to which planes are fitted: so many rows above, so many columns to either side."""
@@ -31,31 +31,11 @@ def fitted(before: Callable[[int, int], tuple[jax.Array, jax.Array]]) -> tuple[j
     Args:
         before: values and weights (H, W) of the pixels so many rows above and columns to the left of each.
     """
-    sums = (jnp.zeros(()),) * 9
+    sums: Sums = (jnp.zeros(()),) * 9
     for down in range(ROWS_BEFORE + 1):
         for across in range(1 if down == 0 else -COLUMNS_BESIDE, COLUMNS_BESIDE + 1):
-            sums = _added(sums, *before(down, across), down, across)
-    return _solved(sums)
-
-
-def _added(
-    sums: tuple[jax.Array, ...], value: jax.Array, use: jax.Array, down: ArrayLike, across: ArrayLike
-) -> tuple[jax.Array, ...]:
-    """The sums of the normal equations with one more pixel of each."""
-    x, y = -jnp.asarray(across, value.dtype), -jnp.asarray(down, value.dtype)
-    terms = (1.0, x, y, x * x, x * y, y * y, value, x * value, y * value)
-    return tuple(total + use * term for total, term in zip(sums, terms, strict=True))
-
-
-def _solved(sums: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Value and slopes of planes from the sums of their normal equations; 0 without any pixel."""
-    count, x, y, xx, xy, yy, d, xd, yd = sums
-    n = jnp.maximum(count, LEAST_COUNT)
-    xx, xy, yy = xx - x * x / n + STIFFNESS, xy - x * y / n, yy - y * y / n + STIFFNESS
-    xd, yd = xd - x * d / n, yd - y * d / n
-    determinant = xx * yy - xy**2
-    slope_x, slope_y = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
-    return (d - slope_x * x - slope_y * y) / n, slope_x, slope_y
+            sums = with_pixel(sums, *before(down, across), -across, -down)
+    return solved_plane(sums, STIFFNESS, LEAST_COUNT)
 
 
 def shifted(image: jax.Array, down: int, across: int) -> jax.Array:
@@ -96,15 +76,14 @@ def wide_slopes(
     before = np.stack([down, columns - across], axis=1).astype(np.int32)
     places = jnp.asarray(before[(before[:, 0] > 0) | (before[:, 1] > 0)])
 
-    def add(number: jax.Array, sums: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def add(number: jax.Array, sums: Sums) -> Sums:
         down, across = places[number]
         near_m = jax.lax.dynamic_slice(wide, (rows - down, columns - across), size)
         measured = near_m != NO_RETURN
         value = 1 / jnp.where(measured, near_m, 1.0) - base
         away = value - (first[0] - across * first[1] - down * first[2])
         use = measured & (jnp.abs(away) < NEAR_SIGMAS * sigma)
-        return _added(sums, value, use.astype(depth_m.dtype), down, across)
+        return with_pixel(sums, value, use.astype(depth_m.dtype), -across, -down)
 
     sums = jax.lax.fori_loop(0, len(places), add, (jnp.zeros_like(depth_m),) * 9)
-    _, slope_x, slope_y = _solved(sums)
-    return slope_x, slope_y
+    return solved_plane(sums, STIFFNESS, LEAST_COUNT)[1:]

@@ -8,7 +8,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.types import NO_RETURN, CameraIntrinsics
 from scene.execution import FAST_COMPILE
@@ -105,23 +105,43 @@ def _normals(depth_m: jax.Array, camera: Camera) -> jax.Array:
     radius = NORMAL_WINDOW
     padded = jnp.pad(depth_m, radius)
     inverse = jnp.where(depth_m > 0, 1 / jnp.maximum(depth_m, 1e-3), 0.0)
-    zero = jnp.zeros_like(depth_m)
-    count, x, y, xx, xy, yy, d, xd, yd = (zero,) * 9
+    sums = (jnp.zeros_like(depth_m),) * 9
     for dy in range(-radius, radius + 1):
         for dx in range(-radius, radius + 1):
             near = padded[radius + dy : radius + dy + height, radius + dx : radius + dx + width]
             use = ((near > 0) & (jnp.abs(near - depth_m) < SAME_SURFACE_M)).astype(depth_m.dtype)
-            rise = use * (1 / jnp.maximum(near, 1e-3) - inverse)
-            count, x, y = count + use, x + use * dx, y + use * dy
-            xx, xy, yy = xx + use * dx * dx, xy + use * dx * dy, yy + use * dy * dy
-            d, xd, yd = d + rise, xd + rise * dx, yd + rise * dy
-    n = jnp.maximum(count, 1)
-    xx, xy, yy = xx - x * x / n + 1e-3, xy - x * y / n, yy - y * y / n + 1e-3
-    xd, yd = xd - x * d / n, yd - y * d / n
-    determinant = xx * yy - xy**2
-    slope_x, slope_y = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
+            sums = with_pixel(sums, 1 / jnp.maximum(near, 1e-3) - inverse, use, dx, dy)
+    _, slope_x, slope_y = solved_plane(sums, 1e-3, 1.0)
     columns, rows = jnp.meshgrid(jnp.arange(width) - camera.cx, jnp.arange(height) - camera.cy)
     along = inverse - slope_x * columns - slope_y * rows
     normal = -jnp.stack([slope_x * camera.fx, slope_y * camera.fy, along], axis=-1)
     normal = normal / jnp.maximum(jnp.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    return jnp.where(((depth_m > 0) & (count >= FEWEST_PIXELS))[..., None], normal, 0.0)
+    return jnp.where(((depth_m > 0) & (sums[0] >= FEWEST_PIXELS))[..., None], normal, 0.0)
+
+
+Sums = tuple[jax.Array, ...]
+"""Of the normal equations of planes in inverse depth, one a pixel: nine arrays."""
+
+
+def with_pixel(sums: Sums, value: jax.Array, use: jax.Array, across: ArrayLike, down: ArrayLike) -> Sums:
+    """The sums with one more pixel of each, so far to its right and below it: values and weights (H, W)."""
+    x, y = jnp.asarray(across, value.dtype), jnp.asarray(down, value.dtype)
+    terms = (1.0, x, y, x * x, x * y, y * y, value, x * value, y * value)
+    return tuple(total + use * term for total, term in zip(sums, terms, strict=True))
+
+
+def solved_plane(sums: Sums, stiffness: float, least: float) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Value here and slopes right and down (H, W) of least-squares planes; 0 without any pixel.
+
+    Args:
+        sums: of the pixels round each.
+        stiffness: added to the normal equations of slopes, in pixels squared: few pixels tell of no slope.
+        least: weight of all pixels together.
+    """
+    count, x, y, xx, xy, yy, d, xd, yd = sums
+    n = jnp.maximum(count, least)
+    xx, xy, yy = xx - x * x / n + stiffness, xy - x * y / n, yy - y * y / n + stiffness
+    xd, yd = xd - x * d / n, yd - y * d / n
+    determinant = xx * yy - xy**2
+    slope_x, slope_y = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
+    return (d - slope_x * x - slope_y * y) / n, slope_x, slope_y
