@@ -53,7 +53,7 @@ class ComparedFrames:
         learned: UnknownWeights,
         config: ParseConfig,
     ) -> ComparedFrames:
-        """Those of views.
+        """Those of views; the searched one has no frame before it, the others come as they do.
 
         Args:
             views: the frames.
@@ -69,7 +69,16 @@ class ComparedFrames:
         world_from_camera = np.asarray(np.linalg.inv(camera_from_table), np.float64)
         world_from_first = world_from_camera @ np.linalg.inv(first_camera_from_camera[searched])
         camera_from_world = np.linalg.inv(world_from_first @ first_camera_from_camera)
-        densities = frame_densities(views, searched, camera_from_world, noise, learned, config.model_error_m)
+        windows, earlier_m = [view.window for view in views], [None] * len(views)
+        if len(views) > 1:
+            order = sorted(range(len(views)), key=lambda one: one != searched)
+            earlier_m = earlier_depths(views, camera_from_world, order)
+            learned = with_earlier(learned, [window.depth_m for window in windows], earlier_m, noise)
+        error_m = config.model_error_m
+        densities = [
+            PixelDensity.of(window.depth_m, view.support_m, noise, error_m, window.stride, learned, told_m)
+            for view, window, told_m in zip(views, windows, earlier_m, strict=True)
+        ]
         return cls(
             views=views,
             densities=densities,
@@ -108,32 +117,3 @@ class ComparedFrames:
         return ComparedColours(
             self.colours.of_objects(objects), jnp.float32(self.colour_weight), self.searched
         )
-
-
-def frame_densities(
-    views: Sequence[SceneData],
-    first: int,
-    camera_from_world: NDArray[np.float64],
-    noise: DepthNoise,
-    learned: UnknownWeights,
-    shape_sigma_m: float,
-) -> list[PixelDensity]:
-    """The density of each frame given those before it: one comes first, then the others as they come.
-
-    Args:
-        views: F frames.
-        first: number of the one that has none before it.
-        camera_from_world: (F, 4, 4).
-        noise: of the sensor.
-        learned: how well pixels foretell each other.
-        shape_sigma_m: error of objects' surfaces.
-    """
-    windows, earlier_m = [view.window for view in views], [None] * len(views)
-    if len(views) > 1:
-        order = sorted(range(len(views)), key=lambda one: one != first)
-        earlier_m = earlier_depths(views, camera_from_world, order)
-        learned = with_earlier(learned, [window.depth_m for window in windows], earlier_m, noise)
-    return [
-        PixelDensity.of(window.depth_m, view.support_m, noise, shape_sigma_m, window.stride, learned, told_m)
-        for view, window, told_m in zip(views, windows, earlier_m, strict=True)
-    ]
