@@ -88,7 +88,7 @@ def _cropped_densities(density: PixelDensity, layers_m: jax.Array, corners: jax.
 
 
 def object_densities(density: PixelDensity, layers_m: jax.Array, parts: ImageParts) -> Layers:
-    """What `PixelDensity.of_object` gives where depths are finite; elsewhere a log density of 0.
+    """Log density (n, h, w) of the pixels that objects have a part in, else 0, and depth there, else +inf.
 
     Args:
         density: of F images, leaves (F, ...).

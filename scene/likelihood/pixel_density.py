@@ -44,20 +44,6 @@ _ONLY = ImageParts(np.zeros(1, np.int32))
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class EarlierImage:
-    """What an earlier frame has measured at the pixels of an image; leaves (..., H, W).
-
-    Attributes:
-        depth_m: `NO_RETURN` where nothing.
-        behind: probability that it shows the supports there.
-    """
-
-    depth_m: jax.Array
-    behind: jax.Array
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
 class ImageTerms:
     """What the density of every scene takes from an image and its supports; leaves (..., H, W).
 
@@ -70,7 +56,8 @@ class ImageTerms:
         shares: (L, H, W) weights of what is foretold.
         behind: probability that a pixel shows the supports.
         rest: what pixels show of the supports.
-        earlier: what an earlier frame has measured; None where there is none.
+        earlier_m: what an earlier frame has measured, `NO_RETURN` where nothing; None where there is none.
+        earlier_behind: probability that it shows the supports; None likewise.
     """
 
     observed_m: jax.Array
@@ -80,7 +67,8 @@ class ImageTerms:
     shares: jax.Array
     behind: jax.Array
     rest: Shown
-    earlier: EarlierImage | None
+    earlier_m: jax.Array | None
+    earlier_behind: jax.Array | None
 
 
 @jax.tree_util.register_dataclass
@@ -207,8 +195,7 @@ class PixelDensity:
         blank = jnp.zeros_like(observed_m)
         nothing = Shown(blank, blank, blank, blank, [blank] * len(parts))
         foretold = jnp.stack(parts), jnp.stack(unknown.shares())
-        earlier = None if earlier_m is None else EarlierImage(earlier_m, blank)
-        terms = ImageTerms(observed_m, rest_m, unknown, *foretold, blank, nothing, earlier)
+        terms = ImageTerms(observed_m, rest_m, unknown, *foretold, blank, nothing, earlier_m, None)
         density = cls(noise, shape_sigma_m, edge_reach, learned, terms, blank)
         one, everywhere = density.stacked(), Places.everywhere(blank.shape)
         supports = one.support_images()
@@ -222,27 +209,13 @@ class PixelDensity:
         behind, rest = jax.tree.map(
             lambda leaf: leaf.reshape(*leaf.shape[:-1], *blank.shape), (before.shows(0, 0), shown)
         )
-        if earlier is not None and shows_earlier is not None:
-            earlier = replace(earlier, behind=shows_earlier.reshape(blank.shape))
-        terms = replace(terms, behind=behind, rest=rest, earlier=earlier)
+        earlier_behind = None if shows_earlier is None else shows_earlier.reshape(blank.shape)
+        terms = replace(terms, behind=behind, rest=rest, earlier_behind=earlier_behind)
         return replace(density, image=terms, log_rest=log_rest.reshape(blank.shape))
 
     def stacked(self) -> PixelDensity:
         """That of one image as that of F = 1 images."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], self)
-
-    def of_object(self, layer_m: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Log density (H, W) of the pixels that an object has a part in, and its depth there, else +inf.
-
-        Args:
-            layer_m: (H, W) depth of the object alone, +inf beside it.
-        """
-        one, everywhere = self.stacked(), Places.everywhere(layer_m.shape)
-        pixels = ObjectPixels.of(layer_m[None], one.image.rest_m)
-        objects = one.object_images(pixels, _ONLY)
-        objects = replace(objects, surfaces=one.with_badly_foretold(objects.surfaces))
-        log_density = one.log_factors(objects, _ONLY, everywhere)
-        return log_density.reshape(layer_m.shape), pixels.shown_m[0]
 
     def drawn(self, key: jax.Array, pixels: ObjectPixels, places: Places) -> jax.Array:
         """Listed pixels (P,) drawn given those before them, cause by cause: the law whose density this is.
@@ -318,8 +291,8 @@ class PixelDensity:
         """What listed pixels (P,) of the F images may show beside an object and the supports."""
         behind, seen = places.beside(self.image.behind), None
         shows_earlier = factors.shows_earlier(surface)
-        if self.image.earlier is not None and shows_earlier is not None:
-            scene = jnp.maximum(shows_earlier, places.of(self.image.earlier.behind))
+        if self.image.earlier_behind is not None and shows_earlier is not None:
+            scene = jnp.maximum(shows_earlier, places.of(self.image.earlier_behind))
             seen = scene, shows_earlier
         return factors.unknown_beside(
             lambda *by: jnp.maximum(before.shows(*by), behind(*by)), before.shows, seen
@@ -369,11 +342,11 @@ class PixelDensity:
 
     def _earlier_at(self, places: Places) -> EarlierPixels | None:
         """What an earlier frame has measured at listed pixels (P,)."""
-        image, learned = self.image.earlier, self.learned.earlier
-        if image is None or learned is None:
+        earlier_m, learned = self.image.earlier_m, self.learned.earlier
+        if earlier_m is None or learned is None:
             return None
         weights, scales = (places.of_images(part) for part in (learned.weights, learned.scales))
-        return EarlierPixels(places.of(image.depth_m), weights, scales)
+        return EarlierPixels(places.of(earlier_m), weights, scales)
 
     def _surface_images(self, depth_m: jax.Array, sigma_m: jax.Array, parts: ImageParts) -> SurfaceImages:
         """Surfaces (n, h, w) with errors likewise in parts (n,); what is badly foretold is left open."""

@@ -12,6 +12,7 @@ from pipeline.synthesis.image_draws import REACH_PX, drawn_image
 from recordings.types import NO_RETURN, DepthNoise
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import EDGES, UnknownWeights
+from tests.scene.likelihood.whole_image import of_object
 from tests.statistical import assert_mean
 
 SURFACE_M, EDGE_REACH = 0.01, 0.6
@@ -40,7 +41,7 @@ def log_image(
     """Log density of an image (H, W) of objects (L, H, W)."""
     numbers = noise, jnp.float32(SURFACE_M), jnp.float32(EDGE_REACH), LEARNED
     density = PixelDensity.of_image(observed_m, jnp.asarray(rest_m), *numbers)
-    shown, depth_m = jax.lax.map(density.of_object, jnp.asarray(layers_m))
+    shown, depth_m = jax.lax.map(lambda layer_m: of_object(density, layer_m), jnp.asarray(layers_m))
     nearest = jnp.argmin(depth_m, axis=0)[None]
     mine, there = (jnp.take_along_axis(part, nearest, axis=0)[0] for part in (shown, depth_m))
     return jnp.where(jnp.isfinite(there), mine, density.log_rest)

@@ -24,6 +24,7 @@ from scene.observation.pixel_window import PixelWindow
 from shapes.depth_noise import standard_deviation
 from shapes.geometry.camera import Camera
 from shapes.geometry.poses import poses_of
+from tests.scene.likelihood.whole_image import of_object
 from tests.shapes.views import embree, tensor
 
 WIDTH, HEIGHT, FOCAL, MIDDLE_PX = 32, 28, 140.0, (15.3, 13.6)
@@ -134,7 +135,7 @@ class Seen:
 @jax.jit
 def _log_density(density: PixelDensity, layers_m: jax.Array) -> jax.Array:
     def one(layer_m: jax.Array) -> jax.Array:
-        log_density, depth_m = density.of_object(layer_m)
+        log_density, depth_m = of_object(density, layer_m)
         return jnp.where(depth_m < density.image.rest_m, log_density - density.log_rest, 0.0).sum()
 
     return jax.vmap(one)(layers_m)

@@ -27,6 +27,7 @@ from scene.observation.depth_view import unproject
 from shapes.geometry.camera import Camera
 from shapes.rendering.depth_rendering import render_layers
 from shapes.rendering.tiles import to_tiles
+from tests.scene.likelihood.whole_image import of_object
 from tests.statistical import assert_mean
 
 HEIGHT, WIDTH, BACKGROUND_M = 32, 48, 0.8
@@ -135,7 +136,7 @@ def rendered(likelihood: DepthLikelihood, scene: SceneGraph, frame: int) -> np.n
     return np.minimum(shown, BACKGROUND_M)
 
 
-of_object = jax.jit(PixelDensity.of_object)
+shown_by_object = jax.jit(of_object)
 
 
 def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph) -> float:
@@ -146,7 +147,7 @@ def dense(likelihood: DepthLikelihood, observed_m: np.ndarray, scene: SceneGraph
         density = PixelDensity.of(observed_m[frame].astype(np.float32), rest_m, NOISE, 0.002, 2)
         log_pixels, front_m = np.array(density.log_rest), rest_m
         for layer_m in layers(likelihood, scene, frame):
-            log_mine, depth_m = (np.asarray(part) for part in of_object(density, jnp.asarray(layer_m)))
+            log_mine, depth_m = (np.asarray(part) for part in shown_by_object(density, jnp.asarray(layer_m)))
             log_pixels = np.where(depth_m < front_m, log_mine, log_pixels)
             front_m = np.minimum(depth_m, front_m)
         total += float(log_pixels.astype(np.float64).sum())

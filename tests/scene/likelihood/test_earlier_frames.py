@@ -15,6 +15,7 @@ from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_data
+from tests.scene.likelihood.whole_image import of_object
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
 SIZE = 60, 80
@@ -124,13 +125,13 @@ def test_an_error_that_two_frames_share_counts_once(seed: int) -> None:
             wrong_m[row : row + 5, column : column + 6] += 0.004
     rest_m, true_m = np.full(SIZE, 0.95, np.float32), np.minimum(layer_m, np.float32(0.95))
     learned = UnknownWeights.learned([measured(rng, true_m)], NOISE)
-    of_object = jax.jit(PixelDensity.of_object)
+    shown_by_object = jax.jit(of_object)
 
     def against(image_m: NDArray[np.float32], earlier_m: NDArray[np.float32] | None) -> float:
         """Nats by which an image speaks against the shape with the plates."""
         weights = learned if earlier_m is None else with_earlier(learned, [image_m], [earlier_m], NOISE)
         density = PixelDensity.of(image_m, rest_m, NOISE, 0.002, 4, weights, earlier_m)
-        right, wrong = (of_object(density, one)[0] for one in (layer_m, wrong_m))
+        right, wrong = (shown_by_object(density, one)[0] for one in (layer_m, wrong_m))
         return float(np.sum(np.asarray(right - wrong)))
 
     alone, given = [], []

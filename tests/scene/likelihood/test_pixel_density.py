@@ -16,6 +16,7 @@ from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.pixel_factors import MISSING, MISSING_ON, OUTLIERS
 from scene.likelihood.pixel_places import ImageParts
 from scene.likelihood.unknown_surfaces import EDGES, EarlierWeights, UnknownWeights
+from tests.scene.likelihood.whole_image import of_object
 
 STEP_M, SENSOR_M, SURFACE_M = 0.07, 0.08, 0.05
 DEPTHS_M = STEP_M * (np.arange(30) - 6.5)
@@ -67,7 +68,7 @@ def log_factors(
     """Log density (2, 2) of the pixels of an image under a scene of one object, given an earlier frame."""
     numbers = NOISE, jnp.float32(SURFACE_M), jnp.float32(0.6), LEARNED
     density = PixelDensity.of_image(observed_m, rest_m, *numbers, earlier_m)
-    shown, depth_m = density.of_object(layer_m)
+    shown, depth_m = of_object(density, layer_m)
     return jnp.where(jnp.isfinite(depth_m), shown, density.log_rest)
 
 
@@ -125,7 +126,7 @@ def test_a_plane_of_which_much_was_seen_is_known_as_well_as_a_shape(seed: int) -
     observed_m = np.where(np.isfinite(layer_m), plane_m + rng.normal(0, 0.002, plane_m.shape), 1.2)
     rest_m = np.full(plane_m.shape, 1.2, np.float32)
     density = PixelDensity.of(observed_m.astype(np.float32), rest_m, noise, 0.003, 1)
-    gains = np.asarray(jax.jit(PixelDensity.of_object)(density, layer_m)[0] - density.log_rest)
+    gains = np.asarray(jax.jit(of_object)(density, layer_m)[0] - density.log_rest)
     inside = (rows >= 14) & (columns >= 14) & (rows < 46) & (columns < 40)
     assert abs(gains[inside].mean()) < 0.1
 
@@ -150,7 +151,7 @@ def test_lists_of_pixels_give_what_the_whole_image_does(seed: int, size: tuple[i
     log_listed, depth_listed = jax.jit(object_densities)(both, layers_m, ImageParts(frames))
     for frame, density in enumerate(densities):
         mine = frames == frame
-        log_whole, depth_m = jax.jit(partial(jax.lax.map, density.of_object))(layers_m[mine])
+        log_whole, depth_m = jax.jit(partial(jax.lax.map, partial(of_object, density)))(layers_m[mine])
         np.testing.assert_array_equal(depth_listed[mine], depth_m)
         expected = np.where(np.isfinite(depth_m), log_whole, 0.0)
         np.testing.assert_allclose(np.asarray(log_listed)[mine], expected, atol=1e-5)

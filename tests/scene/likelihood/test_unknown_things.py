@@ -13,6 +13,7 @@ from scene.likelihood.unknown_surfaces import UnknownWeights
 from scene.model.number_prior import LOG_SHARE_OF_POSES
 from scene.observation.frame_data import SceneData
 from scene.observation.segmentation import scene_data, support_depth
+from tests.scene.likelihood.whole_image import of_object
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=280.0, fy=280.0, cx=159.5, cy=119.5)
 NOISE, SHAPE_SIGMA_M = DepthNoise(), 0.003
@@ -80,7 +81,7 @@ def evidence(data: SceneData, shape: str) -> float:
     return evidence_at(data, shape, standing(shape, 0))
 
 
-of_object = jax.jit(PixelDensity.of_object)
+shown_by_object = jax.jit(of_object)
 
 
 def evidence_at(
@@ -91,7 +92,7 @@ def evidence_at(
     alone_m = np.where(whole_m < seen() - 1e-4, whole_m, np.inf).astype(np.float32)
     rest_m = support_depth(data.supports, window, INTRINSICS)
     density = PixelDensity.of(window.depth_m, rest_m, NOISE, SHAPE_SIGMA_M, window.stride, learned)
-    shown, depth_m = of_object(density, window.of(alone_m))
+    shown, depth_m = shown_by_object(density, window.of(alone_m))
     gain = np.where(np.isfinite(depth_m), shown - density.log_rest, 0.0)
     return float(gain.sum())
 

@@ -13,6 +13,7 @@ from scene.config import ParseConfig
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.pixel_factors import UNKNOWN
 from scene.objects.scene_object import SceneObject, scene_object
+from tests.scene.likelihood.whole_image import of_object
 
 NOISE = DepthNoise(none_hit_probability=0.11, none_miss_probability=0.83)
 
@@ -21,7 +22,7 @@ NOTHING_HERE = (1 - UNKNOWN) * 0.83 + UNKNOWN * 0.11
 """Rate of no return where no surface of the scene is and no pixel before tells of anything unknown."""
 
 
-of_object = jax.jit(PixelDensity.of_object)
+shown_by_object = jax.jit(of_object)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +37,7 @@ def test_a_pose_pays_for_pixels_without_return_where_nothing_is_behind(rest_m: f
     layer[3:8, 4:12] = 0.6
     with jax.enable_x64(False):  # as the program starts it
         density = PixelDensity.of(observed, rest, NOISE, 0.003, 1)
-        shown, _ = of_object(density, layer)
+        shown, _ = shown_by_object(density, layer)
         inside = np.asarray(shown - density.log_rest)[4:7, 5:11]
     np.testing.assert_allclose(inside, cost, atol=1e-5)
 
