@@ -14,7 +14,7 @@ from scene.config import ParseConfig
 from scene.likelihood.colour_layers import ColourLayers
 from scene.likelihood.object_renderer import ObjectRenderer
 from scene.likelihood.unknown_surfaces import UnknownWeights
-from scene.model.number_prior import LOG_SPINS, log_prior_odds
+from scene.model.number_prior import LOG_SPINS
 from scene.objects.scene_object import SceneObject
 from scene.objects.slots import OUT_OF_SIGHT
 from scene.observation.frame_data import SceneData
@@ -64,8 +64,7 @@ class PosePools:
         learned: UnknownWeights | None = None,
     ) -> PosePools:
         """Pools of `size` poses out of sight; pixels foretell each other as `learned`, or as here."""
-        log_odds = log_prior_odds(config.presence)
-        pixels = ComparedPixels.of(data, noise, config.search_error_m, log_odds, learned)
+        pixels = ComparedPixels.of(data, noise, config, learned)
         return cls(
             data=data,
             objects=objects,

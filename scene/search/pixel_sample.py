@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings.types import DepthNoise
+from scene.config import ParseConfig
 from scene.likelihood.object_density import layer_densities
 from scene.likelihood.pixel_density import PixelDensity
 from scene.likelihood.unknown_surfaces import UnknownWeights
+from scene.model.number_prior import log_prior_odds
 from scene.observation.frame_data import SceneData
 from scene.search.assignment import PoseLayers
 from scene.search.support_table import SupportTable
@@ -40,31 +42,16 @@ class ComparedPixels:
 
     @classmethod
     def of(
-        cls,
-        data: SceneData,
-        noise: DepthNoise,
-        surface_sigma_m: float,
-        log_odds: float,
-        learned: UnknownWeights | None = None,
+        cls, data: SceneData, noise: DepthNoise, config: ParseConfig, learned: UnknownWeights | None = None
     ) -> ComparedPixels:
-        """Pixels of a frame.
-
-        Args:
-            data: the frame.
-            noise: of the sensor.
-            surface_sigma_m: error of surfaces, of shapes and of poses in the pool together.
-            log_odds: of an object in one pose against its absence, before the image is seen.
-            learned: how well pixels foretell each other; None learns it from this frame.
-        """
-        near = data.window_foreground.ravel()
+        """Pixels of a frame, which foretell each other as `learned`, or as here."""
+        near, window = data.window_foreground.ravel(), data.window
         places = np.flatnonzero(near)
         size = PIXELS * max(-(-len(places) // PIXELS), 1)
         weight = (np.arange(size) < len(places)).astype(np.float32)
-        window = data.window
-        density = PixelDensity.of(
-            window.depth_m, data.support_m, noise, surface_sigma_m, window.stride, learned
-        )
-        return cls(density, np.float32(log_odds), ~near, np.resize(places, size), weight)
+        error_m, log_odds = config.search_error_m, np.float32(log_prior_odds(config.presence))
+        density = PixelDensity.of(window.depth_m, data.support_m, noise, error_m, window.stride, learned)
+        return cls(density, log_odds, ~near, np.resize(places, size), weight)
 
     def no_layers(self, objects: int, poses: int) -> PoseLayers:
         """Layers of `poses` poses an object of which none shows anything, and of the absent object, last."""
