@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +74,8 @@ class MaskSearch:
 
     seen: SeenSpace | None
     detectors: Sequence[Detector | None]
+    _last_atoms: dict[int, tuple[NDArray[np.bool_], Atoms]] = field(default_factory=dict, init=False)
+    """Of objects that were sought, and the pixels (H, W) on which they were."""
 
     @classmethod
     def of(cls, data: SceneData, objects: Sequence[SceneObject]) -> MaskSearch:
@@ -97,11 +98,6 @@ class MaskSearch:
         atoms = best_atoms(self.seen.waiting(unexplained), shape)
         self._last_atoms[one] = unexplained, atoms
         return atoms
-
-    @cached_property
-    def _last_atoms(self) -> dict[int, tuple[NDArray[np.bool_], Atoms]]:
-        """Of objects that were sought, and the pixels (H, W) on which they were."""
-        return {}
 
 
 def _overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:

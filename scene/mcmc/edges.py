@@ -93,7 +93,7 @@ class EdgeMove:
         """Graft both, and remember the old places; |det| is 8 for each contact gained."""
         old = jax.vmap(partial(edge_index, scene))(chosen).astype(auxiliary.dtype)
         there = with_edge(with_edge(scene, chosen[0], auxiliary[0]), chosen[1], auxiliary[1])
-        gained = contacts_gained(old, auxiliary).astype(scene.poses.dtype)
+        gained = (old == 0).astype(scene.poses.dtype) - (auxiliary == 0)
         two = gained[0] + jnp.where(chosen[0] == chosen[1], 0.0, gained[1])
         return there, old, LOG_CONTACT_JACOBIAN * two
 
@@ -139,8 +139,3 @@ def with_edge(scene: SceneGraph, chosen: jax.Array, place: jax.Array) -> SceneGr
         parent_faces=scene.parent_faces.at[chosen].set(faces // 6),
         child_faces=scene.child_faces.at[chosen].set(faces % 6),
     )
-
-
-def contacts_gained(old_place: jax.Array, new_place: jax.Array) -> jax.Array:
-    """1 from floating to contact, -1 the way back, else 0."""
-    return (old_place == 0).astype(jnp.int32) - (new_place == 0).astype(jnp.int32)

@@ -6,6 +6,7 @@ Once samples are kept the proposals stay as they are, so that the chains are exa
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -50,17 +51,8 @@ def adapt_mixture(mixture: PoseMixture, lines: SpinLines, poses: jax.Array) -> P
     own = PoseMixture.build(log_weights, centres, covariances, mixture.points_m)
     used = log_weights.shape[1]
     log_share = jax.scipy.special.logsumexp(mixture.log_weights[:, :used], axis=1, keepdims=True)
-    return PoseMixture(
-        _replaced(mixture.log_weights, log_share + own.log_weights),
-        _replaced(mixture.centres, own.centres),
-        _replaced(mixture.choleskys, own.choleskys),
-        _replaced(mixture.whitenings, own.whitenings),
-        mixture.points_m,
-    )
-
-
-def _replaced(values: jax.Array, own: jax.Array) -> jax.Array:
-    return values.at[:, : own.shape[1]].set(own)
+    own = replace(own, log_weights=log_share + own.log_weights)
+    return jax.tree.map(lambda every, first: every.at[:, : first.shape[1]].set(first), mixture, own)
 
 
 def modes_of(log_weights: jax.Array, line: SpinLines) -> jax.Array:
@@ -120,17 +112,16 @@ def _in_box(pose: jax.Array, covariance: jax.Array) -> jax.Array:
 
 
 def _steps(start: jax.Array, poses: jax.Array, line: SpinLines) -> jax.Array:
-    """Offsets and turns (S, 6) from a pose (7,) to others (S, 7)."""
-    return jax.vmap(lambda pose: jnp.concatenate(_step(start, pose, line)))(poses)
-
-
-def _step(start: jax.Array, end: jax.Array, line: SpinLines) -> tuple[jax.Array, jax.Array]:
-    """Offset (3,) of the line's point in the world and rotation vector (3,) on the right between poses (7,).
+    """Offsets of the line's point in the world and rotation vectors on the right (S, 6), from a pose (7,).
 
     Where the object spins freely, its spin is left out (swing-twist decomposition).
     """
-    turn = jaxlie.SO3(start[:4]).inverse() @ jaxlie.SO3(end[:4])
-    angle = 2 * jnp.arctan2(turn.wxyz[1:] @ line.directions, turn.wxyz[0])
-    swing = turn @ spin(line.directions, -angle)
-    offset_m = place_of(line.points_m, end) - place_of(line.points_m, start)
-    return offset_m, jnp.where(line.free, swing.log(), turn.log())
+
+    def step(end: jax.Array) -> jax.Array:
+        turn = jaxlie.SO3(start[:4]).inverse() @ jaxlie.SO3(end[:4])
+        angle = 2 * jnp.arctan2(turn.wxyz[1:] @ line.directions, turn.wxyz[0])
+        swing = turn @ spin(line.directions, -angle)
+        offset_m = place_of(line.points_m, end) - place_of(line.points_m, start)
+        return jnp.concatenate([offset_m, jnp.where(line.free, swing.log(), turn.log())])
+
+    return jax.vmap(step)(poses)

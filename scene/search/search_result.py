@@ -60,15 +60,13 @@ class Initialisation:
         """
         inside = moved[:, None] & (np.arange(self.log_gains.shape[1]) < self.pools.shape[1])
         atoms = self.atoms
-        if atoms is not None:
-            atoms = replace(atoms, log_weights=np.where(moved[:, None], -np.inf, atoms.log_weights))
         return replace(
             self,
             found=found,
             poses=np.where(found[:, None], poses, self.poses),
             pools=np.where(moved[:, None, None], poses[:, None], self.pools),
             log_gains=np.where(inside, 0.0, self.log_gains),
-            atoms=atoms,
+            atoms=atoms and replace(atoms, log_weights=np.where(moved[:, None], -np.inf, atoms.log_weights)),
         )
 
     def seen_from(self, other_from_camera: NDArray[np.float64]) -> Initialisation:
@@ -98,8 +96,7 @@ class Initialisation:
     def of_slots(self, found: FoundObjects) -> Initialisation:
         """The best scene and its pools of some objects alone, in their slots."""
         rows, atoms = found.placed, self.atoms
-        if atoms is not None:
-            atoms = replace(atoms, poses=atoms.poses[rows], log_weights=atoms.log_weights[rows])
+        atoms = atoms and replace(atoms, poses=atoms.poses[rows], log_weights=atoms.log_weights[rows])
         told = {name: getattr(self, name)[rows] for name in _OF_OBJECTS}
         told |= {"poses": found.poses(self.poses), "found": found.present}
         return replace(self, **told, atoms=atoms)
