@@ -9,6 +9,7 @@ known, so that things part: a pixel at the outline between two of them tells les
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,6 +145,13 @@ def seen_together(world: TableWorld, layers: Layers, scenes: NDArray[np.int64] |
     back = np.empty(len(order), np.int64)
     back[order] = np.arange(len(order))
     return View(layers, place, (free * fill)[back], left[back], (free * fill >= most)[back])
+
+
+def rendered_together(world: TableWorld, scenes: Sequence[Scene]) -> tuple[Layers, NDArray[np.int64]]:
+    """The things (B,) of some scenes, each alone, one scene after another; and the scene (B,) of each."""
+    every = [Scene.empty(), *scenes]
+    kinds, poses = np.concatenate([one.kinds for one in every]), np.concatenate([one.poses for one in every])
+    return render(world, kinds, poses), np.repeat(np.arange(len(scenes)), list(map(len, scenes)))
 
 
 def segments_of(world: TableWorld, image: ColourImage, view: View) -> Segments:

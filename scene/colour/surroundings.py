@@ -15,10 +15,11 @@ from scene.colour.posterior import (
     ColourImage,
     Scene,
     overlap_depths,
+    rendered_together,
     seen_together,
     segments_of,
 )
-from scene.colour.rendering import Layers, Neighbours, render
+from scene.colour.rendering import Layers, Neighbours
 from scene.colour.world import TableWorld
 
 ALMOST = 0.9
@@ -51,14 +52,8 @@ class Surroundings:
     def of(cls, world: TableWorld, image: ColourImage, scenes: Sequence[Scene]) -> Surroundings:
         """Of a thing to be added to any of some scenes."""
         explained = Explained.empty(world, image, len(scenes))
-        counts = [len(scene) for scene in scenes]
-        if sum(counts):
-            layers = render(
-                world,
-                np.concatenate([scene.kinds for scene in scenes]),
-                np.concatenate([scene.poses for scene in scenes]),
-            )
-            explained.fill_in(world, image, layers, np.repeat(np.arange(len(scenes)), counts))
+        if any(map(len, scenes)):
+            explained.fill_in(world, image, *rendered_together(world, scenes))
         lacking = explained.expected - explained.log_density
         lacking = lacking.reshape(len(scenes), world.camera.height, world.camera.width)
         together = TOGETHER_PX**2 * uniform_filter(lacking, TOGETHER_PX, axes=(1, 2), mode="constant")

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.colour.density import laplace_evidence
-from scene.colour.posterior import ColourImage, Scene, seen_together, segments_of
-from scene.colour.rendering import render
+from scene.colour.posterior import ColourImage, Scene, rendered_together, seen_together, segments_of
 from scene.colour.world import TableWorld
 
 
@@ -54,10 +53,7 @@ Posed = tuple[Scene, NDArray[np.float64]]
 
 def laplace_gains(world: TableWorld, image: ColourImage, scenes: Sequence[Scene]) -> NDArray[np.float64]:
     """Log likelihoods (S,) against the empty table, by Laplace."""
-    counts = [len(scene) for scene in scenes]
-    owner = np.repeat(np.arange(len(scenes)), counts)
-    kinds = np.concatenate([np.zeros(0, np.int64), *(scene.kinds for scene in scenes)])
-    layers = render(world, kinds, np.concatenate([np.zeros((0, 3)), *(scene.poses for scene in scenes)]))
+    layers, owner = rendered_together(world, scenes)
     view = seen_together(world, layers, owner)
     segments = segments_of(world, image, view)
     table = np.concatenate([[0], np.cumsum(image.table[layers.pixel[view.leads]])])
