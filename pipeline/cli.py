@@ -9,12 +9,12 @@ import signal
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
-from types import FrameType
 from typing import Any
 
 import click
 
 from pipeline.errors import ConfigError, PipelineError, ProjectError
+from pipeline.interruption import end_on_signals
 from pipeline.logs import unforeseen
 from pipeline.options import GOES_ON
 from recordings.errors import RecordingError
@@ -144,13 +144,8 @@ def main() -> None:
         if getattr(sys, name) is None:  # closed, as for a job of cron
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
         getattr(sys, name).reconfigure(errors="backslashreplace")  # names of files need not be UTF-8
-    signal.signal(signal.SIGTERM, _interrupt)
+    end_on_signals()
     voxscene()
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    """What ends the program from outside ends it as Ctrl-C does: nothing half-written stays."""
-    raise KeyboardInterrupt
 
 
 def _named(ctx: click.Context) -> str:
