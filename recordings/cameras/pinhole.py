@@ -57,7 +57,7 @@ def stored_intrinsics(camera: CameraMessage, width: int, height: int, *, rectifi
             cy=float(matrix[1, 2]) - y,
         )
     except ValueError as error:
-        raise UnusableCamera(f"its camera is unusable: {error}") from error
+        raise UnusableCamera(f"its camera is unusable: {error}; give --intrinsics fx,fy,cx,cy") from error
     low, high = _FOCAL_WIDTHS
     if not all(low < focal / region.width < high for focal in (region.fx, region.fy)):
         raise UnusableCamera(
