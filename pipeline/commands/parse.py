@@ -16,6 +16,7 @@ from pipeline.options import (
     RecordingSource,
     common_options,
     numbers,
+    only_for,
     recording_options,
     run_options,
 )
@@ -200,6 +201,7 @@ def command(
     if (table or light) and not is_photograph:
         raise ConfigError("--table and --light are for --colour only")
     if is_photograph:
+        only_for("a parse of depth", "graph", "likelihood", "shape_samples", "region", "presence")
         source = source.of_colour_alone
     known_ids = read_ids(ids)
     with open_session(common, source, run_path, force=force) as session:

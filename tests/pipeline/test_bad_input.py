@@ -455,6 +455,8 @@ def test_numbers_of_views_are_whole(views: str) -> None:
         ("export RUN --format ply -o OUT --recording a", "--recording is for --mesh and overlay only"),
         ("export RUN --format glb -o OUT --units mm", "--units is for ply, obj, stl only"),
         ("info a.mcap -s run.sede=3", "there is no setting run.sede"),
+        ("parse a --shapes S -o RUN --colour only --region 0,0,0,1,1,1", "--region is for a parse of depth"),
+        ("parse a --shapes S -o RUN --presence 0.1 --colour only", "--presence is for a parse of depth"),
         ("review RUN --frame 3", "--frame is for --screenshot only"),
         ("review RUN --from-mcap --truth a.tum", "--truth is for a run folder only"),
         ("review RUN --port 9000", "--port is for --web only"),
