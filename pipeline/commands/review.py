@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -87,7 +88,7 @@ def command(
         raise PipelineError(f"{run} holds no run; make one with voxscene slam, learn, parse or demo")
     if screenshot:
         take_screenshot(rrds, screenshot, (width, height), frame)
-        shows = str(rrds[-1].parent)
+        shows = str(run if from_mcap else rrds[-1].parent)
         document = {"screenshot": str(screenshot), "width": width, "height": height, "shows": shows}
         common.report(document, [f"{screenshot}: {width}x{height}, shows {shows}", *_others(rrds)])
         return
@@ -105,4 +106,5 @@ def _others(rrds: Sequence[Path]) -> list[str]:
     if len(rrds) < 2:
         return []
     names = ", ".join(rrd.parent.name for rrd in rrds[:-1])
-    return [f"others here: {names}; of one of them: voxscene review {rrds[0].parent} --screenshot OUT.png"]
+    one = quote(str(rrds[0].parent))
+    return [f"others here: {names}; of one of them: voxscene review {one} --screenshot OUT.png"]

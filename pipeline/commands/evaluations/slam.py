@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -103,7 +104,8 @@ def command(
         others = [one for one in found.values() if isinstance(one, ComparedTrajectory)]
         written = write_comparison(output, result, ours, others)
         document["files"] = [str(path) for path in written]
-        lines += [*document["files"], f"evo: evo_ape tum {written[0]} {written[1]} --align"]
+        two = shlex.join(document["files"][:2])
+        lines += [*document["files"], f"evo: evo_ape tum {two} --align"]
     common.report(document, lines)
 
 

@@ -185,11 +185,12 @@ def test_another_table_is_not_replaced(mug_file: Path, true_trajectory: SlamResu
     """An errors.csv of somebody else stays, told in one line; one of an earlier comparison does not."""
     with open_run_folder(tmp_path / "run", {mug_file.name: file_hash(mug_file)}) as run:
         run.stage("slam", SlamResult.load, lambda: true_trajectory, settings={}, inputs={})
-    out = tmp_path / "out"
+    out = tmp_path / "our out"
     command = ["eval", "slam", str(tmp_path / "run"), "--reference", str(mug_file), "-o", str(out)]
     for _ in range(2):
         result = CliRunner().invoke(voxscene, command)
         assert result.exit_code == 0, result.output
+        assert f"evo_ape tum '{out}/reference.tum' '{out}/estimate.tum'" in result.stdout
     (out / "errors.csv").write_text("name,error\n")
     result = CliRunner().invoke(voxscene, command)
 

@@ -313,6 +313,15 @@ def test_a_picture_of_a_project_tells_whose_it_is(monkeypatch: pytest.MonkeyPatc
     assert CliRunner().invoke(voxscene, command).stdout.count("\n") == 1
 
 
+def test_a_picture_of_a_run_mcap_tells_its_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its folder may hold many."""
+    monkeypatch.setattr("pipeline.views.screenshot.take_screenshot", lambda *_: None)
+    monkeypatch.setattr("pipeline.views.viewer.rrd_of_mcap", lambda mcap: mcap.with_suffix(".rrd"))
+    command = ["review", "kitchen.mcap", "--from-mcap", "--screenshot", str(tmp_path / "a.png")]
+
+    assert CliRunner().invoke(voxscene, command).stdout.endswith(" shows kitchen.mcap\n")
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not SOFTWARE_DRIVER.exists(), reason="mesa-vulkan-drivers is not installed")
 def test_a_picture_is_taken_without_a_screen(values: RunValues, tmp_path: Path) -> None:
