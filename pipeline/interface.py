@@ -15,8 +15,9 @@ kernels are kept in the user's cache folder. Everything else in the packages may
 from __future__ import annotations
 
 import warnings
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,6 +33,8 @@ from shapes.learning.config import LearnConfig
 from shapes.prior import ShapePrior
 from slam.config import SlamConfig
 from slam.result import SlamResult
+
+Config = TypeVar("Config", ReadOptions, SlamConfig, LearnConfig, ParseConfig)
 
 __all__ = [
     "CameraIntrinsics",
@@ -69,7 +72,7 @@ def open_recording(path: str | Path, **options: Any) -> McapRecording:
     """
     from recordings.reading import open_recording as opened
 
-    return opened(Path(path), ReadOptions(**_plain(options)))
+    return opened(Path(path), _configured(ReadOptions, "recording", options))
 
 
 def recorded_trajectory(path: str | Path, **options: Any) -> Trajectory | None:
@@ -80,7 +83,7 @@ def recorded_trajectory(path: str | Path, **options: Any) -> Trajectory | None:
     """
     from recordings.poses.recorded import recorded_trajectory as recorded
 
-    return recorded(Path(path), ReadOptions(**_plain(options)))
+    return recorded(Path(path), _configured(ReadOptions, "recording", options))
 
 
 def track(recording: McapRecording, *, seed: int = 0, **settings: Any) -> SlamResult:
@@ -101,7 +104,7 @@ def track(recording: McapRecording, *, seed: int = 0, **settings: Any) -> SlamRe
         stage_key(seed, "slam"),
         recording,
         recording.intrinsics,
-        SlamConfig(**_plain(settings)),
+        _configured(SlamConfig, "slam", settings),
         sensor=recording.sensor,
     )
 
@@ -124,7 +127,8 @@ def learn(recording: McapRecording, trajectory: SlamResult, *, seed: int = 0, **
 
     _check_trajectory(trajectory, recording)
     _prepare()
-    config = LearnConfig(**_plain(settings)).with_noise(recording.sensor and recording.sensor.noise)
+    config = _configured(LearnConfig, "learn", settings)
+    config = config.with_noise(recording.sensor and recording.sensor.noise)
     posed = tracked_frames(trajectory)
     stamps = set(posed.times_ns.tolist())
     return learn_shape(
@@ -165,7 +169,7 @@ def parse(
     from pipeline.surfaces import Surfaces
 
     _prepare()
-    config = ParseConfig(**_plain(settings))
+    config = _configured(ParseConfig, "parse", settings)
     if config.colour == "only":
         raise ValueError("colour 'only' is the command line's: voxscene parse --colour only")
     if len(config.frames) > 1 and trajectory is None:
@@ -178,6 +182,23 @@ def parse(
     sensor = profile_of(recording, recording.statistics().frames)
     keys = stage_key(seed, "parse"), stage_key(seed, "draws")
     return parse_recording(keys, recording, Path(shapes), surfaces, poses, sensor, config, warnings.warn)
+
+
+def _configured(kind: type[Config], name: str, settings: dict[str, Any]) -> Config:
+    """Settings of the kind that a settings file's section of this name has, with its rules.
+
+    Raises:
+        TypeError: there is no setting of a name.
+        ValueError: a value cannot be used.
+    """
+    from pipeline.config import build
+
+    if unknown := settings.keys() - {field.name for field in fields(kind)}:
+        raise TypeError(f"there is no setting {name}.{min(unknown)}")
+    try:
+        return build(kind, _plain(settings), name)
+    except ConfigError as error:
+        raise ValueError(str(error)) from error
 
 
 def _plain(settings: dict[str, Any]) -> dict[str, Any]:

@@ -63,6 +63,24 @@ def test_a_setting_that_does_not_exist_is_refused(mug_file: Path) -> None:
         interface.track(interface.open_recording(mug_file), particels=16)
 
 
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"particles": 2.5}, "slam.particles: input should be a valid integer.*, got 2.5"),
+        ({"particles": "many"}, "slam.particles: .*, got 'many'"),
+        ({"particles": 1}, "slam: particles must lie within 2 and 16384, got 1"),
+    ],
+)
+def test_a_value_of_another_kind_is_one_clear_line(mug_file: Path, settings: dict, line: str) -> None:
+    """As on the command line, and not an error of what is computed with it."""
+    with pytest.raises(ValueError, match=line):
+        interface.track(interface.open_recording(mug_file), **settings)
+    with pytest.raises(ValueError, match=r"recording.every: input should be a valid integer"):
+        interface.open_recording(mug_file, every=1.5)
+    with pytest.raises(ValueError, match=r"parse.frames: input should be a valid tuple, got 3"):
+        interface.parse(interface.open_recording(mug_file), ".", frames=3)
+
+
 def test_settings_may_be_arrays_and_lists(
     mug_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
