@@ -1,5 +1,6 @@
 """Files appear whole or not at all."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -39,6 +40,20 @@ def test_what_cannot_be_written_is_one_clear_error(tmp_path: Path) -> None:
     """With the path and the reason."""
     with pytest.raises(PipelineError, match=r"cannot write .*none.*: No such file"):
         write_text(tmp_path / "none" / "a.txt", "text")
+
+
+def test_a_read_only_disk_is_told_with_the_files_own_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There even what was never made cannot be removed."""
+
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(PipelineError, match=f"cannot write {tmp_path}/page.html: Read-only file system"):
+        write_text(tmp_path / "page.html", "page")
 
 
 def test_names_of_files_in_a_text_need_not_be_utf8(tmp_path: Path) -> None:
