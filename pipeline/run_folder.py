@@ -42,6 +42,22 @@ def holds_stages(folder: Path) -> bool:
     return (folder / INPUTS.parent).is_dir()
 
 
+def is_project(folder: Path) -> bool:
+    """Whether a folder is the run of a project."""
+    return holds_stages(folder) and (folder / "recordings").is_dir()
+
+
+def check_one_recording(run: Path) -> None:
+    """Refuse the run of a project where that of one recording is asked for.
+
+    Raises:
+        PipelineError: it names what to take instead.
+    """
+    if is_project(run):
+        names = ", ".join(sorted(one.name for one in (run / "recordings").iterdir()))
+        raise PipelineError(f"{run} is the run of a project; name {run}/recordings/STEM, of {names}")
+
+
 def read_inputs(path: Path) -> dict[str, str] | None:
     """What a run folder was made from; None where it is new or was cut off before it was known."""
     try:

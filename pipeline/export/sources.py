@@ -12,7 +12,7 @@ from pipeline.export.model_export import ExportOptions, export_models
 from pipeline.export.models import learned_model
 from pipeline.export.run_export import export_run, held_formats
 from pipeline.publishing.values import RunValues
-from pipeline.run_folder import RunFolder, holds_stages
+from pipeline.run_folder import RunFolder, holds_stages, is_project
 
 
 def export(
@@ -86,8 +86,3 @@ def shape_names(source: Path) -> set[str]:
 def is_run(folder: Path) -> bool:
     """Whether a folder is the run of one recording."""
     return holds_stages(folder) and not is_project(folder)
-
-
-def is_project(folder: Path) -> bool:
-    """Whether a folder is the run of a project."""
-    return holds_stages(folder) and (folder / "recordings").is_dir()

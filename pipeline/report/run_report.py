@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.errors import PipelineError
 from pipeline.export.models import learned_model
-from pipeline.export.sources import is_project, is_run
+from pipeline.export.sources import is_run
 from pipeline.publishing.summary import summary_of, timing_of
 from pipeline.publishing.told_spread import (
     agreement_text,
@@ -25,7 +25,7 @@ from pipeline.report import charts
 from pipeline.report.page import HEAD, Page
 from pipeline.report.pictures import depth_pixels, png, scene_picture, shape_picture
 from pipeline.report.warnings import warnings_of
-from pipeline.run_folder import RunFolder
+from pipeline.run_folder import RunFolder, is_project
 from recordings.types import Damage
 
 TITLE = "voxscene: "

@@ -76,8 +76,8 @@ def truth_of(values: RunValues, source: Path, options: ReadOptions = _DEFAULT_OP
         found = _object_levels(values.scene, values.surfaces, list(in_camera.values()))
         if len(found):
             levels["objects"] = found
-    if not levels:
-        raise PipelineError(f"{source} holds no truth of what this run found")
+    if not levels and not objects:
+        raise PipelineError(f"{source} holds no truth of what this run found or looked for")
     return RunTruth(path=path, errors_m=errors_m, objects=objects, levels=levels)
 
 

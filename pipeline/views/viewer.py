@@ -16,7 +16,7 @@ from pipeline.fingerprints import file_hash
 from pipeline.logs import log
 from pipeline.publishing.publish import tells_committed_values
 from pipeline.publishing.values import RunValues
-from pipeline.run_folder import RunFolder
+from pipeline.run_folder import RunFolder, check_one_recording
 from pipeline.views.rrd import write_rrd
 from pipeline.views.truth_view import truth_of
 from recordings.attached import save_attachments
@@ -48,6 +48,7 @@ def rrd_with_truth(path: Path, truth: Path) -> Path:
         RecordingError: the truth cannot be read.
         PipelineError: there is no run, or no truth of it, or that of another recording.
     """
+    check_one_recording(path)
     run = RunFolder(path)
     if not run.records():
         raise PipelineError(f"{path} holds no run of one recording; --truth shows one beside its truth")

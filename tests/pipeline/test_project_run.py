@@ -64,6 +64,20 @@ def rows(found: list[Row]) -> dict[str, bool]:
     return {row.stem: row.failure is None for row in found}
 
 
+@pytest.mark.parametrize(
+    "command",
+    ["eval slam RUN --reference", "eval poses RUN --truth", "eval shapes RUN --truth", "review RUN --truth"],
+)
+def test_a_projects_run_is_not_taken_for_that_of_a_recording(command: str, tmp_path: Path) -> None:
+    """To begin it anew, as one without a stage, would cost all of it."""
+    for folder in ("stages", "recordings/mug", "recordings/table"):
+        (tmp_path / folder).mkdir(parents=True)
+    told = run(*(str(tmp_path) if word == "RUN" else word for word in command.split()), "truth.mcap")
+
+    assert told.exit_code == 1
+    assert told.stderr.endswith(f"project; name {tmp_path}/recordings/STEM, of mug, table\n")
+
+
 def test_every_mistake_is_told_before_anything_begins(folder: Path) -> None:
     """In one go: files, settings, names of shapes; exit code 2, and no run folder."""
     more = "[[recording]]\npath = 'bug.mcap'\nstage = 'learn'\nslam.particles = -3\n"

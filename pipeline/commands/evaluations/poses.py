@@ -36,8 +36,9 @@ def command(common: Common, run: Path, truth: Path) -> None:
     from pipeline.evaluation.scenes import object_errors, parents_right, summary_of_errors
     from pipeline.evaluation.truth import RecordedTruth
     from pipeline.publishing.values import RunValues
-    from pipeline.run_folder import RunFolder
+    from pipeline.run_folder import RunFolder, check_one_recording
 
+    check_one_recording(run)
     folder = RunFolder(run)
     values = RunValues.load(folder)
     scene = values.scene

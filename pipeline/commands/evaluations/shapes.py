@@ -47,10 +47,11 @@ def command(common: Common, run: Path, truth: Path | None, held_back: Path | Non
     """  # noqa: D301  (click reads the \b)
     from pipeline.evaluation.same_recording import check_truth
     from pipeline.publishing.values import RunValues
-    from pipeline.run_folder import RunFolder
+    from pipeline.run_folder import RunFolder, check_one_recording
 
     if truth is None and held_back is None:
         raise ConfigError("say what to compare with: --truth REC or --held-back REC")
+    check_one_recording(run)
     folder = RunFolder(run, force=False)
     values = RunValues.load(folder)
     if not values.shapes:

@@ -75,11 +75,12 @@ def command(
         reference_trajectory,
         slam_errors,
     )
-    from pipeline.run_folder import RunFolder
+    from pipeline.run_folder import RunFolder, check_one_recording
     from slam.result import SlamResult
 
     if output:
         check_comparison(output)
+    check_one_recording(run_path)
     run = RunFolder(run_path, force=False)
     record = run.record("slam")
     if record is None:

@@ -376,11 +376,15 @@ def test_objects_where_they_were_told_lie_in_every_region(parsed_run: RunValues)
 def test_objects_of_a_single_frame_have_a_truth(
     parsed_run: RunValues, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Where slam ran on it alone, as in a project, there is no error of the camera to show."""
+    """Where slam ran on it alone, as in a project, there is no error of the camera to show.
+
+    What was looked for and not found is shown where it is, too.
+    """
     assert parsed_run.slam is not None
     assert parsed_run.scene is not None
     slam = some_frames(parsed_run.slam, slice(1))
     single = replace(parsed_run, slam=slam, scene=replace(parsed_run.scene, frames=np.array([0])))
+    assert single.scene is not None
     true = TrueObject(name="cup", shape="mug", world_from_object=parsed_run.scene.camera_from_object[0])
     known = SimpleNamespace(scene=SceneTruth(objects=(true,)), camera_from_world=lambda _: np.eye(4))
     monkeypatch.setattr(truth_view, "recorded_scene_truth", lambda _: known.scene)
@@ -388,6 +392,11 @@ def test_objects_of_a_single_frame_have_a_truth(
     truth = truth_of(single, tmp_path / "true.mcap")
 
     assert list(truth.levels) == ["objects"]
+    missed = replace(single.scene, presence=np.zeros(len(single.scene.names)))
+    none_found = truth_of(replace(single, scene=missed), tmp_path / "true.mcap")
+    assert (list(none_found.objects), list(none_found.levels)) == (["cup"], [])
+    write_rrd(tmp_path / "missed.rrd", "run", replace(single, scene=missed), truth=none_found)
+    assert "/world/truth/objects/cup" in rows_of(tmp_path / "missed.rrd")
     write_rrd(tmp_path / "run.rrd", "run", single, truth=truth)
     assert "/world/truth/objects/cup" in rows_of(tmp_path / "run.rrd")
     with pytest.raises(PipelineError, match="the path is of one frame"):
