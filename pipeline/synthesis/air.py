@@ -106,18 +106,21 @@ def _drawn(world: TableWorld, count: int, rng: np.random.Generator) -> Scene:
 def write_air_scene(world: TableWorld, scene: AirScene, path: Path) -> None:
     """One frame as an MCAP file: colour in 8 bits, depth without any return, the camera's pose, the truth.
 
+    True poses are of each mesh's own frame, as those that are found.
+
     Raises:
         RecordingError: the file cannot be written.
     """
     things = []
     for number, (kind, pose) in enumerate(zip(scene.truth.kinds, scene.truth.poses, strict=True)):
         shape = world.kinds[kind]
+        base_from_shape = trimesh.transformations.translation_matrix(-shape.base_m)
         things.append(
             TrueObject(
                 name=f"{shape.name} {number}",
                 shape=shape.name,
-                world_from_object=_upright(pose),
-                vertices_m=shape.vertices_m,
+                world_from_object=_upright(pose) @ base_from_shape,
+                vertices_m=shape.vertices_m + shape.base_m,
                 faces=shape.faces.astype(np.int32),
                 parent=TABLE,
             )

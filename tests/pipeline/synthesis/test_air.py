@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from pipeline.benchmarks.air import AirRow, figures
 from pipeline.cli import voxscene
-from pipeline.synthesis.air import air_scene, air_world
+from pipeline.synthesis.air import air_meshes, air_scene, air_world
 from recordings.reading import open_recording
 from recordings.truth import recorded_scene_truth
 from scene.colour.posterior import overlapping
@@ -22,13 +22,18 @@ def test_files_hold_the_scenes_of_the_bench(tmp_path: Path) -> None:
     result = CliRunner().invoke(voxscene, arguments)
     assert result.exit_code == 0, result.output
     written = json.loads(result.stdout)
-    world = air_world()
+    world, meshes = air_world(), air_meshes()
     for seed, one in enumerate(written, start=5):
         scene = air_scene(world, seed)
         truth = recorded_scene_truth(Path(one["path"]))
         assert truth is not None
         assert [thing.shape for thing in truth.objects] == one["things"]
         assert one["things"] == [world.kinds[kind].name for kind in scene.truth.kinds]
+        for thing in truth.objects:  # `eval poses` asks for it in the frame of the meshes that are parsed
+            assert thing.vertices_m is not None
+            np.testing.assert_allclose(thing.vertices_m, meshes[thing.shape].vertices, atol=1e-6)
+            standing = thing.vertices_m @ thing.world_from_object[:3, :3].T + thing.world_from_object[:3, 3]
+            np.testing.assert_allclose(standing[:, 2].min(), 0.0, atol=1e-6)
         frame = next(iter(open_recording(Path(one["path"]))))
         assert not frame.depth_m.any()
         assert frame.rgb is not None
