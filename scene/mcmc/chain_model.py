@@ -43,9 +43,7 @@ def carrying(
     def carries(support: SupportPlane) -> bool:
         inside = [support.in_table_frame(points_m) for points_m in placed_m]
         feet = [points_m[np.argmin(points_m[:, 2])] for points_m in inside]
-        return any(
-            abs(foot[2]) < CARRIED_M and (np.abs(foot[:2]) < support.half_size_m).all() for foot in feet
-        )
+        return any(abs(foot[2]) < CARRIED_M and support.covers(foot) for foot in feet)
 
     return [one for number, one in enumerate(supports) if number == 0 or carries(one)]
 

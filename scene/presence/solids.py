@@ -22,7 +22,7 @@ from scene.execution import map_parallel
 from scene.likelihood.crops import Crops, crops_around
 from scene.presence.gaussian_fits import moved
 from shapes.geometry.camera import Camera
-from shapes.geometry.poses import matrices_of
+from shapes.geometry.poses import matrices_of, placed_points
 from shapes.geometry.rotation_densities import LOG_CONTACT_JACOBIAN
 
 LEAST_M, GREATEST_M = 0.003, 0.3
@@ -210,8 +210,7 @@ def _lines_around(
     """
     corners = _CORNERS * half_m[:, None]
     camera_from_box = matrices_of(np.asarray(poses, np.float64))
-    points_m = corners @ np.swapaxes(camera_from_box[:, :3, :3], 1, 2) + camera_from_box[:, None, :3, 3]
-    x, y, z = np.moveaxis(points_m, -1, 0)
+    x, y, z = np.moveaxis(placed_points(camera_from_box, corners), -1, 0)
     in_front = (z > NEAREST_M).all(axis=1, keepdims=True)
     z = np.maximum(z, NEAREST_M)
     lines = np.stack([y / z * camera.fy + camera.cy, x / z * camera.fx + camera.cx], axis=-1)
