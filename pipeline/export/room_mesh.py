@@ -22,8 +22,11 @@ from shapes.learning.colouring import ColourSums
 PITCH_M = 0.01
 TRUNCATION_PITCHES = 4.0
 """Distances are kept so far from the surface: Open3D's default is 8, which fills gaps between thin things."""
-FEWEST_VIEWS = 3.0
-"""Surface that fewer frames saw is left out, as Open3D does by default: it is mostly noise at edges."""
+FEWEST_VIEWS, FEWEST_OF_USUAL = 3.0, 0.5
+"""Surface that fewer frames saw is left out, as Open3D does by default: it is mostly noise at edges. Where
+frames are few and far apart one or two see most surfaces: half of what usually sees one will then do."""
+SAMPLED_BLOCKS = 1000
+"""Blocks of voxels, spread evenly, that tell how many frames usually see a surface."""
 FARTHEST_M = 6.0
 """Beyond this a structured-light sensor's noise (`DepthNoise`) exceeds five centimetres."""
 MOST_FRAMES = 1000
@@ -60,10 +63,7 @@ def room_mesh(
             progress(count)
     vertices, triangles = grid.surface()
     if not len(triangles):
-        raise PipelineError(
-            f"the frames show too little for a surface, which {FEWEST_VIEWS:g} have to see; track more, or "
-            "try a larger --pitch"
-        )
+        raise PipelineError("the frames show too little for a surface; track more, or try a larger --pitch")
     colours = ColourSums(vertices, at_surface_m=2 * pitch_m)
     for frame, pose in _thinned(frames, COLOURED_FRAMES):
         colours.add(frame, intrinsics, pose)
@@ -108,7 +108,7 @@ class _Grid:
         if self._empty:
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         try:
-            mesh = self._voxels.extract_triangle_mesh(weight_threshold=FEWEST_VIEWS)
+            mesh = self._voxels.extract_triangle_mesh(weight_threshold=self._fewest_views())
         except RuntimeError:  # Open3D raises where no voxel was seen often enough
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         if mesh.is_empty():
@@ -117,6 +117,14 @@ class _Grid:
             mesh.vertex.positions.numpy().astype(np.float64),
             mesh.triangle.indices.numpy().astype(np.int64),
         )
+
+    def _fewest_views(self) -> float:
+        """How many frames have to see a surface."""
+        blocks = self._voxels.hashmap().active_buf_indices().to(o3d.core.int64)
+        some = blocks[:: -(-len(blocks) // SAMPLED_BLOCKS)]
+        distances, weights = (self._voxels.attribute(name)[some].numpy() for name in ("tsdf", "weight"))
+        near = weights[(weights > 0) & (np.abs(distances) < 1 / TRUNCATION_PITCHES)]
+        return min(FEWEST_VIEWS, FEWEST_OF_USUAL * float(np.median(near))) if near.size else FEWEST_VIEWS
 
 
 def _thinned(frames: Callable[[], Iterable[Posed]], count: int) -> Iterator[Posed]:
