@@ -26,7 +26,7 @@ from scene.observation.segmentation import scene_data
 from scene.presence.births import born_near, distinct
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.pose_priors import PosePriors
-from scene.presence.posterior import drawn_ensemble
+from scene.presence.posterior import Births, drawn_ensemble
 from scene.presence.size_prior import SizePrior
 from scene.presence.solid_births import competing_solids
 from scene.presence.toggling import ABSENT, Candidates
@@ -95,7 +95,8 @@ class PlaceEvidence:
         mixture = born_near(rng, frames, priors, sites, lines, np.zeros(count, int))
         solids = competing_solids(rng, frames, priors, {self.compared.searched: self.compared.data}, mixture)
         nowhere = np.full(count, -np.inf)
-        return drawn_ensemble(rng, frames, priors, mixture, solids, nowhere, None).candidates
+        births = Births(mixture=mixture, solids=solids)
+        return drawn_ensemble(rng, frames, priors, births, nowhere, None).candidates
 
     def _frames(self, count: int) -> PresenceFrames:
         objects = [self.one] * count

@@ -6,7 +6,7 @@ search had for it. Every chain has candidates of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -154,6 +154,19 @@ class Ensemble:
         return np.arange(len(self.choice)), np.maximum(self.choice, 0)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Births:
+    """What candidates are drawn from.
+
+    Attributes:
+        mixture: of the objects.
+        solids: unknown things that may be there in their place.
+    """
+
+    mixture: StateMixture
+    solids: SolidFits
+
+
 DrawEnsemble = Callable[[Ensemble | None], Ensemble]
 """Candidates drawn anew, the scene as before; the empty one if none was."""
 
@@ -202,8 +215,7 @@ def drawn_ensemble(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    mixture: StateMixture,
-    solids: SolidFits,
+    births: Births,
     log_hidden: NDArray[np.float64],
     before: Ensemble | None,
     slots: NDArray[np.bool_] | None = None,
@@ -216,13 +228,13 @@ def drawn_ensemble(
         rng: random numbers.
         frames: what is seen.
         priors: of poses.
-        mixture: of the objects.
-        solids: unknown ones.
+        births: what they are drawn from.
         log_hidden: as `candidates_of` takes it.
         before: the scene, which stays.
         slots: (N,) which get other candidates; None for all.
     """
-    states = np.concatenate([mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
+    solids = births.solids
+    states = np.concatenate([births.mixture.drawn(rng, CANDIDATES), solids.drawn(rng, CANDIDATES)])
     shapes = frames.drawn_shapes(rng, states.shape[:2])
     anew = np.ones(len(states), bool) if slots is None else slots
     if before is not None:
@@ -230,21 +242,21 @@ def drawn_ensemble(
         shapes = np.where(anew[:, None], shapes, before.shapes)
         kept = before.in_use & anew
         states[kept, 0], shapes[kept, 0] = before.chosen[kept], before.chosen_shapes[kept]
-    log_offered = _log_offered(mixture, solids, states, before, anew)
+    log_offered = _log_offered(births, states, before, anew)
     given = states, shapes, solids.is_round, log_offered, log_hidden
     candidates = candidates_of(frames, priors, *given, before and before.candidates, anew)
     return Ensemble.of(states, shapes, candidates, before, anew)
 
 
 def _log_offered(
-    mixture: StateMixture,
-    solids: SolidFits,
+    births: Births,
     states: NDArray[np.float64],
     before: Ensemble | None,
     anew: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """Log densities (N, K) by which states (N, K, 10) were drawn; those that are not anew keep theirs."""
     log_offered = np.zeros(states.shape[:2]) if before is None else before.candidates.log_offered.copy()
+    mixture, solids = births.mixture, births.solids
     of_objects, of_solids = np.split(anew, [len(mixture.centres)])
     objects, solid_states = np.split(states[anew], [int(of_objects.sum())])
     log_offered[anew] = np.concatenate(
@@ -260,8 +272,7 @@ def presence_posterior(
     rng: np.random.Generator,
     frames: PresenceFrames,
     priors: PosePriors,
-    mixture: StateMixture,
-    solids: SolidFits,
+    births: Sequence[Births],
     chains: int,
     hidden: HiddenPlaces,
     alike: NDArray[np.bool_],
@@ -275,8 +286,7 @@ def presence_posterior(
         rng: random numbers.
         frames: what is seen.
         priors: of sets and poses.
-        mixture: of the objects, from which candidates are drawn.
-        solids: unknown things that may be there in their place.
+        births: what candidates are drawn from: the first of them for the first chain, ..., over and over.
         chains: how many.
         hidden: what objects do to the likelihood out of sight.
         alike: (N, N) which objects are of one shape.
@@ -284,16 +294,19 @@ def presence_posterior(
     """
     with np.errstate(divide="ignore"):
         log_hidden = np.log(hidden.share)
-    objects = len(mixture.centres)
-    draw = partial(drawn_ensemble, rng, frames, priors, mixture, solids, log_hidden)
-    runs = [chain_presence(rng, draw) for _ in range(chains)]
-    in_sight = np.stack([told[:, 0] - told[:, 1] for told, _, _ in runs])
-    doubted = _in_doubt(in_sight)
-    if doubted[:objects].any():
-        again = partial(draw, slots=doubted)
-        runs = [chain_presence(rng, again, last, DRAWN_AGAIN, SWEEPS_AGAIN) for _, last, _ in runs]
+    objects, kinds = len(alike), len(births)
+    draw_of = [partial(drawn_ensemble, rng, frames, priors, one, log_hidden) for one in births]
+    draws = [draw_of[chain % kinds] for chain in range(chains)]
+    runs = [chain_presence(rng, draw) for draw in draws]
+    slots = _in_doubt([told[:, 0] - told[:, 1] for told, _, _ in runs], objects, kinds)
+    if slots[0][:objects].any():
+        again = [partial(draw, slots=mine) for draw, mine in zip(draws, slots, strict=True)]
+        lasts = [last for _, last, _ in runs]
+        runs = [
+            chain_presence(rng, *one, DRAWN_AGAIN, SWEEPS_AGAIN) for one in zip(again, lasts, strict=True)
+        ]
     by_chain, last, visits = zip(*runs, strict=True)
-    there, unseen = np.moveaxis(np.stack(by_chain)[:, :objects], 2, 0)
+    there, unseen = np.moveaxis(np.stack([one[:objects] for one in by_chain]), 2, 0)
     copies = Copies.of(alike, found)
     in_sight = copies.shared(there - unseen)
     there = copies.with_number(there, np.stack([number_probabilities(run, alike) for run in visits]))
@@ -302,8 +315,8 @@ def presence_posterior(
     of_share = unseen_share * (1 - told) * hidden.share_std / np.where(hidden.share > 0, hidden.share, 1)
     not_in_sight = _or_one(1 - in_sight.mean(axis=0))
     out_of_sight = ((there - in_sight) / _or_one(1 - in_sight)).clip(0, 1)
-    poses = np.stack([one.chosen for one in last])[:, :objects, :7]
-    in_use = np.stack([one.in_use for one in last])[:, :objects]
+    poses = np.stack([one.chosen[:objects, :7] for one in last])
+    in_use = np.stack([one.in_use[:objects] for one in last])
     return Presence(
         probability=told,
         number=number_probabilities([one for run in visits for one in run], alike),
@@ -326,10 +339,22 @@ def _error_of_mean(by_chain: NDArray[np.float64]) -> NDArray[np.float64]:
     return by_chain.std(axis=0, ddof=1) / np.sqrt(len(by_chain))
 
 
-def _in_doubt(in_sight: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which slots (N,) are neither seen for certain nor certainly not, by what chains (C, N) told."""
-    mean = in_sight.mean(axis=0)
-    return (mean > DOUBT) & (mean < 1 - DOUBT)
+def _in_doubt(in_sight: Sequence[NDArray[np.float64]], objects: int, kinds: int) -> list[NDArray[np.bool_]]:
+    """Which slots of each chain are neither seen for certain nor certainly not: of objects the same in all.
+
+    Args:
+        in_sight: of C chains presence in sight (N + U,), N objects and then the solids of a kind of chains.
+        objects: N.
+        kinds: after how many chains these have the same solids again.
+    """
+
+    def is_open(chains: Sequence[NDArray[np.float64]]) -> NDArray[np.bool_]:
+        mean = np.mean(chains, axis=0)
+        return (mean > DOUBT) & (mean < 1 - DOUBT)
+
+    of_objects = is_open([one[:objects] for one in in_sight])
+    of_solids = [is_open(in_sight[kind::kinds])[objects:] for kind in range(min(kinds, len(in_sight)))]
+    return [np.append(of_objects, of_solids[chain % kinds]) for chain in range(len(in_sight))]
 
 
 def _in_one_scene(

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,8 @@ def test_presence_by_moves_is_exact_with_drawn_shapes(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ratio = np.mean(np.exp(LOG_GAIN * OnePixel().is_fitting))
     exact = PRIOR * ratio / (1 - PRIOR + PRIOR * ratio)
-    given = OnePixel(), AnySize(), AnyPose(), SolidFits.none(), np.array([-np.inf])
+    births = SimpleNamespace(mixture=AnyPose(), solids=SolidFits.none())
+    given: Any = OnePixel(), AnySize(), births, np.array([-np.inf])
     draw = partial(drawn_ensemble, rng, *given)
 
     told = [chain_presence(rng, draw, None, DRAWINGS, 4)[0][0, 0] for _ in range(CHAINS)]

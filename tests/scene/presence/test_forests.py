@@ -26,7 +26,7 @@ from scene.observation.detection import SupportPlane
 from scene.presence.depth_candidates import PresenceFrames
 from scene.presence.forests import ForestPrior, log_weighted_trees
 from scene.presence.pose_priors import PosePriors
-from scene.presence.posterior import Presence, presence_posterior
+from scene.presence.posterior import Births, Presence, presence_posterior
 from scene.presence.size_prior import SizePrior
 from scene.presence.solids import SolidFits
 from scene.presence.state_mixture import StateMixture
@@ -250,9 +250,8 @@ def presence_without_data(
     )
     seen, nothing = NothingSeen(), HiddenPlaces.none(3)
     alike = np.ones((3, 3), bool) if alike is None else alike
-    return presence_posterior(
-        rng, seen, priors, cloud, SolidFits.none(), chains, nothing, alike, np.zeros(3, bool)
-    )
+    births = [Births(mixture=cloud, solids=SolidFits.none())]
+    return presence_posterior(rng, seen, priors, births, chains, nothing, alike, np.zeros(3, bool))
 
 
 @pytest.mark.parametrize("mutant", ["trees", "eight"])

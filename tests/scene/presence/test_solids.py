@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scene.presence.posterior import _log_offered
+from scene.presence.posterior import Births, _log_offered
 from scene.presence.solids import (
     GREATEST_M,
     LEAST_M,
@@ -163,8 +163,9 @@ def test_densities_of_what_stays_are_kept(seed: int) -> None:
     before = cast("Any", SimpleNamespace(candidates=SimpleNamespace(log_offered=np.full((5, 6), 7.0))))
     anew = np.array([False, True, True, False, False])
 
-    every = _log_offered(mixture, solids, states, None, np.ones(5, bool))
-    some = _log_offered(mixture, solids, states, before, anew)
+    births = Births(mixture=mixture, solids=solids)
+    every = _log_offered(births, states, None, np.ones(5, bool))
+    some = _log_offered(births, states, before, anew)
 
     of_solids = solids.log_density(states[2:], solids.is_round)
     np.testing.assert_array_equal(every, np.concatenate([mixture.log_density(states[:2]), of_solids]))
