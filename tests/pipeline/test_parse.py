@@ -157,6 +157,7 @@ def test_eval_poses_leaves_out_what_was_not_looked_for(
     assert sorted(one["name"] for one in document["objects"]) == sorted(SHAPES)
 
 
+@pytest.mark.slow
 def test_truth_and_recorded_poses_are_not_used(
     table: SyntheticRecording, meshes: Path, parsed: Path, tmp_path: Path
 ) -> None:
