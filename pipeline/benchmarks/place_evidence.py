@@ -92,7 +92,7 @@ class PlaceEvidence:
         frames, priors = self._frames(count), self._priors(count, camera_from_box)
         sites = [pose[None] for pose in self._in_world(camera_from_box)]
         lines = np.tile(self.one.spin_line, (count, 1, 1))
-        mixture = born_near(rng, frames, priors, sites, lines, np.zeros(count, int))
+        (mixture,) = born_near(rng, frames, priors, sites, lines, np.zeros(count, int), 1)
         solids = competing_solids(rng, frames, priors, {self.compared.searched: self.compared.data}, mixture)
         nowhere = np.full(count, -np.inf)
         births = Births(mixture=mixture, solids=solids)

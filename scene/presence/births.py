@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -84,8 +84,9 @@ def born_near(
     sites: Sequence[NDArray[np.float64]],
     lines: NDArray[np.float64],
     places: NDArray[np.integer],
-) -> StateMixture:
-    """Mixtures of objects round sites (S, 7) world_from_box of each.
+    fits: int,
+) -> Iterator[StateMixture]:
+    """Mixtures of objects round sites (S, 7) world_from_box of each, fitted so many times to the same tops.
 
     Gaussians are fitted to what the object explains there beside the others that were found, if it is one of
     these; else alone, for it may be in their place. What was found in the wrong place is moved by them.
@@ -98,6 +99,7 @@ def born_near(
         lines: (N, 2, 3) direction and point of the lines about which they are round, zeros without one.
         places: (N,) how many of its sites, the first ones, are where each was found; of the others the best
             are gone on with.
+        fits: how many mixtures.
     """
     every = np.repeat(np.arange(len(sites)), [len(one) for one in sites])
     sizes = priors.sizes
@@ -117,9 +119,10 @@ def born_near(
     log_density = partial(log_densities, owners)
     centres = sizes.tied(climbed(log_density, centres, FIRST_STEPS, CLIMBS)[:, None], owners)[:, 0]
     free = np.concatenate([np.ones((len(owners), 6), bool), free_sizes(sizes.ties)[owners]], axis=1)
-    fits = fit_gaussians(rng, log_density, centres, free)
-    fits = replace(fits, centres=sizes.tied(fits.centres[:, None], owners)[:, 0])
-    return _mixture(fits, owners, lines, sizes)
+    for _ in range(fits):
+        told = fit_gaussians(rng, log_density, centres, free)
+        told = replace(told, centres=sizes.tied(told.centres[:, None], owners)[:, 0])
+        yield _mixture(told, owners, lines, sizes)
 
 
 def fit_gaussians(

@@ -75,16 +75,14 @@ def presence_in_scene(
     sites = _sites(compared.world_from_camera, objects, start, places)
     lines = np.stack([one.spin_line for one in objects])
     counts = np.array([len(at) for at in places])
-
-    def births() -> Births:
-        mixture = born_near(rng, frames, priors, sites, lines, counts)
-        if not config.unknown_solids:
-            return Births(mixture=mixture, solids=SolidFits.none())
-        return Births(mixture=mixture, solids=competing_solids(rng, frames, priors, novel, mixture))
-
+    births = []
+    for mixture in born_near(rng, frames, priors, sites, lines, counts, FITS):
+        solids = SolidFits.none()
+        if config.unknown_solids:
+            solids = competing_solids(rng, frames, priors, novel, mixture)
+        births.append(Births(mixture=mixture, solids=solids))
     alike = copies_among({one.name: one.points_m for one in objects})
-    fits = [births() for _ in range(FITS)]
-    return presence_posterior(rng, frames, priors, fits, CHAINS, hidden, alike, start.found)
+    return presence_posterior(rng, frames, priors, births, CHAINS, hidden, alike, start.found)
 
 
 def _sites(
