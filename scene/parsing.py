@@ -89,7 +89,7 @@ def parse_scene(
     rng = np.random.default_rng(np.asarray(jax.random.key_data(presence_key)))
     seen_noise = with_surface_error(noise, config.model_error_m)
     sampler = _Sampler(joint, objects, renderer, seen_noise, config)
-    hidden, presence, start, sampled = sampler.weighed_and_sampled(
+    hidden, presence, start, sampled = sampler.weigh_and_sample(
         rng, (hidden_key, chain_key, moved_key), progress
     )
     numbers = np.asarray(frame_indices)
@@ -132,7 +132,7 @@ class _Sampler:
     noise: DepthNoise
     config: ParseConfig
 
-    def weighed_and_sampled(
+    def weigh_and_sample(
         self, rng: np.random.Generator, keys: Sequence[jax.Array], progress: Progress | None
     ) -> tuple[HiddenPlaces, Presence, Initialisation, Sampled]:
         """Where objects may be out of sight, which are there, the best scene of these, and its samples.
@@ -145,22 +145,22 @@ class _Sampler:
             progress: as `parse_scene` takes it.
         """
         hidden_key, chain_key, moved_key = keys
-        start, tell, weighed = self.joint.start, progress.phase if progress else _untold, Event()
+        start, tell, is_told = self.joint.start, progress.phase if progress else _untold, Event()
 
         def tell_blocks(done: int, total: int) -> None:
-            if progress and weighed.is_set():
+            if progress and is_told.is_set():
                 progress(done, total)
 
         tell("refining poses")
-        particles = self.refined(rng, start)
+        particles = self.refine(rng, start)
         tell("weighing where objects may be out of sight")
-        hidden = self.hidden(hidden_key)
+        hidden = self.weigh_hidden(hidden_key)
         tell("weighing which objects are there")
         with ThreadPoolExecutor(1) as beside:
-            sampling = beside.submit(self.sampled, chain_key, start, particles, tell_blocks)
-            presence = self.weighed(rng, start, particles, hidden)
+            sampling = beside.submit(self.sample, chain_key, start, particles, tell_blocks)
+            presence = self.weigh_presence(rng, start, particles, hidden)
             tell("sampling scenes")
-            weighed.set()
+            is_told.set()
         moved = _stand_elsewhere(presence, start.found, particles, self.objects)
         if not moved.any() and not (start.found & ~presence.seen).any():
             return hidden, presence, start, sampling.result()
@@ -168,14 +168,14 @@ class _Sampler:
         in_camera = poses_of(camera_from_world @ matrices_of(presence.poses))
         start = start.with_scene(presence.seen, in_camera, moved)
         tell("sampling the scene that moves tell")
-        sampled = self.sampled(moved_key, start, self.refined(rng, start), progress)
+        sampled = self.sample(moved_key, start, self.refine(rng, start), progress)
         return hidden, presence, start, sampled
 
-    def refined(self, rng: np.random.Generator, start: Initialisation) -> NDArray[np.float64]:
+    def refine(self, rng: np.random.Generator, start: Initialisation) -> NDArray[np.float64]:
         """Particles (N, P, 7) of each object's pose, as `refine_poses` draws them."""
         return refine_poses(rng, self.joint.compared, self.objects, self.renderer, start, self.config)
 
-    def sampled(
+    def sample(
         self,
         key: jax.Array,
         start: Initialisation,
@@ -207,7 +207,7 @@ class _Sampler:
         visible = visible_fractions(self.joint, self.renderer, start.found, particles[:, 0])
         return Sampled(found=found, chains=chains, visible_fraction=visible, colour_nats=nats)
 
-    def weighed(
+    def weigh_presence(
         self,
         rng: np.random.Generator,
         start: Initialisation,
@@ -219,7 +219,7 @@ class _Sampler:
             rng, self.joint.compared, self.joint.searched, self.objects, start, particles, hidden, self.config
         )
 
-    def hidden(self, key: jax.Array) -> HiddenPlaces:
+    def weigh_hidden(self, key: jax.Array) -> HiddenPlaces:
         """Where objects may be out of sight beside those that the search found."""
         compared, start = self.joint.compared, self.joint.start
         world_from_camera = compared.world_from_camera
